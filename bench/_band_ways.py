@@ -48,7 +48,7 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
 def scale_to_level(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
     """The band with factors for which its coverage of the equally weighted calibration runs is its level."""
     grid = np.linspace(0.0, 1.0, 201)
-    parts = [np.quantile(band.compute_scores(one.conditions, one.errors[question]).max(axis=1), grid)
+    parts = [np.quantile((np.abs(one.errors[question]) / band.scale(one.conditions)).max(axis=(1, 2)), grid)
              for one in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 

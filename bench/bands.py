@@ -158,7 +158,8 @@ def score_days(runs: Runs) -> list[Row]:
             kept = domain(new.conditions)
             if not kept.any():
                 continue
-            scores = band.compute_scores(new.conditions[kept], new.errors[question][kept].astype(float)).max(axis=1)
+            errors = np.abs(new.errors[question][kept].astype(float))
+            scores = (errors / band.scale(new.conditions[kept])).max(axis=(1, 2))
             covered.append([float((scores <= band.factors[level]).mean()) for level in stated])
         rows.append({"model": question[0], "question": question[1]} | {
             f"{level:.0%} covers (days)": f"{np.mean(shares):.0%} ({', '.join(f'{one:.0%}' for one in shares)})"

@@ -32,8 +32,9 @@ def law(tmp_path):
     """A folder with a proposed effect: a rear axle that steers with the lateral acceleration."""
     c = Candidate("rear_steer", "acceleration_y", -1.0, -6.0, 6.0)
     at = np.linspace(-6.0, 6.0, 41)
-    heights = np.linalg.lstsq(c.splines(at).T, 0.001 * at, rcond=1e-6)[0]
-    one = Relation(c, heights, at, heights @ c.splines(at), 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001, (0.8, 0.5), {},
+    heights = np.linalg.lstsq(c.compute_splines(at).T, 0.001 * at, rcond=1e-6)[0]
+    one = Relation(c, heights, at, heights @ c.compute_splines(at), 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
+                   (0.8, 0.5), {},
                    augment("nonlinear", {"mass": {"factor": 1.1}}))
     write_files(RelationSearch(one, "", {}), CAR, ["lap"], "2026-01-01", {}, tmp_path)
     assert not any(name.startswith("proposed_") for name in EFFECTS)  # later searches do not include it

@@ -62,7 +62,7 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
                                    "front_stiffness": {"factor": 1.1}})
     spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
     driven = np.random.default_rng(1).normal(0.0, 0.02, 5000)
-    curve = make_axle_curve(model, leaf, "front", driven, draw_models(model, spread, leaf, 400))
+    curve = make_axle_curve(model, leaf, "front", driven, "nonlinear", draw_models(model, spread, leaf, 400))
     assert curve.slip[-1] == pytest.approx(np.quantile(np.abs(driven), 0.995)) and curve.slip[0] == 0.0
     assert curve.force[1] / curve.file[1] == pytest.approx(1.1, rel=0.02) and curve.density.sum() == pytest.approx(1.0)
     assert curve.density[0] > 5 * curve.density[-1]
@@ -70,11 +70,11 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
                                curve.slip[-1:])[0] for side in (-1, 1)]
     assert [curve.low[-1], curve.high[-1]] == pytest.approx(ends, rel=0.02)
     alternative = model.with_values({"front_stiffness": {"factor": 1.5}})
-    stiff = make_axle_curve(model, leaf, "front", driven, (), alternatives=[alternative])
+    stiff = make_axle_curve(model, leaf, "front", driven, "nonlinear", alternatives=[alternative])
     assert (stiff.low == stiff.force).all() and stiff.high[1] / stiff.file[1] == pytest.approx(1.5, rel=0.02)
     assert (np.diff(curve.high - curve.low) > -1e-9).all() and curve.low[1] == pytest.approx(curve.high[1], rel=1e-3)
     with pytest.raises(StCoreError, match="0 driven slip angles"):
-        make_axle_curve(model, leaf, "front", np.zeros(0))
+        make_axle_curve(model, leaf, "front", np.zeros(0), "nonlinear")
 
 
 def test_measured_forces_lie_on_the_tyres_curve(leaf, limit):

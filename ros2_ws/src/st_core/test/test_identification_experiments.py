@@ -212,7 +212,7 @@ def test_flat_plank_finds_forces_and_parameters(leaf, tyre):
 def test_stiffness_of_the_fit_and_its_uncertainty(leaf):
     found = [fit_tyre(flat_plank(leaf, "tyre_front", seed), start_of(leaf, "tyre_front")) for seed in range(6)]
     truth = magic_formula_stiffness(4401.0, leaf.tyre_front._replace(lambda_ky=1.0))
-    values = np.array([one.stiffness(4401.0) for one in found])
+    values = np.array([one.compute_stiffness(4401.0) for one in found])
     # p_ky1, p_ky2 and p_ky4 are known to a third each; the stiffness they make together to a hundredth.
     assert np.abs(values[:, 0] / truth - 1.0).max() < 0.03
     assert 0.3 < values[:, 0].std() / values[:, 1].mean() < 3.0

@@ -39,12 +39,12 @@ def known(vehicle, **uncertainties):
 
 def test_document_is_what_identification_json_holds():
     found = outcome(estimate("mass", 1600.0), estimate("yaw_inertia", 2900.0, math.inf, "unidentifiable"))
-    text = json.dumps(found.document(), allow_nan=False)
+    text = json.dumps(found.to_document(), allow_nan=False)
     assert set(json.loads(text)) == {"mass", "yaw_inertia"}
     keys = {"value", "unit", "standard_uncertainty", "interval95", "method", "runs", "verdict"}
-    assert all(set(entry) == keys for entry in found.document().values())
-    assert found.document()["yaw_inertia"]["interval95"] == [None, None]
-    assert found.document()["mass"]["runs"] == ["one", "two"]
+    assert all(set(entry) == keys for entry in found.to_document().values())
+    assert found.to_document()["yaw_inertia"]["interval95"] == [None, None]
+    assert found.to_document()["mass"]["runs"] == ["one", "two"]
 
 
 def test_a_verdict_states_once_that_zero_is_inside():

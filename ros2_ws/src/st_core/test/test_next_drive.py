@@ -23,7 +23,7 @@ def fitted(leaf, names, scale=None):
     """Drives of a car that is pushed in proportion to its forward acceleration; the law and another one fitted.
 
     scale: of the errors, that of these drives where none is given."""
-    heights = np.linalg.lstsq(LAW.splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
+    heights = np.linalg.lstsq(LAW.compute_splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
     hidden = {LAW.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **LAW.constants}}
     windows = RunWindows(recorded(leaf, hidden, 3, names), leaf, SETTINGS)
     laws = RelationFits(windows, augment("nonlinear", {}), 0.0, (), SETTINGS)
@@ -33,7 +33,7 @@ def fitted(leaf, names, scale=None):
 
 
 def deviation(fit):
-    splines = LAW.splines(AT)
+    splines = LAW.compute_splines(AT)
     return np.sqrt(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines))
 
 
@@ -67,7 +67,7 @@ def test_a_suggested_drive_brings_what_it_promises(leaf):
     assert separating.separation["other"] > drives.current_separation["other"]
     assert surest.seconds[0] > 1.0 and surest.seconds[1] < 1.0  # it brakes at 4 m/s^2, and is soon there
     _, (again, _) = fitted(leaf, (*driven, *3 * ["brake_in_turn"]), laws.loss.scale)
-    splines = LAW.splines(AT)
+    splines = LAW.compute_splines(AT)
     before, after = (np.sqrt(_compute_variance(one.quadratic.hessian.sum(axis=0) + fit.penalty, splines))
                      for one in (fit, again))
     assert surest.deviation.max() < 0.8 * now.max()
@@ -78,7 +78,7 @@ def test_a_suggested_drive_brings_what_it_promises(leaf):
 
 @pytest.mark.slow
 def test_a_law_beside_nothing_without_an_accelerometer_has_a_next_drive(leaf):
-    heights = np.linalg.lstsq(LAW.splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
+    heights = np.linalg.lstsq(LAW.compute_splines(AT).T, 0.02 * AT, rcond=1e-6)[0]
     hidden = {LAW.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **LAW.constants}}
     names = ("lane_change", "slalom", "circle", "brake_in_turn", "brake_in_turn")
     logs = [replace(log, acceleration_y=None) for log in recorded(leaf, hidden, 3, names)]

@@ -21,8 +21,8 @@ def track(car, rows, tracker=None):
         time = round(row[0] * 1e9) + 1
         tracker.add_steering(time, row[7])
         tracker.add_ins(InsSample(time, *row[1:7]))
-        if tracker.due:
-            tracker.fit = fit_recent(*tracker.snapshot())
+        if tracker.is_fit_due:
+            tracker.fit = fit_recent(*tracker.take_snapshot())
     return tracker
 
 
@@ -48,7 +48,7 @@ def tracked(leaf, road):
 
 
 def test_all_three_are_found_within_their_deviation(tracked):
-    for one, truth in zip(tracked.estimates(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
+    for one, truth in zip(tracked.make_estimates(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
         assert one.status == "estimated" and one.reason == ""
         assert abs(one.value - truth) < 2.0 * one.deviation, one
 
@@ -59,7 +59,7 @@ def test_other_cars_on_other_roads(leaf):
     for seed in range(3):
         truth = Truth(math.radians(random.uniform(-6, 6)), 17.3 * random.uniform(0.93, 1.07),
                       random.uniform(0.75, 1.25))
-        found = track(leaf, winding_road(leaf, truth, 90.0, seed).tolist()).estimates()
+        found = track(leaf, winding_road(leaf, truth, 90.0, seed).tolist()).make_estimates()
         for one, value in zip(found, (truth.offset, truth.ratio, truth.scale), strict=True):
             assert one.status == "estimated" and abs(one.value - value) < 2.0 * one.deviation, (seed, one)
 
@@ -73,20 +73,21 @@ def lagging_slalom(leaf, speeds):
 
 
 def test_a_slalom_at_one_speed_gives_no_ratio(leaf):
-    ratio = track(leaf, lagging_slalom(leaf, [(12.0, 0.045)])).estimates()[1]
+    ratio = track(leaf, lagging_slalom(leaf, [(12.0, 0.045)])).make_estimates()[1]
     assert ratio.status == "unestimated" and "1 of 2 speeds" in ratio.reason
 
 
 def test_a_slalom_of_a_car_that_lags_gives_the_true_ratio_at_two_speeds(leaf):
-    ratio = track(leaf, lagging_slalom(leaf, [(8.0, 0.08), (14.5, 0.035)])).estimates()[1]
+    ratio = track(leaf, lagging_slalom(leaf, [(8.0, 0.08), (14.5, 0.035)])).make_estimates()[1]
     assert ratio.status == "estimated" and abs(ratio.value - leaf.steering_ratio) < 2.0 * ratio.deviation
 
 
 def test_nothing_counts_before_enough_driving(leaf, road):
-    start = track(leaf, road[:300]).estimates()  # 3 s
+    start = track(leaf, road[:300]).make_estimates()  # 3 s
     assert {one.status for one in start} == {"unestimated"}
     assert start[0].reason.startswith("3 of 10 s of driving")
-    assert track(leaf, []).estimates()[2].reason.startswith("0 of 3 s of left bends above 1.5 m/s^2; 0 of 3 s of right")
+    stiffness = track(leaf, []).make_estimates()[2]
+    assert stiffness.reason.startswith("0 of 3 s of left bends above 1.5 m/s^2; 0 of 3 s of right")
 
 
 def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
@@ -102,18 +103,18 @@ def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
 def test_values_no_car_has_are_not_estimated(leaf, road):
     broken = np.array(road)
     broken[:, 7] *= 0.5  # a sensor that counts half degrees
-    assert track(leaf, broken.tolist()).estimates()[1].status == "invalid"
+    assert track(leaf, broken.tolist()).make_estimates()[1].status == "invalid"
     noise = np.array(road)
     noise[:, 6] += 0.15 * np.sin(np.arange(len(noise)) / 30.0)  # a yaw rate that is not this car's
-    assert "estimated" not in {one.status for one in track(leaf, noise.tolist()).estimates()[1:]}
+    assert "estimated" not in {one.status for one in track(leaf, noise.tolist()).make_estimates()[1:]}
 
 
 def test_reset_forgets_everything_and_so_does_a_jump_of_time(leaf, tracked):
     other = replace(leaf, steering_ratio=15.0)
     fresh = OnlineIdentifier(other)
     tracked.reset(other)
-    assert tracked.estimates() == fresh.estimates() and tracked.driving_time == fresh.driving_time
-    assert dict(zip(NAMES, tracked.estimates(), strict=True))["steering_ratio"].value == 15.0
+    assert tracked.make_estimates() == fresh.make_estimates() and tracked.driving_time == fresh.driving_time
+    assert dict(zip(NAMES, tracked.make_estimates(), strict=True))["steering_ratio"].value == 15.0
     tracker = track(leaf, [[10.0 + 0.01 * k, 0.1 * k, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0] for k in range(100)])
     assert tracker.driving_time.used == pytest.approx(0.99, abs=0.02)
     assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.driving_time.used == 0.0

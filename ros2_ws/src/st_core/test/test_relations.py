@@ -48,7 +48,7 @@ DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
 def law(candidate: Candidate, wanted) -> dict:
     """The effect with the coefficients nearest to a formula."""
     at = np.linspace(candidate.low, candidate.high, 200)
-    heights = np.linalg.lstsq(candidate.splines(at).T, wanted(at), rcond=1e-6)[0]
+    heights = np.linalg.lstsq(candidate.compute_splines(at).T, wanted(at), rcond=1e-6)[0]
     return {candidate.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **candidate.constants}}
 
 
@@ -68,7 +68,7 @@ def test_curve_of_the_equations_is_that_of_the_splines(parity):
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
                                  | {f"c{k}": h for k, h in enumerate(heights)}, constants=())
     u = np.linspace(-0.8, 0.8, 33)
-    assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.splines(u), abs=1e-12)
+    assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.compute_splines(u), abs=1e-12)
     if parity:
         assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
     assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant beyond what was driven
@@ -136,7 +136,7 @@ def read(candidate: Candidate, formula, noise=0.0, pinned=False):
     """A curve in words, where every block drove all its range; noise: deviation of what each block shows at a point.
     pinned: a parameter of the car follows and does what a constant can do."""
     at = np.linspace(candidate.low, candidate.high, 60)
-    splines = candidate.splines(at)
+    splines = candidate.compute_splines(at)
     heights = np.linalg.lstsq(splines.T, formula(at), rcond=1e-6)[0]
     if pinned:
         splines = splines - splines.mean(axis=1, keepdims=True)
@@ -188,7 +188,7 @@ def test_what_the_drives_do_not_tell_apart_is_read_as_the_simplest_shape():
 
 def test_a_curve_that_one_run_alone_shows_is_read():
     law = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
-    splines = law.splines(np.linspace(-1.0, 1.0, 60))
+    splines = law.compute_splines(np.linspace(-1.0, 1.0, 60))
     heights = np.linalg.lstsq(splines.T, np.linspace(-2.0, 2.0, 60), rcond=1e-6)[0]
     hessian = (np.arange(BLOCKS) < 3)[:, None, None] * (splines @ splines.T)
     seen = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, SPLINES)), hessian)
@@ -314,8 +314,8 @@ def curved(laws, candidate, heights):
     """A fit of no law, with a curve put into it."""
     without = laws.fit_without_relation()
     vector = without.vector.copy()
-    vector[laws.relation] = heights
-    indices = np.concatenate([without.indices, laws.relation])
+    vector[laws.relation_indices] = heights
+    indices = np.concatenate([without.indices, laws.relation_indices])
     return replace(without, candidate=candidate, vector=vector, indices=indices)
 
 
@@ -334,7 +334,7 @@ def test_a_law_that_makes_the_car_unstable_is_no_proposal(laws, sign, words):
     laws, car = laws
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     at = np.linspace(-0.15, 0.15, 50)
-    heights = np.linalg.lstsq(c.splines(at).T, sign * 25.0 * at, rcond=1e-6)[0]
+    heights = np.linalg.lstsq(c.compute_splines(at).T, sign * 25.0 * at, rcond=1e-6)[0]
     said = describe_unusable_curve(laws, curved(laws, c, heights), car)
     assert words in said and bool(words) == said.startswith("with yaw_moment over yaw_rate the simulated car")
 

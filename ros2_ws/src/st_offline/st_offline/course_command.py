@@ -29,18 +29,19 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         try:
             with console.status(escape(source.name)):
                 run = read(source, vehicle, reading)
-                new: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
+                run_passes: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
                 if "origin" in run.provenance:
                     latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
                     origin = origin or (latitude, longitude)
-                    new = Course(tuple(new)).shift(*compute_origin_offset(origin, latitude, longitude)).passes
+                    offset = compute_origin_offset(origin, latitude, longitude)
+                    run_passes = Course(tuple(run_passes)).shift(*offset).passes
         except (RunError, StCoreError) as error:
             failed += 1
             print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
             continue
-        passes += new
-        length = SPACING * sum(len(part.points) for part in new)
-        parts = f"{len(new)} part{'s' * (len(new) != 1)}"
+        passes += run_passes
+        length = SPACING * sum(len(part.points) for part in run_passes)
+        parts = f"{len(run_passes)} part{'s' * (len(run_passes) != 1)}"
         print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {parts}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")

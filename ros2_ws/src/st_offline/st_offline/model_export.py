@@ -56,7 +56,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             generator.add(function)
         generator.generate(f"{folder}/")  # the argument is a prefix of the file name
         files = [folder / f"{symbolic.name}.c", folder / f"{symbolic.name}.h"]
-    description = describe(symbolic, model, vehicle, [f.name for f in files])
+    description = make_description(symbolic, model, vehicle, [f.name for f in files])
     if bands is not None:
         exported = {(mode, level): band for (name, mode), band in bands.bands.items() if name == model.name
                     for level in band.factors if level in LEVELS}
@@ -73,7 +73,8 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
     return written
 
 
-def describe(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters, files: list[str]) -> dict[str, Any]:
+def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters,
+                     files: list[str]) -> dict[str, Any]:
     """Content of model.json; missing limits and values are null."""
     effects: Mapping[str, Mapping[str, float]] = getattr(model, "values", {})
     return {
@@ -107,11 +108,11 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
                                   for key in ("states", "inputs", "parameters"))
     stable = ", ".join(f"{h} s: {v:g} m/s" for h, v in description["stable_above_m_s"].items())
     missing = ", ".join(description["effects_not_in_the_equations"])
-    how = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
-           f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
-           f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
-           "Jacobians without their structural zeros: `_sparsity_out` gives the positions of the entries. Call "
-           f"`{name}_step(arguments, results, iw, w, 0)` with arrays of pointers of the sizes in `{name}_step_work`.")
+    usage = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
+             f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
+             f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
+             "Jacobians without their structural zeros: `_sparsity_out` gives the positions of the entries. Call "
+             f"`{name}_step(arguments, results, iw, w, 0)` with arrays of pointers of the sizes in `{name}_step_work`.")
     return "\n\n".join(filter(None, (
         f"# {name}: single-track model of {description['vehicle']['name']}",
         f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
@@ -124,7 +125,7 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "values of the extra ones.",
         f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
-        "them outside." if missing else "", how))) + "\n"
+        "them outside." if missing else "", usage))) + "\n"
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
@@ -141,11 +142,11 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     condition = compute_magnitudes(velocity_x, x[5], u[1], activity)
     phi = casadi.vertcat(*compute_scalar_features(condition, casadi.log, casadi.fmax))
     scale = band.scale
-    between, floor = make_interpolation_matrix(scale.knots, scale.time), compute_floor(scale.floor, scale.time)
+    interpolation, floor = make_interpolation_matrix(scale.knots, scale.time), compute_floor(scale.floor, scale.time)
     columns = []
     for axis, coefficients in enumerate(scale.coefficients):
         at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG_SCALE), MAX_LOG_SCALE)
-        squared = casadi.exp(casadi.DM(between) @ at_knots) + casadi.DM(np.square(floor[:, axis]))
+        squared = casadi.exp(casadi.DM(interpolation) @ at_knots) + casadi.DM(np.square(floor[:, axis]))
         columns.append(band.factors[level] * casadi.sqrt(squared))
     return casadi.Function(name, [x, u, activity], [casadi.horzcat(*columns)], ["x", "u", "steering_activity"],
                            ["half_widths"])

@@ -36,5 +36,5 @@ def report_problem(name: str, problem: str, console: Console) -> None:
 
 def list_files(files: Mapping[Path, str], console: Console) -> None:
     """Print files, each with a description."""
-    for file, what in files.items():
-        print_line(f"  {escape(str(file))}  [dim]{what}[/dim]", console)
+    for file, description in files.items():
+        print_line(f"  {escape(str(file))}  [dim]{description}[/dim]", console)

@@ -10,10 +10,10 @@ from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation.drawing import (
     MAX_POINTS,
     FigureOutput,
-    apply_style,
-    break_at_gaps,
+    cut_at_gaps,
     reduce_points,
     save_figure,
+    apply_style,
 )
 
 
@@ -62,5 +62,5 @@ def test_long_lines_keep_their_extremes():
 
 
 def test_a_line_breaks_at_gaps_only():
-    time, values = break_at_gaps(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
+    time, values = cut_at_gaps(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
     assert np.isnan(values).tolist() == [False, False, True, False, False] and len(time) == 5

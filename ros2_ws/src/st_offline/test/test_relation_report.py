@@ -44,7 +44,7 @@ def proposal(place: str, quantity: str, parity: float, by: str = "") -> Relation
     c = Candidate(place, quantity, parity, 2.0 if quantity == "speed" else -high, high, by)
     heights = np.linspace(-1.0, 2.0, 8)
     at = np.linspace(c.low, c.high, 41)
-    return Relation(c, heights, at, heights @ c.splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
+    return Relation(c, heights, at, heights @ c.compute_splines(at), 0.01 + 0.0 * at, 0.0 * at + 1 / 41, 0.1, 0.001,
                     (0.8, 0.5), {"lap": (0.8, 0.5)}, augment("nonlinear", {"mass": {"factor": 1.1}}),
                     {"side_force over speed": 0.9},
                     (Formula("linear", "y = 2 u", 0.97, "a cause"),), redundant={"mass": 0.004})

@@ -65,7 +65,7 @@ def evaluate(
             starts=_parse_seconds(at), formats=shared.split_names(figures),
             bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
-        load_course(task.course)
+        load_course(task)
         load_bands(task, load_models(task))
         status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, Console(), advise)
     shared.report_default_car("evaluate", vehicle, vehicle_origin)

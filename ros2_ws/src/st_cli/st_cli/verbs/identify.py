@@ -36,7 +36,7 @@ def identify(
     if what is None:
         table = Table("experiment", "identifies", "data", box=None)
         for experiment in EXPERIMENTS.values():
-            table.add_row(experiment.name, experiment.what, experiment.files)
+            table.add_row(experiment.name, experiment.description, experiment.files)
         console.print(table)
         return
     if what not in EXPERIMENTS:

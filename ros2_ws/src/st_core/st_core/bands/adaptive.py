@@ -69,7 +69,7 @@ class AdaptiveBand:
         values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 
-    def scale(self, condition: np.ndarray) -> np.ndarray:
+    def compute_scale(self, condition: np.ndarray) -> np.ndarray:
         """Scale (points, 3) along, across [m] and in yaw [rad] under a condition (4,)."""
         return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
 
@@ -78,7 +78,7 @@ class AdaptiveBand:
 
         scale: (points, 3), if it is already computed.
         """
-        scale = self.scale(condition) if scale is None else scale
+        scale = self.compute_scale(condition) if scale is None else scale
         factors = self.factors
         if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, their scores never arrive
             self._issued.clear()
@@ -108,8 +108,8 @@ class AdaptiveBand:
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:  # the running mean square of the errors, forgotten after SCALE_FORGETTING
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
-            share = weight / (self._weight + PRIOR_WEIGHT)
-            self._squares += share * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
+            fraction = weight / (self._weight + PRIOR_WEIGHT)
+            self._squares += fraction * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
         return {level: score <= issued for level, issued in factors.items()}
 
     def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,

@@ -96,10 +96,6 @@ class Band:
         """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""
         return self.factors[level] * self.scale(conditions)
 
-    def compute_scores(self, conditions: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """Smallest factor (n, points) with which errors (n, points, 3) are inside the band in all axes."""
-        return (np.abs(errors) / self.scale(conditions)).max(axis=2)
-
 
 def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
               levels: Sequence[float] = LEVELS) -> Band:

@@ -144,13 +144,13 @@ class Bands:
         for model, entry in document["bands"].items():
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
-                of_mode = entry[mode]
-                coefficients, knots = np.array(of_mode["coefficients"], float), make_knots(float(time[-1]))
+                mode_entry = entry[mode]
+                coefficients, knots = np.array(mode_entry["coefficients"], float), make_knots(float(time[-1]))
                 if coefficients.shape != (3, len(knots), compute_features(np.zeros((1, 4))).shape[1]):
                     raise ConfigurationError("coefficients: written by another version; calibrate again")
-                scale = Scale(coefficients, np.array(of_mode["floor"], float), time, knots)
-                bands[model, mode] = Band(scale, {float(k): float(v) for k, v in of_mode["factors"].items()},
-                                          np.array(of_mode["ratios"], float))
+                scale = Scale(coefficients, np.array(mode_entry["floor"], float), time, knots)
+                bands[model, mode] = Band(scale, {float(k): float(v) for k, v in mode_entry["factors"].items()},
+                                          np.array(mode_entry["ratios"], float))
         acceleration, activity = map(float, document["seen"]["most"])
         domain = CalibrationDomain(np.array(document["seen"]["starts"], int), (acceleration, activity))
         return cls(document["vehicle"]["name"], document["vehicle"]["hash"], settings, document["recordings"],

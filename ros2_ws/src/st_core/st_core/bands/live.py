@@ -25,7 +25,7 @@ from ..evaluation import Score
 from ..log_evaluation import MODES
 from ..measurement_history import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..timeseries import NANOSECOND
-from .adaptive import AdaptiveBand
+from .adaptive import MAX_WAITING, AdaptiveBand
 from .calibration import LEVELS
 from .conditions import activity_instants, compute_magnitudes, steering_activity
 from .file import Bands
@@ -67,8 +67,8 @@ class LiveBands:
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
         self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
         self.half_widths: Mapping[str, HalfWidths] = {model: {} for model, _ in pairs}
-        for (model, mode), of_pair in zip(pairs, widths.swapaxes(0, 1), strict=True):
-            for level, level_widths in zip(self.levels, of_pair, strict=True):
+        for (model, mode), pair_widths in zip(pairs, widths.swapaxes(0, 1), strict=True):
+            for level, level_widths in zip(self.levels, pair_widths, strict=True):
                 self.half_widths[model][mode, level] = level_widths.T
 
     def __call__(self, condition: Sequence[float]) -> bool:
@@ -184,9 +184,7 @@ class BandCoverage:
 
 
 class CoverageMonitor:
-    """Monitors coverage. Stores at most MAXIMUM_WAITING published bands until the score of each prediction arrives."""
-
-    MAXIMUM_WAITING = 10_000
+    """Monitors coverage. Stores at most MAX_WAITING published bands until the score of each prediction arrives."""
 
     def __init__(self) -> None:
         self.by_pair: dict[ModelMode, BandCoverage] = {}
@@ -196,7 +194,7 @@ class CoverageMonitor:
         """Store half-widths published with a prediction."""
         for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
-        while len(self._waiting) > self.MAXIMUM_WAITING:
+        while len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
 
     def add(self, score: Score) -> None:

@@ -34,6 +34,7 @@ TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the m
 FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 
+# Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
 _FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
 _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
 _LEFT, _RIGHT = np.array(_PAIRS).T

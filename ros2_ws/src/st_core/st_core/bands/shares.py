@@ -76,10 +76,10 @@ def sum_squared_contributions(
         ends[SENSORS, f"{name} at the start"] = [predict_path(settings.signals(log), model, vehicle) for log in shifted]
     squares: dict[Cause, np.ndarray] = {}
     for cause, (low_end, high_end) in ends.items():
-        moved = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
-                          wrap_angle(high_end[2] - low_end[2]) * 0.5], axis=-1)[complete]
-        if (moved != 0.0).any():
-            squares[cause] = np.square(moved).sum(axis=0)
+        change = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
+                           wrap_angle(high_end[2] - low_end[2]) * 0.5], axis=-1)[complete]
+        if (change != 0.0).any():
+            squares[cause] = np.square(change).sum(axis=0)
     position = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
     squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * np.array([position, position, noise["yaw"] ** 2]),
                                                   (len(seconds), 1))

@@ -72,8 +72,8 @@ class Axles:
 
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values."""
-        curves = (make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, self.draws, base,
-                                  alternatives=self.near) for r in self.regressions)
+        curves = (make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
+                                  self.near) for r in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
             c.slip, c.force, c.low, c.high, c.file, c.density))) for c in curves)
 

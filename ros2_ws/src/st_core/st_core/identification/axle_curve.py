@@ -8,6 +8,7 @@ the regression, so compliance and roll steer change the curve. Checked by: test_
 """
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..models import Model, get_model
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import AXLES, SLIP_QUANTILE, AxleSamples
 
-SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
+EVALUATION_SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
 SECANT_STEPS = 6  # largest number, for the lateral acceleration; error below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
@@ -57,12 +58,12 @@ def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
 
     def compute_accelerations(a_y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(v_y_dot + v_x r [m/s^2], r_dot [rad/s^2], road wheel angle [rad]) of the model in a turn with this a_y."""
-        r = a_y / SPEED
-        v_y = car.cg_to_rear_axle * r + SPEED * np.tan(slip)
-        angle = np.arctan((v_y + car.cg_to_front_axle * r) / SPEED) - slip
+        r = a_y / EVALUATION_SPEED
+        v_y = car.cg_to_rear_axle * r + EVALUATION_SPEED * np.tan(slip)
+        angle = np.arctan((v_y + car.cg_to_front_axle * r) / EVALUATION_SPEED) - slip
         w = model.inputs(angle, zero, p, *(zero for _ in model.signals))
-        rates = model.rhs(model.start_state((zero, zero, zero + SPEED, v_y, zero, r), w, p), w, p)
-        return rates[3] + SPEED * r, rates[5], angle
+        rates = model.rhs(model.start_state((zero, zero, zero + EVALUATION_SPEED, v_y, zero, r), w, p), w, p)
+        return rates[3] + EVALUATION_SPEED * r, rates[5], angle
 
     a_y, (resulting, yaw_acceleration, angle) = zero, compute_accelerations(zero)
     slope = zero
@@ -86,22 +87,19 @@ def compute_axle_force(model: str | Model, vehicle: VehicleParameters, axle: str
 
 
 def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
-                    draws: Iterable[Model] = (), original: str | Model | None = None,
+                    original: str | Model, draws: Iterable[Model] = (),
                     alternatives: Iterable[Model] = ()) -> AxleCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
 
     driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
-    their central 90 % at each slip, extended to the curves of `alternatives`. original: model of the vehicle file,
-    by default the base model without effects. Raises StCoreError for fewer than two driven slip angles.
+    their central 90 % at each slip, extended to the curves of `alternatives`. original: model of the vehicle file.
+    Raises StCoreError for fewer than two driven slip angles.
     """
     abs_slip = np.abs(np.asarray(driven_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
         raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; at least two above 0 are needed")
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
-    model = get_model(model)
-    if original is None:
-        original = model.base if isinstance(model, AugmentedModel) else model
     force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
     low, high = np.quantile(rows, BAND, axis=0) if rows else (force, force)
@@ -131,11 +129,9 @@ def select_valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParame
     """The models with values within the limits of a vehicle file."""
     found = []
     for candidate in models:
-        try:
+        with suppress(ConfigurationError):
             candidate.parameters(vehicle)
-        except ConfigurationError:
-            continue
-        found.append(candidate)
+            found.append(candidate)
     return found
 
 

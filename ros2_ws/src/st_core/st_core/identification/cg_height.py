@@ -80,12 +80,13 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
                                   "10 deg of pitch, but must rise when the front axle is lifted: was the rear axle "
                                   "lifted, or are columns exchanged?")
     radius, deflection = _compute_radii(data, car, level)
-    arm = car.wheelbase * line.slope / car.mass
-    height = radius + arm
+    height_difference = car.wheelbase * line.slope / car.mass
+    height = radius + height_difference
     rear_share = car.cg_to_front_axle / car.wheelbase  # of the load of the level car
     uncertainty = math.hypot(
-        car.wheelbase / car.mass * line.uncertainty, arm * car.mass_uncertainty / car.mass,
-        arm * car.wheelbase_uncertainty / car.wheelbase, RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
+        car.wheelbase / car.mass * line.uncertainty, height_difference * car.mass_uncertainty / car.mass,
+        height_difference * car.wheelbase_uncertainty / car.wheelbase,
+        RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
     single, usable = _compute_single_heights(data, car, level, radius, line)
     average = float(single[usable].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
@@ -100,12 +101,12 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
         "change the height of the level car.")
     estimate = Estimate(
         "cg_height", height, "m", uncertainty, interval, method, used,
-        f"The CG is {height:.3f} m above the ground, {arm:.3f} m above the wheel centres; the average over the pitch "
-        f"angles, the method of the paper, is {average:.3f} m.{deflection_note}")
+        f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
+        f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
     counts = np.histogram(data.pitch, edges)[0]
     coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
-    warnings = [*_check_order(data), *_check_load(data, car, level)]
+    warnings = [*_describe_unordered_rows(data), *_describe_load_difference(data, car, level)]
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
@@ -170,7 +171,7 @@ def _compute_single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radiu
     return single, usable
 
 
-def _check_order(data: Lift) -> list[str]:
+def _describe_unordered_rows(data: Lift) -> list[str]:
     sentences, groups = [], np.asarray(data.lifts)
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[groups == name])
@@ -183,7 +184,7 @@ def _check_order(data: Lift) -> list[str]:
     return sentences
 
 
-def _check_load(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
+def _describe_load_difference(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
     measured = float(data.rear_load[level].mean())
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:

@@ -110,7 +110,7 @@ class _LimitedWindows(Windows):
             weight = np.square(speed * rate)[self.used]
             curvature = np.square(rate / speed)[self.used]
         driven = weight.sum() > 0.0
-        self.curvature_square = float(np.average(curvature, weights=weight)) if driven else 0.0
+        self.mean_squared_curvature = float(np.average(curvature, weights=weight)) if driven else 0.0
         self.peaks = np.sqrt(weight.max(axis=1))
         self.acceleration = float(np.average(np.sqrt(weight), weights=weight)) if driven else 0.0
 
@@ -123,8 +123,8 @@ class _LimitedWindows(Windows):
 class DrivingFit:
     """Result of a fit: names and their values (p,) [SI].
 
-    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. The means curvature_square and
-    acceleration are weighted by (v_x r)^2.
+    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. mean_squared_curvature and
+    acceleration are means weighted by (v_x r)^2.
     """
 
     names: tuple[str, ...]
@@ -138,7 +138,7 @@ class DrivingFit:
     run_of: np.ndarray  # (n,) of the residuals
     time: np.ndarray  # (n,) of the residuals [s]
     windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
-    curvature_square: float  # 1/m^2
+    mean_squared_curvature: float  # 1/m^2
     acceleration: float  # mean |v_x r| [m/s^2]
     peaks: np.ndarray  # largest |v_x r| of each used window [m/s^2]
 
@@ -214,12 +214,12 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
     margin = BOUND_TOLERANCE * (space.high - space.low)
-    stopped = {space.free[i].effect for i in indices
-               if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
+    effects_at_bound = {space.free[i].effect for i in indices
+                        if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points, columns = len(windows.time), len(windows.columns)
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
         tuple(names), values, group.make_spread(influence @ change.T),
-        tuple(name for name in names if FREE_PARAMETERS[name].effect in stopped), change, total, residuals,
+        tuple(name for name in names if FREE_PARAMETERS[name].effect in effects_at_bound), change, total, residuals,
         windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
-        windows.curvature_square, windows.acceleration, windows.peaks)
+        windows.mean_squared_curvature, windows.acceleration, windows.peaks)

@@ -36,22 +36,12 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
 from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
-from .result import (
-    Coverage,
-    Estimate,
-    Identification,
-    IdentificationError,
-    Status,
-    describe_contradiction,
-    describe_correlations,
-)
-from .run_samples import ACCELERATION_EDGES, SPEED_EDGES, measure_coverage, prepare_drives, require_coverage, sample_run
+from .result import Estimate, Identification, IdentificationError, Status, describe_contradiction, describe_correlations
+from .run_samples import measure_coverage, measure_driving_coverage, prepare_drives, require_coverage, sample_run
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
 NUISANCE = (OFFSET, MISALIGNMENT)
-REQUIRED_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (2.0, 3)}  # see `measure_driving_coverage`
-TRANSIENT_COVERAGE = {"speed": (5.0, 1), "lateral acceleration": (1.0, 3)}  # for the yaw inertia
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
@@ -60,7 +50,7 @@ UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
-SINGLE_TRACK_ERROR = 0.8**2
+SINGLE_TRACK_ERROR = 0.64
 """Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. On the Leaf
 simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
 
@@ -75,25 +65,26 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
-    logs, notices = prepare_drives(logs, vehicle)
-    required = REQUIRED_COVERAGE | ({"speed": (5.0, 2)} if RATIO in names else {})
-    covered = measure_driving_coverage(logs, required, settings.minimum_speed)
+    logs, notes = prepare_drives(logs, vehicle)
+    covered = measure_driving_coverage(logs, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
+                                       lateral_acceleration=(2.0, 3))
     require_coverage(covered, "Drive bends to both sides, at two or more speeds, with a lateral acceleration of 1 to 4 "
                               "m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
     systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
-    result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), covered, systematic)
+    result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), systematic)
     kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
     estimates = []
     for estimate, slip in zip(result.estimates, find_driven_slip(logs, vehicle, settings), strict=False):
-        share = 100.0 * systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
-        model_error = (f"the value changes with the slip range, model error +/- {share:.1f} % included" if systematic
-                       else "its change with the slip range is unknown: drive small and large lateral accelerations")
+        relative_error = systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
+        model_error = (f"the value changes with the slip range, model error +/- {100.0 * relative_error:.1f} % included"
+                       if systematic else
+                       "its change with the slip range is unknown: drive small and large lateral accelerations")
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
-    return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]),
-                   warnings=(*notices, *result.warnings))
+    return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=covered,
+                   warnings=(*notes, *result.warnings))
 
 
 def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
@@ -101,7 +92,8 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
     median of the peaks (`regression.extrapolation_uncertainty`); empty if the drives do not cover two ranges of slip.
 
-    The range a is the mean |v_x r| weighted by its square: the secant of a brush tyre decreases about linearly with it.
+    The measure of the slip range is the mean |v_x r| weighted by its square, with which the secant of a brush tyre
+    decreases about linearly.
     """
     try:
         low = fit_driving(logs, vehicle, fit.names, base, replace(
@@ -147,10 +139,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     Raises IdentificationError without transients: 0.5 s of |r_dot| above 0.3 rad/s^2 in each direction is needed.
     """
     settings = TRANSIENT_SETTINGS
-    logs, notices = prepare_drives(logs, vehicle)
+    logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
-    covered = (*measure_driving_coverage(logs, TRANSIENT_COVERAGE, settings.minimum_speed),
+    covered = (*measure_driving_coverage(logs, settings.minimum_speed, speed=(5.0, 1), lateral_acceleration=(1.0, 3)),
                measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                 [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
@@ -163,9 +155,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     change = abs(float(covariance[inertia, delay] / covariance[delay, delay]))  # with all other parameters refitted
     timing = {DELAY: dead_time, "yaw_inertia": change * dead_time}
     method = f"multi-step prediction of transients, {describe_model(base)}"
-    result = _make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], covered, timing)
+    result = _make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], timing)
     found = result["yaw_inertia"]
-    warnings = [*notices, *result.warnings]
+    warnings = [*notes, *result.warnings]
     implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
@@ -174,21 +166,20 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         found = replace(found, status="unidentifiable", verdict=f"{text} {found.verdict}")
     conflict = describe_contradiction(found, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
                                       "the vehicle file (as +/- 10 %)")
-    return replace(result, estimates=(found, *result.estimates[1:]),
+    return replace(result, estimates=(found, *result.estimates[1:]), coverage=covered,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
-                        reported: Sequence[str], covered: Sequence[Coverage],
-                        systematic: Mapping[str, float] | None = None) -> Identification:
+                        reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
     """Identification with the results of a fit. reported: parameters that become estimates. systematic: standard
     uncertainties by parameter, added in quadrature to those from the variation between drives."""
     spread = fit.spread
-    share = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.curvature_square
-    extra = [np.hypot((systematic or {}).get(n, 0.0), share * v if n in STIFFNESSES else 0.0)
+    relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
+    added = [np.hypot(systematic.get(n, 0.0), relative_error * v if n in STIFFNESSES else 0.0)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
-    covariance = spread.covariance + np.diag(np.square(extra))
+    covariance = spread.covariance + np.diag(np.square(added))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
@@ -208,7 +199,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(experiment, estimates, runs, tuple(rejected),
-                          correlation_matrix(covariance[np.ix_(chosen, chosen)]), tuple(covered), warnings, figure)
+                          correlation_matrix(covariance[np.ix_(chosen, chosen)]), (), warnings, figure)
 
 
 def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[str, Status]:
@@ -221,9 +212,9 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     if not FREE_PARAMETERS[name].relative:
         return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
                 "identified" if uncertainty < FREE_PARAMETERS[name].max_uncertainty else "doubtful")
-    share = uncertainty / abs(value)
-    head, status = next((head, status) for limit, head, status in UNCERTAINTY_GRADES if not share > limit)
-    return f"{head} to +/- {100.0 * share:.1f} %, from {basis}.", status
+    relative = uncertainty / abs(value)
+    grade, status = next((grade, status) for limit, grade, status in UNCERTAINTY_GRADES if not relative > limit)
+    return f"{grade} to +/- {100.0 * relative:.1f} %, from {basis}.", status
 
 
 def describe_model(base: str | Model) -> str:
@@ -232,17 +223,3 @@ def describe_model(base: str | Model) -> str:
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"
 
-
-def measure_driving_coverage(logs: Sequence[DriveLog], required: Mapping[str, tuple[float, int]],
-                             minimum_speed: float) -> tuple[Coverage, ...]:
-    """Coverage of speed and lateral acceleration v_x r by all driving above a minimum speed [m/s].
-
-    required: by name, "speed" or "lateral acceleration": (seconds in a filled bin, number of filled bins).
-    """
-    times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
-    fast = [log.velocity_x >= minimum_speed for log in logs]
-    return tuple(measure_coverage(name, unit, edges, [signal(log)[m] for log, m in zip(logs, fast, strict=True)], times,
-                                         *required[name])
-                 for name, unit, edges, signal in (
-                     ("speed", "m/s", SPEED_EDGES, lambda log: log.velocity_x),
-                     ("lateral acceleration", "m/s^2", ACCELERATION_EDGES, lambda log: log.velocity_x * log.yaw_rate)))

@@ -65,7 +65,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
-                _compare_rear_slip(theta[2], spread.covariance[2, 2], vehicle)]
+                _compare_rear_slip(-theta[2], spread.covariance[2, 2], vehicle)]
     lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)
     if isinstance(lateral_position, str):
         warnings.append(lateral_position)
@@ -131,8 +131,8 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
     """A sentence if the slip s contradicts the rear stiffness of the vehicle file, else ""."""
     expected = rear_slip_coefficient(vehicle)
-    found, uncertainty = -slip, float(np.sqrt(variance))
-    if uncertainty > 0.5 * expected or abs(found - expected) < 2.0 * uncertainty:
+    uncertainty = float(np.sqrt(variance))
+    if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:
         return ""
-    return (f"The rear slip per v_x^2 r is {found:.2e} +/- {uncertainty:.1e} s^2/m, but the vehicle file gives "
+    return (f"The rear slip per v_x^2 r is {slip:.2e} +/- {uncertainty:.1e} s^2/m, but the vehicle file gives "
             f"{expected:.2e} s^2/m: its rear stiffness, or the load on the rear axle, is wrong.")

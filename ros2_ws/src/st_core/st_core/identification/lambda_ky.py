@@ -16,6 +16,8 @@ from ..tyres import magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
 from .result import Estimate, Identification, IdentificationError, Status
 
+LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K
+
 
 def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[float, str]]) -> Identification:
     """Estimates of tyre_front.lambda_ky and tyre_rear.lambda_ky [1].
@@ -38,19 +40,22 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         formula = getattr(vehicle, tyre)
         value = stiffness_scale(stiffness, load, formula)
         table_uncertainty, table_name = tables.get(tyre, (0.0, ""))
-        # d ln K / d ln F_z, and the relative standard uncertainty of F_z due to mass and CG position.
-        up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + step), formula))) for step in (1e-4, -1e-4))
+        up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + step), formula)))
+                    for step in (LOAD_STEP, -LOAD_STEP))
+        # Relative standard uncertainty of F_z due to mass and CG position.
         distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
         load_uncertainty = math.hypot(*(
             (vehicle.provenance[key].uncertainty or 0.0) / size
             for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance)) if key in vehicle.provenance))
-        relative = math.hypot(known.uncertainty / stiffness, table_uncertainty, (up - down) / 2e-4 * load_uncertainty)
-        uncertainty = value * relative
+        load_sensitivity = (up - down) / (2.0 * LOAD_STEP)  # d ln K / d ln F_z
+        relative_uncertainty = math.hypot(known.uncertainty / stiffness, table_uncertainty,
+                                          load_sensitivity * load_uncertainty)
+        uncertainty = value * relative_uncertainty
         cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
                  "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
-        status: Status = "identified" if value <= 1.0 + 2.0 * relative else "doubtful"
+        status: Status = "identified" if value <= 1.0 + 2.0 * relative_uncertainty else "doubtful"
         runs = tuple(filter(None, (known.data, table_name)))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", uncertainty, symmetric_interval(value, uncertainty),

@@ -137,7 +137,7 @@ class TyreFit:
     level: np.ndarray  # index of the level of each row
     flipped: bool  # whether the sign of the slip angle was changed
 
-    def stiffness(self, load: float) -> tuple[float, float]:
+    def compute_stiffness(self, load: float) -> tuple[float, float]:
         """K [N/rad] of one tyre at a load [N] and its standard uncertainty, from the covariance of the fit."""
         value = magic_formula_stiffness(load, self.tyre)
         gradient = np.zeros(len(self.names))
@@ -209,7 +209,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
               "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
-              "stiffness": np.array([found.stiffness(load) for load in levels])}
+              "stiffness": np.array([found.compute_stiffness(load) for load in levels])}
     warnings = [*_make_warnings(data, found, peak),
                 *describe_correlations([e.parameter for e in estimates], correlation, 0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation,

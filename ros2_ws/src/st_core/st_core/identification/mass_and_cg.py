@@ -41,14 +41,14 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
-    keep = np.array([other == load for other in weighings.loads])
+    is_used = np.array([other == load for other in weighings.loads])
     named = list(zip(weighings.names, weighings.loads, strict=True))
     used = tuple(name for name, other in named if other == load)
     rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in named if other != load)
-    chosen = readings[keep]
+    chosen = readings[is_used]
     all_masses = readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
-    masses, distances = all_masses[keep], all_distances[keep]
+    masses, distances = all_masses[is_used], all_distances[is_used]
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
     if np.ptp(masses) > MAX_MASS_RANGE * mass:
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
@@ -70,13 +70,13 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = _check_sides(chosen.mean(axis=0))
+    warnings = _describe_twist(chosen.mean(axis=0))
     if n == 1:
         warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
                         "and on, and weigh it at least three times.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
-    figure = {"readings": readings, "kept": keep, "names": weighings.names, "masses": all_masses,
+    figure = {"readings": readings, "kept": is_used, "names": weighings.names, "masses": all_masses,
               "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), tuple(warnings),
                           figure)
@@ -113,7 +113,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _check_sides(mean: np.ndarray) -> list[str]:
+def _describe_twist(mean: np.ndarray) -> list[str]:
     cross = (mean[0] + mean[3]) / mean.sum()
     return [] if abs(cross - 0.5) <= 0.02 else [
         f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is twisted, or the "

@@ -152,11 +152,11 @@ class OnlineIdentifier:
         return True
 
     @property
-    def due(self) -> bool:
+    def is_fit_due(self) -> bool:
         """Whether there is enough new driving for another fit."""
         return self.driving_time.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
-    def snapshot(self) -> tuple[DriveLog, VehicleParameters]:
+    def take_snapshot(self) -> tuple[DriveLog, VehicleParameters]:
         """The stored driving, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
         self._fitted_at = self.driving_time.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
@@ -167,7 +167,7 @@ class OnlineIdentifier:
         return DriveLog("recent driving", times, x, y, np.unwrap(yaw), velocity_x, velocity_y, yaw_rate,
                         steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
 
-    def estimates(self) -> tuple[OnlineEstimate, ...]:
+    def make_estimates(self) -> tuple[OnlineEstimate, ...]:
         """Current estimate of each parameter, or the reason why it is not estimated."""
         missing, implausible = self._describe_missing_driving(), self._describe_implausible_values()
         estimates = []

@@ -99,7 +99,7 @@ class Identification:
     def __getitem__(self, parameter: str) -> Estimate:
         return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
 
-    def document(self) -> dict[str, dict[str, Any]]:
+    def to_document(self) -> dict[str, dict[str, Any]]:
         """Body of identification.json: {parameter: {value, unit, standard_uncertainty, interval95, method, runs, ...}}.
 
         A number that is not finite becomes None, because JSON has no infinity.

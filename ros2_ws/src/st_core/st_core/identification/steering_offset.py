@@ -8,7 +8,7 @@ mean reading in windows of nearly constant steering, corrected for the remaining
 A crowned road, crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,25 +48,27 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER_NAME,), "linear", SETTINGS)
-    predicted = {name: count for name, (count, _) in fit.windows.items()}
-    paper = _to_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)", predicted,
-                         f"{fit.prediction_count} predictions on straights")
+    predicted = tuple(name for name, (count, _) in fit.windows.items() if count)
+    paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
+                           predicted, f"{fit.prediction_count} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
     _, spread, _ = make_blocks(run_of, times).fit_least_squares(np.ones((len(values), 1)), values)
-    used = {run.name: len(w) for run, w in zip(runs, windows, strict=True)}
-    direct = _to_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights", used,
-                          f"{len(values)} windows of {WINDOW:g} s")
+    averaged = tuple(run.name for run, w in zip(runs, windows, strict=True) if len(w))
+    direct = _make_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights", averaged,
+                            f"{len(values)} windows of {WINDOW:g} s")
     conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
                                       "the mean reading on steady straights")
     if conflict:
         paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {conflict}")
-    rejected = tuple((name, "no straight driving") for name, n in predicted.items() if not n and not used[name])
+    names = tuple(run.name for run in runs)
+    used = tuple(name for name in names if name in predicted or name in averaged)
+    rejected = tuple((name, "no straight driving") for name in names if name not in used)
     figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0],
-              "residual_run": fit.run_of, "residual_time": fit.time, "names": tuple(r.name for r in runs)}
-    return Identification("steering-offset", (paper, direct), tuple(n for n in used if used[n] or predicted[n]),
-                          rejected, None, (), (*notes, *([conflict] if conflict else [])), figure)
+              "residual_run": fit.run_of, "residual_time": fit.time, "names": names}
+    return Identification("steering-offset", (paper, direct), used, rejected, None, (),
+                          (*notes, *([conflict] if conflict else [])), figure)
 
 
 def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
@@ -87,10 +89,11 @@ def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.nd
     return np.array(rows).reshape(-1, 2)
 
 
-def _to_estimate(name: str, value: float, spread: Spread, method: str, used: Mapping[str, int], basis: str) -> Estimate:
+def _make_estimate(name: str, value: float, spread: Spread, method: str, runs: tuple[str, ...],
+                   basis: str) -> Estimate:
     uncertainty = float(spread.deviations[0])
     degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
-    return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method,
-                    tuple(n for n, c in used.items() if c),
-                    f"The steering wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from "
-                    f"{basis} in {spread.basis[0]}.", "identified" if deviation < 0.5 else "doubtful")
+    verdict = (f"The steering wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from {basis} in "
+               f"{spread.basis[0]}.")
+    return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method, runs, verdict,
+                    "identified" if deviation < 0.5 else "doubtful")

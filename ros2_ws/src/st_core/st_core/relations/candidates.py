@@ -121,7 +121,7 @@ class Candidate:
                 values[f"{prefix}_{quantity}"] = 1.0
         return values | ({"by_one": 0.0} if self.factor else {})
 
-    def splines(self, u: np.ndarray) -> np.ndarray:
+    def compute_splines(self, u: np.ndarray) -> np.ndarray:
         """(SPLINES, ...) values of the basis splines [unit of the curve] at u [unit of the quantity]; the curve is a
         linear combination of them."""
         t, s = ((np.clip(v, self.low, self.high) - self.low) * _relation.INTERVALS / (self.high - self.low)

@@ -137,8 +137,9 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     shape, or NEAR_SHARE with a held-out loss within one standard error of the paired differences of the blocks (Breiman
     et al. 1984).
     """
-    at = np.linspace(candidate.low, candidate.high, POINTS)
-    to_splines, value = np.linalg.pinv(candidate.splines(at).T, rcond=1e-6), coefficients @ candidate.splines(at)
+    points = np.linspace(candidate.low, candidate.high, POINTS)
+    splines = candidate.compute_splines(points)
+    to_splines, value = np.linalg.pinv(splines.T, rcond=1e-6), coefficients @ splines
 
     def compute_rise(distance: np.ndarray) -> np.ndarray:
         """(b,) increase of the loss above that of the curve, at a `distance` from its coefficients."""
@@ -149,16 +150,16 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
         return ()
     found = []
     for shape, (text, count, function) in (SHAPES if candidate.parity != NEITHER else ONE_SIDED).items():
-        if shape == "inverse" and np.abs(at).min() < 0.05 * np.abs(at).max():
+        if shape == "inverse" and np.abs(points).min() < 0.05 * np.abs(points).max():
             continue
 
         def fit_parameters(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
             h, g = add_ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
-            return _fit_parameters(lambda x: (to_splines @ function(at, x) - target) @ root, count, at, value)
+            return _fit_parameters(lambda x: (to_splines @ function(points, x) - target) @ root, count, points, value)
 
         def compute_distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
-            return to_splines @ function(at, p) - coefficients
+            return to_splines @ function(points, p) - coefficients
 
         best = fit_parameters(np.ones(len(fold), bool))
         if shape == "dead zone":
@@ -223,8 +224,8 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
     """(held-out gain of a shape, its offset); the gain is -inf for a wrong sign, a large range or a worse path."""
     candidate = fit.candidate
     assert candidate is not None
-    at = np.linspace(candidate.low, candidate.high, POINTS)
-    splines = candidate.splines(at)
+    points = np.linspace(candidate.low, candidate.high, POINTS)
+    splines = candidate.compute_splines(points)
     loss, to_splines = fits.make_loss(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refit(parameters: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
@@ -232,7 +233,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
-        fixed[-count:] = (to_splines @ shape.function(at, parameters) - fit.coefficients) / scale[-count:]
+        fixed[-count:] = (to_splines @ shape.function(points, parameters) - fit.coefficients) / scale[-count:]
         basis = np.eye(len(scale))[:, :len(scale) - count]
         if with_offset:
             constant = np.concatenate([np.zeros(len(scale) - count), (to_splines @ np.ones(POINTS)) / scale[-count:]])
@@ -244,7 +245,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         return loss.space.clip_to_bounds(vector), float(step[-1]) if with_offset else 0.0
 
     _, offset = refit(shape.parameters, np.ones(fits.blocks, bool))
-    value, curve = shape.function(at, shape.parameters) + offset, fit.coefficients @ splines
+    value, curve = shape.function(points, shape.parameters) + offset, fit.coefficients @ splines
     if value @ curve <= 0.0 or np.abs(value).max() > MAX_RANGE * np.abs(curve).max():
         return -np.inf, offset
     held_out, position = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
@@ -254,7 +255,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
-    before = fits.problem.position_error(without.rows)
+    before = fits.problem.position_error(without.residuals)
     if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(before):
         return -np.inf, offset
     return float((without.held_out - held_out).sum()), offset
@@ -265,11 +266,11 @@ def _avoid_zero(number: float) -> float:
     return number if abs(number) > 1e-9 else 1e-9
 
 
-def _fit_parameters(residual: Callable[[np.ndarray], np.ndarray], count: int, at: np.ndarray,
+def _fit_parameters(residual: Callable[[np.ndarray], np.ndarray], count: int, points: np.ndarray,
                     value: np.ndarray) -> np.ndarray:
-    """Parameters of a shape by least squares, best of several starts. value: the curve at the points `at`."""
-    size, reach = float(np.abs(value).max()), float(np.abs(at).max())
-    sign = float(np.sign(np.sum(value * np.sign(at)))) or 1.0
+    """Parameters of a shape by least squares, best of several starts. value: the curve at the points."""
+    size, reach = float(np.abs(value).max()), float(np.abs(points).max())
+    sign = float(np.sign(np.sum(value * np.sign(points)))) or 1.0
     starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
               for share in (0.15, 0.4, 0.8)]
     return min((least_squares(residual, start, x_scale=np.abs(start) + 1e-9) for start in starts),

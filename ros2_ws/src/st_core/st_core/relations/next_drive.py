@@ -60,28 +60,30 @@ class NextDrives:
         return best if option.separation[rival] >= needed else None
 
 
-def find_sparse_ranges(at: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, from the mean density of a point and its two neighbours. at, density: (k,) as in
-    `Relation`. For an odd curve, positive values only."""
+def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
+    """Sparsely driven ranges, from the mean density of a point and its two neighbours. points, density: (k,) `at` and
+    `density` of a `Relation`. For an odd curve, positive values only."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
-    around = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
-    sparse = (around < SPARSE / len(at)) & ((at >= 0.0) | (parity != ODD))
+    smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
+    sparse = (smoothed < SPARSE / len(points)) & ((points >= 0.0) | (parity != ODD))
     ends = np.flatnonzero(np.diff(np.concatenate([[False], sparse, [False]]).astype(int)))
-    half = 0.5 * (at[1] - at[0])
-    return [(float(at[first] - half), float(at[last - 1] + half)) for first, last in ends.reshape(-1, 2)]
+    half_spacing = 0.5 * (points[1] - points[0])
+    return [(float(points[first] - half_spacing), float(points[last - 1] + half_spacing))
+            for first, last in ends.reshape(-1, 2)]
 
 
 def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
-                   design_effect: float, at: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
-    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. at, deviation: (k,) points of
-    the curve and its standard deviations. Expected deviations are from the curvature of the loss at the fit."""
+                   design_effect: float, points: np.ndarray, deviation: np.ndarray,
+                   sparse: Sequence[Range]) -> NextDrives:
+    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. points, deviation: (k,) of
+    the curve, with its standard deviations. Expected deviations are from the curvature of the loss at the fit."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
-    splines = candidate.splines(at)
+    splines = candidate.compute_splines(points)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
-    recorded = {name: _compute_joint_curvature(fits.loss, fit.rows, fit.sensitivities,
+    recorded = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
                                                other.sensitivities[-SPLINES:], fit)
                 for name, other in rivals.items()}
     curvature = fit.quadratic.hessian.sum(axis=0)
@@ -89,15 +91,16 @@ def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, r
     options = []
     for manoeuvre, windows in simulate_manoeuvres(fits.windows, fits.model.base):
         loss = _make_loss(fits, windows, candidate, fit)
-        rows = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
+        residuals = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)
-        added = REPETITIONS * loss.quadratic(rows, sensitivities).hessian.sum(axis=0)
+        added = REPETITIONS * loss.quadratic(residuals, sensitivities).hessian.sum(axis=0)
         ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
             assert other.candidate is not None
-            of_rival = _make_loss(fits, windows, other.candidate, other).sensitivities(other.vector, fits.relation)
-            added_joint = REPETITIONS * _compute_joint_curvature(loss, rows, sensitivities, of_rival, fit)
+            rival_loss = _make_loss(fits, windows, other.candidate, other)
+            added_joint = REPETITIONS * _compute_joint_curvature(
+                loss, residuals, sensitivities, rival_loss.sensitivities(other.vector, fits.relation_indices), fit)
             separation[name] = _compute_separation(recorded[name] + added_joint, fit, other, design_effect)
         u = compute_quantities(windows, windows.vehicle)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
@@ -114,12 +117,12 @@ def _make_loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: 
     return loss
 
 
-def _compute_joint_curvature(loss: Loss, rows: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
+def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
                              fit: RelationFit) -> np.ndarray:
     """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
-    of_size = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
-    joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_size[None]])
-    return loss.quadratic(rows, joint).hessian.sum(axis=0)
+    of_scale = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
+    joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_scale[None]])
+    return loss.quadratic(residuals, joint).hessian.sum(axis=0)
 
 
 def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, design_effect: float) -> float:

@@ -33,14 +33,14 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 @dataclass(frozen=True, eq=False)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of SMOOTHING.
-    vector: in the space of the candidate. rows: (n, m) residuals. indices: (a,) free parameters, the coefficients last.
+    vector: in the space of the candidate. residuals: (n, m). indices: (a,) free parameters, the coefficients last.
     sensitivities: (a, n, m) to these parameters. penalty: (a, a). quadratic: of the loss, by block. held_out: (b,) loss
     of each block at values fitted without its fold. steps: by fold, step to these values."""
 
     candidate: Candidate | None
     smooth: float
     vector: np.ndarray
-    rows: np.ndarray
+    residuals: np.ndarray
     indices: np.ndarray
     sensitivities: np.ndarray
     penalty: np.ndarray
@@ -72,16 +72,16 @@ class RunWindows(Windows):
 
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model. model: the discovered model. gain: its
-    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted: indices of the
-    parameters fitted together with a relation. car: indices of the other vehicle parameters, which are projected out of
-    its evidence. All fits use the residual scale of `model`."""
+    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted_indices: of the
+    parameters fitted together with a relation. vehicle_indices: of the other vehicle parameters, which are projected
+    out of its evidence. All fits use the residual scale of `model`."""
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):
         self.windows, self.threads, self.model, self.settings = windows, threads, model, settings
         self.space = Space(model, settings, (RELATION,))
         self._spaces = {RELATION: self.space}
-        self.relation = self.space.indices(RELATION)
+        self.relation_indices = self.space.indices(RELATION)
         self.start = np.append(self.space.null[:-1], gain)
         self.loss = Loss(Errors(windows, self.space, threads), self.start)
         self.problem = Problem(self.loss, self.start, windows.block)
@@ -89,8 +89,8 @@ class RelationFits:
         car_effects = [n for n in self.space.hypotheses
                        if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
         always = (GAIN,) if "acceleration_y" in windows.columns else ()
-        self.refitted = self.space.indices(*names, *always)
-        self.car = np.setdiff1d(self.space.indices(*car_effects), self.refitted)
+        self.refitted_indices = self.space.indices(*names, *always)
+        self.vehicle_indices = np.setdiff1d(self.space.indices(*car_effects), self.refitted_indices)
 
     def make_space(self, candidate: Candidate) -> Space:
         """The parameter space for the term, quantity and range of a candidate."""
@@ -112,13 +112,14 @@ class RelationFits:
         """The discovered model without a relation, refitted."""
         vector = self.start
         for _ in range(BASE_FITS):
-            fit = self._fit(None, self.loss, self.refitted, 0.0, self.loss.sensitivities(vector, self.refitted), vector)
+            sensitivities = self.loss.sensitivities(vector, self.refitted_indices)
+            fit = self._fit(None, self.loss, self.refitted_indices, 0.0, sensitivities, vector)
             vector = fit.vector
         return fit
 
-    def sum_quadratic(self, loss: Loss, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
+    def sum_quadratic(self, loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """Quadratic approximation of the loss, summed by block."""
-        return loss.quadratic(rows, sensitivities).sum_groups(self.block, self.blocks)
+        return loss.quadratic(residuals, sensitivities).sum_groups(self.block, self.blocks)
 
     def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
         """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
@@ -153,7 +154,7 @@ class RelationFits:
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
         """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
         from zero coefficients, the others from the previous fit. Returns the last fit that lowers the held-out loss."""
-        indices = np.concatenate([self.refitted, self.relation])
+        indices = np.concatenate([self.refitted_indices, self.relation_indices])
         loss = self.make_loss(candidate)
         sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
         strong, *weaker = sorted(SMOOTHING, reverse=True)
@@ -170,8 +171,8 @@ class RelationFits:
         vehicle file, are profiled out."""
         assert fit.candidate is not None
         loss = self.make_loss(fit.candidate)
-        car = loss.sensitivities(fit.vector, self.car)
-        q = self.sum_quadratic(loss, fit.rows, np.concatenate([car, fit.sensitivities]))
+        car = loss.sensitivities(fit.vector, self.vehicle_indices)
+        q = self.sum_quadratic(loss, fit.residuals, np.concatenate([car, fit.sensitivities]))
         whole = q.hessian.sum(axis=0)
         others = whole[:-SPLINES, :-SPLINES]
         projection = np.concatenate([-np.linalg.solve(add_ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
@@ -184,7 +185,7 @@ class RelationFits:
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[removed] = [null[self.space.free[i].parameter] for i in removed]
-        loss, indices = self.make_loss(candidate), np.concatenate([others, self.relation])
+        loss, indices = self.make_loss(candidate), np.concatenate([others, self.relation_indices])
         return self._fit(candidate, loss, indices, fit.smooth, loss.sensitivities(vector, indices), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float,
@@ -192,7 +193,8 @@ class RelationFits:
         vector, scale = vector.copy(), self.space.scale
         for iteration in range(ITERATIONS):
             if candidate:
-                sensitivities = np.concatenate([sensitivities[:-SPLINES], loss.sensitivities(vector, self.relation)])
+                to_relation = loss.sensitivities(vector, self.relation_indices)
+                sensitivities = np.concatenate([sensitivities[:-SPLINES], to_relation])
             q = self.sum_quadratic(loss, loss.errors.at(vector), sensitivities)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
@@ -214,7 +216,7 @@ class RelationFits:
                     break
             if gained < MIN_LOSS_REDUCTION * loss.residual_count:
                 break
-        rows = loss.errors.at(vector)
-        q = self.sum_quadratic(loss, rows, sensitivities)
+        residuals = loss.errors.at(vector)
+        q = self.sum_quadratic(loss, residuals, sensitivities)
         steps, held_out = self.find_left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
-        return RelationFit(candidate, smooth, vector, rows, indices, sensitivities, penalty, q, held_out, steps)
+        return RelationFit(candidate, smooth, vector, residuals, indices, sensitivities, penalty, q, held_out, steps)

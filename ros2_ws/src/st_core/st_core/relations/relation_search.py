@@ -209,7 +209,7 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
     equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
     u = compute_quantities(fits.windows, vehicle)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
-    splines = c.splines(at)
+    splines = c.compute_splines(at)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines), 0.0))
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     density = np.histogram(np.clip(u, c.low, c.high), edges)[0] / max(len(u), 1)

@@ -44,8 +44,8 @@ class ScreenedCandidate:
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
         """Smallest detectable value of a linear relation at the end of its range [unit of the curve], at a p-value."""
         c = self.candidate
-        at = np.linspace(c.low, c.high, POINTS)
-        line = np.linalg.lstsq(c.splines(at).T, at / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
+        points = np.linspace(c.low, c.high, POINTS)
+        line = np.linalg.lstsq(c.compute_splines(points).T, points / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
         quantile = float(stats.f.isf(p_value, self.degrees_of_freedom, blocks - 1))
         required = 0.5 * quantile * self.degrees_of_freedom * self.design_effect
         return float(np.sqrt(required / max(float(line @ self.information @ line), 1e-30)))
@@ -57,12 +57,12 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
     relation."""
     distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
     base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
-    car = fits.loss.sensitivities(without.vector, fits.car)
+    to_vehicle = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     found = []
     for candidate in find_candidates(fits.windows, vehicle):
         tick()
-        if trial := _screen_candidate(fits, without, base, car, candidate, signs):
+        if trial := _screen_candidate(fits, without, base, to_vehicle, candidate, signs):
             found.append(trial)
     return found
 
@@ -83,18 +83,19 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
     return found
 
 
-def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, car: np.ndarray, candidate: Candidate,
-                      signs: np.ndarray) -> ScreenedCandidate | None:
+def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, to_vehicle: np.ndarray,
+                      candidate: Candidate, signs: np.ndarray) -> ScreenedCandidate | None:
     """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
-    if it changes no prediction. base: (b,) held-out loss without a relation. car: sensitivities to the parameters of
-    the vehicle."""
+    if it changes no prediction. base: (b,) held-out loss without a relation. to_vehicle: sensitivities to the vehicle
+    parameters. signs: (DRAWS, b)."""
     loss = fits.make_loss(candidate)
-    sensitivities = loss.sensitivities(without.vector, fits.relation)
-    q = fits.sum_quadratic(loss, without.rows, np.concatenate([without.sensitivities, sensitivities]))
+    sensitivities = loss.sensitivities(without.vector, fits.relation_indices)
+    q = fits.sum_quadratic(loss, without.residuals, np.concatenate([without.sensitivities, sensitivities]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
-    q_all = fits.sum_quadratic(loss, without.rows, np.concatenate([without.sensitivities, car, sensitivities]))
+    to_all = np.concatenate([without.sensitivities, to_vehicle, sensitivities])
+    q_all = fits.sum_quadratic(loss, without.residuals, to_all)
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
     penalties = {smooth: fits.make_penalty(candidate, h, smooth) for smooth in SMOOTHING}
     losses = {smooth: fits.predict_held_out_loss(q, penalty, distance) for smooth, penalty in penalties.items()}
@@ -235,11 +236,11 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
 
 def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
     """(n,) position error at the end of the horizon with values fitted to other driving [m]."""
-    rows = fit.rows.copy()
+    residuals = fit.residuals.copy()
     for k, d in fit.steps.items():
         in_fold = fits.fold[fits.block] == k
-        rows[in_fold] -= np.einsum("p,pnm->nm", d, fit.sensitivities[:, in_fold])
-    return fits.problem.position_error(rows)
+        residuals[in_fold] -= np.einsum("p,pnm->nm", d, fit.sensitivities[:, in_fold])
+    return fits.problem.position_error(residuals)
 
 
 def compute_cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -> float:

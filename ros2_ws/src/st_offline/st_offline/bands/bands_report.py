@@ -12,24 +12,24 @@ from st_core.log_evaluation import AXES, EvaluationSettings
 from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model
-from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
+from st_core.palette import MEASURED_COLOUR
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
 from .scoring import Sums, find_top_level, pool_sums, summarise_adaptive, summarise_bands
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
-NO_CONTENT: dict[str, Any] = {"models": {}}  # replaces the result of `summarise_bands` without scored runs
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 RESIDUAL = "what remains"  # key in evaluation.json
 REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
-def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[PageFigure]:
+def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFigure]:
     """Draw a reliability diagram from the result of `summarise_bands`; an empty list if no start had a band."""
-    models = {model: modes for model, modes in (content or NO_CONTENT)["models"].items()
+    models = {model: modes for model, modes in content.get("models", {}).items()
               if any(scores["starts"] for scores in modes.values())}
     if not models:
         return []
@@ -44,21 +44,20 @@ def draw_bands(content: dict[str, Any] | None, output: FigureOutput) -> list[Pag
             for model, modes in models.items():
                 points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
                 axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
-                          ms=3, color=MODEL_COLOUR.get(model, TEXT), ls=MODEL_LINE.get(model, "solid"))
+                          ms=3, **get_line_style(model))
             axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
         panels[0].set_ylabel("paths entirely inside, %")
-        handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), ls=MODEL_LINE.get(m, "solid"), label=m)
-                   for m in models]
+        handles = [Line2D([], [], **get_line_style(model), label=model) for model in models]
         figure.legend(handles=handles, loc="outside lower left", ncols=6)
         return [save_figure(figure, output, "bands_reliability",
                             f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
                             "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
 
 
-def make_band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
+def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_bands`, by column title."""
     rows, top = [], _find_top_level(content)
-    for model, modes in (content or NO_CONTENT)["models"].items():
+    for model, modes in content.get("models", {}).items():
         for mode, scores in modes.items():
             worst, widths = scores["worst_cell"], list((scores["half_width"].get(top) or {}).values())
             interval_score, crps = scores["interval_score"].get(top), scores["crps"]
@@ -74,23 +73,23 @@ def make_band_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
     return rows
 
 
-def _find_top_level(content: dict[str, Any] | None) -> str:
+def _find_top_level(content: Mapping[str, Any]) -> str:
     """The highest scored level: "0.9", or lower for bands from too few runs."""
-    models = (content or NO_CONTENT)["models"]
-    return find_top_level(next((scores["coverage"] for modes in models.values() for scores in modes.values()), {}))
+    return find_top_level(next((scores["coverage"] for modes in content.get("models", {}).values()
+                                for scores in modes.values()), {}))
 
 
 def _format_level(level: str) -> str:
     return f"{100 * float(level):g} %"
 
 
-def make_adaptive_rows(content: dict[str, Any] | None) -> list[dict[str, str]]:
+def make_adaptive_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
     """Table row of each model and mode in the result of `summarise_adaptive`, by column title."""
     return [{"model": model, "inputs": mode, "starts": str(scores["starts"]),
              **{f"{_format_level(level)} covers": _format_share(share) for level, share in scores["coverage"].items()},
              **{f"{_format_level(level)} after 2 min": _format_share(share)
                 for level, share in scores["late_coverage"].items()}}
-            for model, modes in (content or {}).items() for mode, scores in modes.items()]
+            for model, modes in content.items() for mode, scores in modes.items()]
 
 
 def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Console) -> None:
@@ -185,8 +184,8 @@ def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
             for kind, values in summary["share"].items():
-                known = kind != PARAMETERS or summary["stated"]
-                row[kind] = (f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}" if known
+                is_stated = kind != PARAMETERS or summary["stated"]
+                row[kind] = (f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}" if is_stated
                              else "not stated")
             rows.append(row)
     return rows

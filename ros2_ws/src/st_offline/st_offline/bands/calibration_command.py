@@ -6,19 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import (
-    LEVELS,
-    Band,
-    Bands,
-    CalibrationDomain,
-    ErrorSamples,
-    calibrate,
-    compute_error_samples,
-    compute_highest_level,
-    join_runs,
-)
-from st_core.bands.calibration import check_levels
+from st_core.bands import LEVELS, Band, Bands, CalibrationDomain, ErrorSamples, calibrate, join_runs
+from st_core.bands.calibration import check_levels, compute_highest_level
 from st_core.bands.file import hash_configuration, make_times
+from st_core.bands.samples import compute_error_samples
 from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES
 from st_core.models import Model
@@ -94,7 +85,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
 
 
 def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
-               levels: Sequence[float] = LEVELS, console: Console | None = None) -> Bands:
+               levels: Sequence[float], console: Console) -> Bands:
     """Calibrate the bands of all models. Raises StCoreError for too few runs."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
@@ -102,8 +93,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
     calibrated: dict[tuple[str, str], Band] = {}
     for model in models:
         for mode in MODES:
-            if console is not None:
-                console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
+            console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
             calibrated[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
     hashes = {name: hash_configuration(task.vehicle, settings, digest)
               for name, digest in collect_model_hashes(task, models).items()}

@@ -41,7 +41,7 @@ class Scorer:
             entry["without_band"] = int((scored & ~inside).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
-    def sums(self, files: Mapping[str, str]) -> Sums:
+    def get_sums(self, files: Mapping[str, str]) -> Sums:
         """Sums over all blocks; known_recordings: files that were used in the calibration. files: sha256 by path."""
         known = set(self._bands.recordings.values())
         return pool_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
@@ -82,7 +82,7 @@ class AdaptiveScorer:
                      "late_coverage": {level: int(rows[late_rows].sum()) for level, rows in covered.items()}}
             self._sums.append({model: {mode: entry}})
 
-    def sums(self) -> Sums:
+    def get_sums(self) -> Sums:
         """{"adaptive": {model: {mode: counts}}}."""
         return {"adaptive": pool_sums(self._sums)}
 
@@ -110,13 +110,13 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     levels = sorted({*(level for level in LEVELS if level in known), max(known)})
     # Rounding is needed because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
     second = np.ceil(np.round(time, 6)).astype(int)
-    whole = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
+    at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
     highest, within = by_point.max(axis=1, initial=0.0), {}
     sums: Sums = {"starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {},
                   "interval_score": {}, "half_width": {}, "conditions": {}, "cells": {},
                   "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
-                  "crps": _name_axes(_sum_crps(band, scale[:, whole], errors[:, whole]))}
+                  "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
         within[key] = highest <= c
@@ -124,7 +124,7 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
         sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
         sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
-        sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in whole}
+        sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in at_seconds}
     inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
                                       for s in np.unique(second)], axis=1) for level in levels}
     sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
@@ -195,8 +195,12 @@ def _summarise_scores(sums: Sums) -> dict[str, Any]:
     conditions = [{"quantity": quantity, "label": label, "starts": counts["starts"],
                    "coverage": _divide(counts["coverage"], counts["starts"])}
                   for quantity, labels in sums["conditions"].items() for label, counts in labels.items()]
+    level = find_top_level(sums["coverage"])
+    cells = [{"coverage": cell["coverage"][level] / cell["starts"], "cell": name, "starts": cell["starts"]}
+             for name, cell in sums["cells"].items() if cell["starts"] >= MIN_STARTS and level in cell["coverage"]]
+    worst_cell = min(cells, key=lambda cell: tuple(cell.values()), default=None)
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
-            "worst_cell": find_worst_cell(sums["cells"], find_top_level(sums["coverage"]))}
+            "worst_cell": worst_cell}
 
 
 def _divide(value: Any, count: int) -> Any:
@@ -209,10 +213,3 @@ def _divide(value: Any, count: int) -> Any:
 def find_top_level(by_level: Mapping[str, Any]) -> str:
     """The highest scored level; "0.9" if nothing was scored."""
     return max(by_level, key=float, default="0.9")
-
-
-def find_worst_cell(cells: Mapping[str, Mapping[str, Any]], level: str) -> dict[str, Any] | None:
-    """The cell with at least MIN_STARTS and the lowest coverage at a level; None without such a cell."""
-    known = [(counts["coverage"][level] / counts["starts"], name, counts["starts"]) for name, counts in cells.items()
-             if counts["starts"] >= MIN_STARTS and level in counts["coverage"]]
-    return dict(zip(("coverage", "cell", "starts"), min(known), strict=True)) if known else None

@@ -36,7 +36,7 @@ def draw_panel(pair: Comparison, checked: DriveCheck, output: drawing.FigureOutp
                 (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
                 (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
                 (lower, measured - derived, drawing.TEXT, 0.9, None)):
-            line = drawing.reduce_points(*drawing.break_at_gaps(time, values, MAX_LINE_GAP))
+            line = drawing.reduce_points(*drawing.cut_at_gaps(time, values, MAX_LINE_GAP))
             axes.plot(*line, color=colour, lw=width, label=label)
         shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
         for finding in findings:

@@ -113,7 +113,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
                                       if c.factor else "")
     knots = np.linspace(c.low, c.high, KNOTS)
-    heights = relation.coefficients @ c.splines(knots)
+    heights = relation.coefficients @ c.compute_splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
     formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained:.0%} of the curve's held-out gain)"
                          for k, f in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."

@@ -7,21 +7,15 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
-from st_core.bands import (
-    CONDITIONS,
-    ErrorSamples,
-    NotFiniteError,
-    calibrate,
-    compute_error_samples,
-    compute_highest_level,
-)
-from st_core.bands.calibration import MIN_RUNS
+from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate
+from st_core.bands.calibration import MIN_RUNS, compute_highest_level
 from st_core.bands.file import make_times
+from st_core.bands.samples import compute_error_samples
 from st_core.batch import LogBatch
 from st_core.binning import SPEED_EDGES
 from st_core.compiled import compile_models
@@ -48,6 +42,8 @@ WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
 Key = tuple[str, float]  # model, step [s]
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
+TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "caption_justify": "left",
+                                  "padding": (0, 1)}
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Cost:
 
 
 def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
-                  settings: Mapping[float, EvaluationSettings]) -> dict[tuple[str, float], Cost]:
+                  settings: Mapping[float, EvaluationSettings]) -> dict[Key, Cost]:
     """Cost by model and step [s], measured with the inputs of one drive. settings: by step."""
     calls: dict[tuple[str, float, str], tuple[Callable[[], object], int]] = {}  # (function, number of predictions)
     for step, variant in settings.items():
@@ -168,10 +164,10 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = make_advice_rows(advice.costs, advice.accuracies)
-    title = "Cost, error and band of each model and step"
-    console.print(make_titled_table(rows, title, make_caption(advice.accuracies)))
+    console.print(make_table(rows, title="Cost, error and band of each model and step",
+                             caption=make_caption(advice.accuracies), **TABLE_STYLE))
     chosen = make_choice_rows(find_cheapest(advice.costs, advice.accuracies, tolerance))
-    console.print(make_titled_table(chosen, make_choice_title(tolerance), ""))
+    console.print(make_table(chosen, title=make_choice_title(tolerance), **TABLE_STYLE))
     for (model, step), reason in advice.unusable.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     if task.folder is None:
@@ -212,28 +208,25 @@ def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
                         continue
         if longest is None:
             raise ConfigurationError("--advise: every run is shorter than the horizon; give longer runs")
-        cost = measure_costs(models, task.vehicle, longest, settings)
+        costs = measure_costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():
-        if not runs or (name, step) in unusable:
+        if (name, step) in unusable:
             continue
         try:
             accuracies[name, step] = measure_accuracy(runs, name, settings[step])
         except StCoreError as error:
             unusable[name, step] = str(error)
-    return Advice(cost, accuracies, unusable)
+    return Advice(costs, accuracies, unusable)
 
 
 def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:
     """Settings with STEP_MULTIPLES of the step; a longer step must divide one second and the horizon."""
-    variants = []
-    for multiple in STEP_MULTIPLES:
-        step = round(multiple * settings.prediction.step, 9)
-        divides = all(math.isclose(span / step, round(span / step), abs_tol=1e-9)
-                      for span in (1.0, settings.prediction.horizon))
-        if multiple == 1 or divides:
-            variants.append(replace(settings, prediction=replace(settings.prediction, step=step)))
-    return variants
+    first, *longer = (round(multiple * settings.prediction.step, 9) for multiple in STEP_MULTIPLES)
+    spans = 1.0, settings.prediction.horizon
+    steps = [first, *(step for step in longer if all(
+        math.isclose(span / step, round(span / step), abs_tol=1e-9) for span in spans))]
+    return [replace(settings, prediction=replace(settings.prediction, step=step)) for step in steps]
 
 
 def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
@@ -261,11 +254,6 @@ def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dic
     return [{"speed": labels.get(low, f"above {low:g} m/s")}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
-
-
-def make_titled_table(rows: Sequence[Mapping[str, str]], title: str, caption: str) -> Table:
-    return make_table(rows, title=title, title_justify="left", title_style="bold", caption=caption,
-                      caption_justify="left", padding=(0, 1))
 
 
 def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:

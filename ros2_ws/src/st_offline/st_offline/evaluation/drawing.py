@@ -131,7 +131,7 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     return time[keep], values[keep]
 
 
-def break_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+def cut_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
     """Insert a NaN between points of a line that are more than `gap` [s] apart, which interrupts the line there."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

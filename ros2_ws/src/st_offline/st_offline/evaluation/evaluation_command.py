@@ -60,7 +60,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
         if text := describe_clock(report.about["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}", console)
     print_findings({report.name: findings_from_json(report.about) for report in found}, console)
-    list_files({files[key]: what for key, what in FILE_DESCRIPTIONS.items()}, console)
+    list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:
         report_problem(report.name, report.problem, console)
@@ -98,13 +98,13 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
 
 
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
-                  progress: Callable[[RunSource], Progress] | None = None) -> Iterator[RunReport]:
+                  progress: Callable[[RunSource], Progress]) -> Iterator[RunReport]:
     """Yield the report of each run: without Dask in the order of the sources, else in the order of completion.
     scheduler: address of a Dask scheduler; its workers read the files under the same paths. Raises ConfigurationError
     if the workers are not available."""
     if workers <= 1 and not scheduler:
         for source in sources:
-            yield evaluate_run(source, task, progress(source) if progress else None)
+            yield evaluate_run(source, task, progress(source))
         return
     try:
         from distributed import Client, LocalCluster, as_completed

@@ -22,7 +22,7 @@ from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import load_template
 from . import tables
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
 from .tables import REPORTED_AXES, format_metres, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 
@@ -123,7 +123,7 @@ def write_results(reports: Sequence[RunReport], choices: Choices, title: str) ->
     files["latex"].write_text(tables.make_latex_table(good, choices.over, about))
     output = FigureOutput(folder, choices.task.formats)
     overview = draw_overview(good, choices.over, output)
-    band_figures = draw_bands(content.get("bands_all_runs"), output)
+    band_figures = draw_bands(content.get("bands_all_runs", {}), output)
     write_page(files["page"], title, reports, content, settings, overview, band_figures, choices.over)
     return files
 
@@ -154,8 +154,8 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         title=title, summary=make_summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
         about={r.name: r.about for r in reports}, leading=leading, band_figures=bands,
-        band_rows=make_band_rows(pooled_bands or None),
-        adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs")),
+        band_rows=make_band_rows(pooled_bands),
+        adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=make_share_rows(pooled_bands.get("shares", {})),
         over=over, what=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
         figures={good[0].name: run_figures} if run_figures else {}, in_metres=tables.format_metres, best=tables.is_best,

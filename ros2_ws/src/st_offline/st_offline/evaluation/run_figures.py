@@ -17,7 +17,7 @@ from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, break_at_gaps, reduce_points, save_figure
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, cut_at_gaps, reduce_points, save_figure, apply_style
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
@@ -36,13 +36,10 @@ class Drawing:
     starts: Sequence[float]
     output: FigureOutput
 
-    @property
-    def name(self) -> str:
-        return self.evaluation.name
 
-    def line(self, model: str) -> dict[str, Any]:
-        """Matplotlib arguments for the line of a model."""
-        return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
+def get_line_style(model: str) -> dict[str, Any]:
+    """Matplotlib arguments for the line of a model."""
+    return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
 
 
 def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
@@ -66,7 +63,7 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
 def add_legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
                models: Sequence[Model] | None = None) -> None:
     """Add a legend of the models and extra lines below the figure. solid: whether all models have solid lines."""
-    handles = [Line2D([], [], **drawing.line(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
+    handles = [Line2D([], [], **get_line_style(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
                for m in (drawing.models if models is None else models)]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
@@ -98,7 +95,7 @@ def draw_segments(drawing: Drawing) -> PageFigure | None:
         for model in drawing.models:
             states = tuple(block.trajectories[model.name, "hindsight"][column].T)
             predicted = predict_readings(model, drawing.vehicle, states)
-            axes.plot(predicted.x, predicted.y, **drawing.line(model.name))
+            axes.plot(predicted.x, predicted.y, **get_line_style(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
         axes.set(xlabel="east, m", ylabel="" if column else "north, m")
@@ -108,7 +105,7 @@ def draw_segments(drawing: Drawing) -> PageFigure | None:
             axes.axhline(0, color=TEXT, lw=0.6)
             for model in drawing.models:
                 errors = block.errors[model.name, "hindsight"][column]
-                axes.plot(evaluation.horizon, errors[:, k], **drawing.line(model.name))
+                axes.plot(evaluation.horizon, errors[:, k], **get_line_style(model.name))
             axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {POSITIVE_SIDE[axis]})",
                      xlabel="horizon, s" if k else "")
             axes.tick_params(labelleft=not column)
@@ -118,7 +115,7 @@ def draw_segments(drawing: Drawing) -> PageFigure | None:
             for m in drawing.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
     starts_text = "these starts" if len(rows) > 1 else "this start"
-    title = f"{drawing.name}: largest position error {length:g} s after {starts_text}: {largest}"
+    title = f"{evaluation.name}: largest position error {length:g} s after {starts_text}: {largest}"
     caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
                "horizon, along and across the measured heading.")
     return save_figure(figure, drawing.output, "segments", title, caption)
@@ -155,7 +152,7 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
             # The linear and nonlinear models often coincide; the wider line of the linear model remains visible.
             width = 2.4 if model.name == "linear" else 1.0
-            axes.plot(*_reduce_over_time(evaluation, line), **drawing.line(model.name) | {"ls": "-", "lw": width})
+            axes.plot(*_reduce_over_time(evaluation, line), **get_line_style(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
     context.plot(*_reduce_over_time(evaluation, speed), color=TEXT, lw=1.0)
@@ -166,14 +163,14 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
     add_legend(figure, drawing, extra, solid=True)
     length = evaluation.horizon[-1]
-    title = f"{drawing.name}: {describe_ranking(evaluation)}"
+    title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), versus its start time."
     return save_figure(figure, drawing.output, "horizon_means", title, caption)
 
 
 def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     gap = max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0)
-    return break_at_gaps(*reduce_points(evaluation.time, values), gap)
+    return cut_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
 def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
@@ -184,7 +181,7 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
     for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
         for model in drawing.models:
             for mode, width, alpha in lines:
-                line = drawing.line(model.name) | ({"ls": ":"} if mode == "forecast" else {})
+                line = get_line_style(model.name) | ({"ls": ":"} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
                 axes.plot(evaluation.horizon, profile, **line, lw=width, alpha=alpha)
         # Logarithmic, because forecast errors are many times larger than hindsight errors.
@@ -198,7 +195,7 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
         beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
-    title = f"{drawing.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
+    title = f"{evaluation.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
                "error of the model; the forecast holds the inputs constant at their values at the start.")
     return save_figure(figure, drawing.output, "error_against_horizon", title, caption)
@@ -238,8 +235,8 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
         states = block.trajectories[model.name, "hindsight"][0]
         slips, forces = _compute_slip_and_forces(model, drawing.vehicle, states, angle, acceleration)
         for column in (0, 1):
-            grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **drawing.line(model.name))
-            grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **drawing.line(model.name))
+            grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **get_line_style(model.name))
+            grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **get_line_style(model.name))
         front, rear = (f"{np.degrees(s[-1]):.2f}°" for s in slips)
         ends.append(f"{model.name} {front} front and {rear} rear slip, {1e-3 * sum(f[-1] for f in forces):.1f} kN")
     for column, axle in enumerate(AXLES):
@@ -252,7 +249,7 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     add_legend(figure, drawing, [measured_line], models=models)
-    title = f"{drawing.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
+    title = f"{evaluation.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
     peak = np.degrees(np.nanmax(np.abs(measured_slip)))
     caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
                f"{peak:.1f}°. Start: the requested one, else the one with the largest lateral acceleration.")

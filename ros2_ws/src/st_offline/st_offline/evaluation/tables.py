@@ -28,7 +28,6 @@ TABLE_NOTE = "mean | max | RMSE over {over}, m; bold: smallest magnitude of each
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
 
 Models = Mapping[str, Any]  # {model: {mode: entry}}
-Row = dict[str, Any]
 
 
 def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
@@ -192,7 +191,7 @@ def _escape_tex(text: str) -> str:
     return "".join(special.get(c, "\\" + c if c in "&%$#_{}" else c) for c in text)
 
 
-def write_csv(file: Path, rows: Iterator[Row]) -> None:
+def write_csv(file: Path, rows: Iterator[Entry]) -> None:
     """Write rows that have the same keys; numbers are not rounded, and None is written as an empty cell."""
     with file.open("w", newline="") as stream:
         writer = csv.writer(stream)
@@ -200,7 +199,7 @@ def write_csv(file: Path, rows: Iterator[Row]) -> None:
             writer.writerows([row, row.values()] if not number else [row.values()])
 
 
-def make_csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
+def make_csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Entry]]:
     """Rows of each CSV file by its name: errors by run, model and mode, overall and by second, bin and drive part."""
     bins = (({"run": r.name, "quantity": e["quantity"], "bin": e["label"], "low": e["low"], "high": e["high"]},
              e["models"]) for r in reports for e in r.bins)
@@ -216,7 +215,7 @@ def make_csv_rows(reports: Sequence[Any]) -> dict[str, Iterator[Row]]:
         "manoeuvres": (row for head, models in parts for row in _make_model_rows(head, models))}
 
 
-def _make_model_rows(head: Row, models: Models) -> Iterator[Row]:
+def _make_model_rows(head: Entry, models: Models) -> Iterator[Entry]:
     for model, modes in models.items():
         for mode, entry in modes.items():
             yield {**head, "model": model, "mode": mode, "n_starts": entry["n_starts"],
@@ -224,6 +223,6 @@ def _make_model_rows(head: Row, models: Models) -> Iterator[Row]:
                    **{f"samples_{key}": value for key, value in _flatten_statistics(entry["samples"]).items()}}
 
 
-def _flatten_statistics(entry: Mapping[str, Any]) -> Row:
+def _flatten_statistics(entry: Mapping[str, Any]) -> Entry:
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
     return {f"{axis}_{kind}_{units[axis]}": entry[axis][kind] for axis in AXES for kind in STATISTICS}

@@ -114,9 +114,9 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 active.add(starts, block)
 
         try:
-            ahead = make_future_inputs(run, signals, task.vehicle, prediction, load_course(task.course))
+            future_inputs = make_future_inputs(run, signals, task.vehicle, prediction, load_course(task))
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      on_block=score, future_inputs=ahead)
+                                      on_block=score, future_inputs=future_inputs)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
             if isinstance(findings, RefusedRunError):
@@ -130,12 +130,12 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
-        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(ahead),
+        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs),
         "findings": findings}
-    sums: dict[str, Any] = adaptive.sums() if adaptive else {}
+    sums: dict[str, Any] = adaptive.get_sums() if adaptive else {}
     if scorer:
         shares = sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
-        sums = scorer.sums(run.provenance["files"]) | shares | sums
+        sums = scorer.get_sums(run.provenance["files"]) | shares | sums
     seconds = dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
@@ -259,9 +259,9 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehiclePara
     return inputs
 
 
-def load_course(file: tuple[str, str] | None) -> Course | None:
-    """Course from (file name, content); None without a file. Raises ConfigurationError."""
-    return None if file is None else Course.from_yaml(file[1], file[0])
+def load_course(task: Task) -> Course | None:
+    """Course of a task, None without a file. Raises ConfigurationError."""
+    return None if task.course is None else Course.from_yaml(task.course[1], task.course[0])
 
 
 def _read_planned_columns(files: Mapping[str, str],

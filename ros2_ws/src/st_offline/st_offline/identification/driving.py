@@ -19,10 +19,11 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
 from .experiment import Experiment, Setup, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
@@ -75,7 +76,7 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
         lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
         title = f"INS {_format_estimate(lever)} ahead of the CG, misaligned by {_format_estimate(angle)}"
         caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
-                   "curvature is the misalignment.")
+                   "curvature is the misalignment with the opposite sign.")
         return save_figure(figure, output, "ins", title, caption)
 
 
@@ -205,7 +206,8 @@ def _format_estimate(estimate: Estimate) -> str:
     return text if unit == "1" else f"{text} {unit}"
 
 
-def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification], draw,
+def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification],
+                          draw: Callable[[Identification, FigureOutput], PageFigure],
                           predicts: bool = False) -> Experiment:
     """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `predicts`, with the model as
     keyword argument `base`."""
@@ -237,7 +239,7 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
     return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
 
 
-def compare_stiffness(logs: Sequence[DriveLog], vehicle, base: Model) -> Identification:
+def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
     """Fit the stiffnesses by prediction, and compare them with the regression of the paper on the same drives."""
     found = fit_stiffness(logs, vehicle, base)
     try:

@@ -37,12 +37,12 @@ class Setup:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment. name: as on the command line. what: description in one line. files: description of the files.
+    """One experiment. name: as on the command line. description: one line. files: description of the files needed.
     identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
     of a result. files_needed: whether files must be given. drives: whether the files are recordings of drives."""
 
     name: str
-    what: str
+    description: str
     files: str
     identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
@@ -73,7 +73,7 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class MeasurementTable:
     """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell. units: as in the header. texts: as read."""
 
     file: Path
@@ -86,7 +86,7 @@ class Table:
 
 
 def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
-                 texts: Sequence[str] = ()) -> Table:
+                 texts: Sequence[str] = ()) -> MeasurementTable:
     """Read a CSV table: all `required` columns, and those of `optional` and `texts` that exist. required, optional:
     permitted units by name. Raises RunError with the file and the invalid column or row."""
     check_readable(file)
@@ -108,19 +108,19 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     for row_number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
-    numbers, units, words = {}, {}, {}
+    numbers, units, text_cells = {}, {}, {}
     for name, (column, unit) in columns.items():
         if name in known:
             cells = [_parse_number(file, header[column], row_number, row[column])
                      for row_number, row in enumerate(rows, 1)]
             numbers[name], units[name] = np.array(cells) * SI_FACTORS[unit], unit
         else:
-            words[name] = tuple(row[column] for row in rows)
+            text_cells[name] = tuple(row[column] for row in rows)
     for name in required:
         if not np.isfinite(numbers[name]).all():
             first = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
             raise RunError(file, f"row {first} has no {name}", "fill that cell, or leave the row out")
-    return Table(file, numbers, units, words)
+    return MeasurementTable(file, numbers, units, text_cells)
 
 
 def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],

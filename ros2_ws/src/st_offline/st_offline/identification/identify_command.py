@@ -50,7 +50,7 @@ class IdentificationJob:
 def run_command(job: IdentificationJob, console: Console) -> int:
     """Run the command; returns the exit status: 0 if at least one parameter was identified, else 1. Raises StCoreError,
     RunError, OutputError."""
-    with console.status(f"identifying: {job.experiment.what}"):
+    with console.status(f"identifying: {job.experiment.description}"):
         if job.experiment.files_needed and not job.files:
             raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
         try:
@@ -86,7 +86,7 @@ def print_results(found: Sequence[result.Identification], vehicle: VehicleParame
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
-                             ("dim", [f"{name}: left out: {why}" for name, why in outcome.rejected]),
+                             ("dim", [f"{name}: left out: {reason}" for name, reason in outcome.rejected]),
                              ("yellow", outcome.warnings)):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]", console)
@@ -118,7 +118,7 @@ def write_results(job: IdentificationJob, found: Sequence[result.Identification]
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None for outcome in found]
     texts = {
         "identification.json": json_text({name: entry for outcome in found
-                                          for name, entry in outcome.document().items()}),
+                                          for name, entry in outcome.to_document().items()}),
         "details.json": json_text({**facts, "experiments": [make_experiment_details(outcome) for outcome in found]}),
         "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, found),
         "report.html": render_page(found, figures, job.setup.vehicle, facts),
@@ -152,7 +152,7 @@ def make_experiment_details(found: result.Identification) -> dict[str, Any]:
     matrix = found.correlation
     return {
         "what": found.experiment, "used": list(found.used),
-        "rejected": [{"data": name, "why": why} for name, why in found.rejected],
+        "rejected": [{"data": name, "why": reason} for name, reason in found.rejected],
         "parameters": [e.parameter for e in found.estimates],
         "status": {e.parameter: e.status for e in found.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],

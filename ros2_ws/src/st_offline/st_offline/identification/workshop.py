@@ -16,8 +16,8 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
-from .experiment import Experiment, Setup, Table, read_columns
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from .experiment import Experiment, MeasurementTable, Setup, read_columns
 
 NOTES = ("weighing", "driver", "payload")  # columns of text
 ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
@@ -99,9 +99,9 @@ def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
-        left.plot(steering, np.degrees(data["left"]), "<", color=MEASURED_COLOUR, ms=4, mfc="none", label="left wheel")
-        left.plot(steering, np.degrees(data["right"]), ">", color=MEASURED_COLOUR, ms=4, mfc="none",
-                  label="right wheel")
+        for side, marker in (("left", "<"), ("right", ">")):
+            left.plot(steering, np.degrees(data[side]), marker, color=MEASURED_COLOUR, ms=4, mfc="none",
+                      label=f"{side} wheel")
         left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
         ends = np.array([steering.min(), steering.max()])
         level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
@@ -154,7 +154,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
     return (identify_cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
 
 
-def _read_pitch(table: Table, wheelbase: float) -> np.ndarray:
+def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
     """Pitch of each row [rad], measured or computed from the lift."""
     columns = table.numbers
     if "pitch" in columns:
@@ -206,7 +206,7 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
     for table in read_tyre_tables(files) if files else ():
         axle = table.tyre.removeprefix("tyre_")
         fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
-        stiffness, uncertainty = fit.stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
+        stiffness, uncertainty = fit.compute_stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
         uncertainties[table.tyre] = uncertainty / abs(stiffness), table.name
     return (identify_lambda_ky(setup.vehicle, uncertainties),)
 

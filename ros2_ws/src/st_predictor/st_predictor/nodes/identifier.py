@@ -64,11 +64,11 @@ class IdentifierNode(Node):
             self._core.fit = self._fit.result()
             self._fit = None
             self._log_changes()
-        if self._fit is None and self._core.due:
-            self._fit = self._pool.submit(fit_recent, *self._core.snapshot())
+        if self._fit is None and self._core.is_fit_due:
+            self._fit = self._pool.submit(fit_recent, *self._core.take_snapshot())
 
     def _log_changes(self) -> None:
-        for estimate in self._core.estimates():
+        for estimate in self._core.make_estimates():
             if estimate.status != self._statuses.get(estimate.parameter, "unestimated"):
                 value = f"{estimate.value:.4g} +/- {estimate.deviation:.2g} {estimate.unit}"
                 text = value if estimate.status == "estimated" else estimate.reason
@@ -85,7 +85,7 @@ class IdentifierNode(Node):
         message.parameters = [TrackedParameter(
             parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
             standard_deviation=estimate.deviation, vehicle_file_value=self._find_file_value(estimate),
-            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.estimates()]
+            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.make_estimates()]
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
@@ -116,7 +116,7 @@ class IdentifierNode(Node):
         not_used = {f"not used, {reason} [s]": round(time, 1) for reason, time in driving_time.rejected.items()}
         values = {"used [s]": round(driving_time.used, 1), **not_used, **self._received}
         checks = [Check("driving", diagnostics.OK, f"{driving_time.used:.0f} s of driving used", values)]
-        for estimate in self._core.estimates():
+        for estimate in self._core.make_estimates():
             value, deviation, file_value = estimate.value, estimate.deviation, self._find_file_value(estimate)
             level = LEVELS[estimate.status]
             if estimate.status == "estimated":
