@@ -11,7 +11,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import find_cheapest, measure_runs
-from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, save_figure, apply_style
+from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, apply_style, save_figure
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs

@@ -10,10 +10,10 @@ from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation.drawing import (
     MAX_POINTS,
     FigureOutput,
+    apply_style,
     cut_at_gaps,
     reduce_points,
     save_figure,
-    apply_style,
 )
 
 

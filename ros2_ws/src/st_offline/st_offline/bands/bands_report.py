@@ -15,7 +15,7 @@ from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR
 from st_core.vehicle import VehicleParameters
 
-from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
 from .scoring import Sums, find_top_level, pool_sums, summarise_adaptive, summarise_bands

@@ -22,7 +22,7 @@ from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
 from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
 from ..pages import load_template
 from . import tables
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .tables import REPORTED_AXES, format_metres, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 

@@ -17,7 +17,7 @@ from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
 from .background import in_background
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, cut_at_gaps, reduce_points, save_figure, apply_style
+from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}

@@ -23,7 +23,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, find_runs, read
 
 from ..checking.gate import check_log, refuse_errors
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap

@@ -16,7 +16,7 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, save_figure, apply_style
+from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, MeasurementTable, Setup, read_columns
 
 NOTES = ("weighing", "driver", "payload")  # columns of text
