@@ -32,8 +32,8 @@ LOCKING_DURATION = 11.0  # s
 
 
 class Output(NamedTuple):
-    """One output. due: time of sending [s since the start]. order: rank among outputs with the same due time. payload:
-    an NCOM packet, a frame or a true state."""
+    """due: time of sending [s since the start]. order: rank among outputs due at the same time. payload: NCOM packet,
+    frame, or true state."""
 
     due: float
     order: int
@@ -62,7 +62,7 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Packets and frames with the sensor readings of a source, simulated at most one tick ahead."""
+    """Packets and frames with the sensor readings of a source, at most one tick ahead. ins_rate: epochs per second."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
@@ -108,10 +108,10 @@ class Stream:
 
     def _send_ins(self, truth: Truth, time: float) -> None:
         reading = self._ins.read(truth)
-        start_up = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
-        if start_up is None:
+        status_and_delay = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
+        if status_and_delay is None:
             return
-        status, delay = start_up
+        status, delay = status_and_delay
         due = time + self._settings["ins_latency"] + delay
         packet = self._ncom.encode_packet(reading, status)
         if not self._ins_loss.loses(time):
