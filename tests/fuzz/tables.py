@@ -123,9 +123,9 @@ def _simulated(read: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
 
 
 def _road(file: Path) -> None:
-    plan = scenarios.load(str(file))
+    plan = scenarios.load_plan(str(file))
     for step in range(200):
-        plan.demand(step * 0.1, step * 0.5, 5.0)
+        plan.make_demand(step * 0.1, step * 0.5, 5.0)
 
 
 MODEL = b"""base: nonlinear
