@@ -52,8 +52,8 @@ ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
 class Field:
     """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: from the vendor, or from this project if the vendor gives none. at: index of the first byte. unit: unit of
-    the physical value. cyclic: width [bits] of a counter that wraps; status.StatusTracker unwraps it.
+    name: from the vendor, or from this project if the vendor gives none. unit: of the physical value. cyclic: width
+    [bits] of a counter that wraps; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
         bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
@@ -64,7 +64,7 @@ class Field:
 
     name: str
     kind: str
-    at: int
+    first_byte: int
     unit: str = "1"
     scale: float = 1
     offset: float = 0
@@ -83,19 +83,19 @@ class Field:
         if bits:
             first, count = bits.split("+")
             mask = (1 << int(count)) - 1
-            return 8 * self.at + int(first), mask, mask if prefix == "i" else 0, 0
+            return 8 * self.first_byte + int(first), mask, mask if prefix == "i" else 0, 0
         width = int(kind[1:])
-        return 8 * self.at, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
+        return 8 * self.first_byte, (1 << width) - 1, 0, 1 << width - 1 if kind[0] == "i" else 0
 
     def decode(self, word: int, data: bytes) -> Value:
         """The value in the 8 bytes, given as an integer and as bytes; None if invalid."""
         kind = self.kind
         if kind[0] == "t":
-            characters = data[self.at : self.at + int(kind[4:])].split(b"\0")[0]
+            characters = data[self.first_byte : self.first_byte + int(kind[4:])].split(b"\0")[0]
             # An unprintable byte becomes \\xNN, because a line break would split a CSV row.
             return "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in characters) or None
         if kind == "f32":
-            value = _F32.unpack_from(data, self.at)[0]
+            value = _F32.unpack_from(data, self.first_byte)[0]
             return value if value >= 0 else None  # also rejects NaN
         shift, mask, flip, sign = self._bit_layout
         raw = ((word >> shift & mask ^ flip) ^ sign) - sign
@@ -113,10 +113,11 @@ class Field:
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
             text = re.sub(r"\\x([0-9a-f]{2})", lambda match: chr(int(match[1], 16)), str(value or ""))
-            buffer[self.at : self.at + size] = text.encode("latin-1", "replace")[:size].ljust(size, b"\0")
+            octets = text.encode("latin-1", "replace")[:size].ljust(size, b"\0")
+            buffer[self.first_byte : self.first_byte + size] = octets
             return
         if self.kind == "f32":
-            _F32.pack_into(buffer, self.at, -1.0 if value is None else value)
+            _F32.pack_into(buffer, self.first_byte, -1.0 if value is None else value)
             return
         shift, mask, flip, _ = self._bit_layout
         number = self.validity.invalid_raw if value is None else self._to_raw(value)
@@ -176,14 +177,14 @@ UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
 NIBBLE = unless(0xF)
 
 
-def _byte(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
+def _byte(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """One byte, 0xFF = invalid."""
-    return F(name, "u8", at, unit, scale, offset, BYTE)
+    return F(name, "u8", first_byte, unit, scale, offset, BYTE)
 
 
-def _word(name: str, at: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
+def _word(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """Two bytes, 0xFFFF = invalid."""
-    return F(name, "u16", at, unit, scale, offset, WORD)
+    return F(name, "u16", first_byte, unit, scale, offset, WORD)
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
@@ -225,8 +226,8 @@ def _receiver_status(receiver: str) -> list[Field]:
             _byte(f"{receiver}.SupplyVolt", 7, "V", 0.1)]
 
 
-def _nibbles(at: int, low: str, high: str) -> list[Field]:
-    return [F(low, "lo4", at, validity=NIBBLE), F(high, "hi4", at, validity=NIBBLE)]
+def _nibbles(first_byte: int, low: str, high: str) -> list[Field]:
+    return [F(low, "lo4", first_byte, validity=NIBBLE), F(high, "hi4", first_byte, validity=NIBBLE)]
 
 
 def _trigger(channel: int) -> list[Field]:

@@ -114,8 +114,9 @@ class Publishers:
                 _set_twist(message.twist.twist, motion)
                 variances = compute_variances(accuracy.position) or (UNKNOWN_VARIANCE,) * 3
                 _set_diagonal(message.pose.covariance, 7, variances)
-                _set_block(message.pose.covariance, 21, _orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK)
-                _set_block(message.twist.covariance, 0, _velocity_covariance(motion, accuracy))
+                orientation_covariance = _rotate_orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK
+                _set_block(message.pose.covariance, 21, orientation_covariance)
+                _set_block(message.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
                 self._out["odometry"].publish(message)
             if self._tf.has_subscribers(now):
                 x, y, z = motion.attitude.to_enu(self._ins_to_base)
@@ -126,7 +127,7 @@ class Publishers:
         if self._out["velocity"].has_subscribers(now):
             _set_time(self._velocity.header.stamp, stamp_ns)
             _set_twist(self._velocity.twist.twist, motion)
-            _set_block(self._velocity.twist.covariance, 0, _velocity_covariance(motion, accuracy))
+            _set_block(self._velocity.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
             self._out["velocity"].publish(self._velocity)
 
     def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
@@ -135,14 +136,14 @@ class Publishers:
             return
         # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.get_number("Undulation")
-        message, known = self._fix, compute_variances(accuracy.position)
+        message, variances = self._fix, compute_variances(accuracy.position)
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
         message.altitude = motion.altitude + undulation
         message.status.status = get_fix_status(status.get("GpsPosMode"))
-        _set_diagonal(message.position_covariance, 4, known or (0.0,) * 3)
+        _set_diagonal(message.position_covariance, 4, variances or (0.0,) * 3)
         message.position_covariance_type = (
-            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if known else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
+            NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
 
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy,
@@ -164,7 +165,7 @@ class Publishers:
             covariance[0] = -1.0
         else:
             _set_quaternion(self._imu.orientation, motion.attitude.to_quaternion())
-            covariance[:] = _orientation_covariance(motion, accuracy) or 0.0
+            covariance[:] = _rotate_orientation_covariance(motion, accuracy) or 0.0
         self._out["imu"].publish(self._imu)
 
     def publish_trigger(self, stamp_ns: int, channel: int, count: int, position: Vector | None,
@@ -251,9 +252,8 @@ def _set_vector(message: Any, vector: Vector) -> None:
 
 def _set_block(covariance: Any, first: int, block: tuple[float, ...]) -> None:
     """Set a 3 x 3 block of a 6 x 6 matrix; first: index of the first element of the block."""
-    covariance[first], covariance[first + 1], covariance[first + 2] = block[0:3]
-    covariance[first + 6], covariance[first + 7], covariance[first + 8] = block[3:6]
-    covariance[first + 12], covariance[first + 13], covariance[first + 14] = block[6:9]
+    for row in (0, 1, 2):
+        covariance[first + 6 * row : first + 6 * row + 3] = block[3 * row : 3 * row + 3]
 
 
 def _set_diagonal(covariance: Any, step: int, variances: Vector) -> None:
@@ -270,15 +270,15 @@ def _set_twist(twist: Any, motion: Motion) -> None:
     _set_vector(twist.angular, motion.angular_velocity)
 
 
-def _velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
-    known = compute_variances(accuracy.velocity)
-    return _UNKNOWN_BLOCK if known is None else motion.attitude.rotate_covariance(known)
+def _rotate_velocity_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...]:
+    variances = compute_variances(accuracy.velocity)
+    return _UNKNOWN_BLOCK if variances is None else motion.attitude.rotate_covariance(variances)
 
 
-def _orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
+def _rotate_orientation_covariance(motion: Motion, accuracy: Accuracy) -> tuple[float, ...] | None:
     """Row-major 3 x 3 covariance [rad^2]; None while unknown."""
-    known = compute_variances(accuracy.attitude)
-    return None if known is None else motion.attitude.rotate_orientation_covariance(known)
+    variances = compute_variances(accuracy.attitude)
+    return None if variances is None else motion.attitude.rotate_orientation_covariance(variances)
 
 
 def _to_integer(value: Value) -> int:

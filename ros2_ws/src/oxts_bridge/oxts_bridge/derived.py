@@ -6,6 +6,7 @@ navigation (status other than 3, 4, 21, 22). Checked by: tests/golden/test_ncom_
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter, lfilter_zi
@@ -29,20 +30,20 @@ class Settings:
     """Status values that derived columns depend on, as pairs (index of the first packet to which it applies, value).
 
     speed_accuracy: 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s], NaN if unknown.  acceleration_filter,
-    rate_filter: (cutoff [Hz], damping ratio).
+    rate_filter: (cutoff [Hz], damping ratio), None: invalid.
     """
 
     speed_accuracy: list[tuple[int, float]]
-    acceleration_filter: list[tuple[int, tuple[float | None, float | None]]]
-    rate_filter: list[tuple[int, tuple[float | None, float | None]]]
+    acceleration_filter: list[tuple[int, tuple[Any, ...]]]
+    rate_filter: list[tuple[int, tuple[Any, ...]]]
 
 
-def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
+def derive_columns(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     """Derived columns by name, in the order and units (deg, deg/s, m, m/s, m/s^2) of the vendor's tools."""
-    fix = (columns.kind != EMPTY) & ~columns.approximate
+    has_fix = (columns.kind != EMPTY) & ~columns.approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")
-    motion = Motion.from_packet(Packet(**{name: np.where(fix, getattr(columns, name), np.nan) for name in names}))
+    motion = Motion.from_packet(Packet(**{name: np.where(has_fix, getattr(columns, name), np.nan) for name in names}))
     out: dict[str, np.ndarray] = {}
     attitude, seconds = motion.attitude, compute_gps_seconds(columns)
     level_axes = Attitude(np.zeros(len(columns)), attitude.pitch, attitude.roll)
@@ -57,7 +58,7 @@ def derive(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
     _add_angular_acceleration(out, columns, seconds)
     _add_filtered(out, columns, seconds, settings)
     for prefix, vector in (("IsoVo", motion.body_velocity), ("IsoVh", (out["Vf"], -out["Vl"], up)),
-                           ("IsoAo", _acceleration_over_ground(motion))):
+                           ("IsoAo", _compute_ground_acceleration(motion))):
         out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = vector
     return out
 
@@ -68,10 +69,10 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
     Minutes and milliseconds are added as floats, as in the vendor's tools: the rounding error of 2e-7 s affects the
     tools' angular accelerations and distances.
     """
-    known = columns.gps_ns != UNKNOWN_TIME
-    minutes, remainder = np.divmod(np.where(known, columns.gps_ns, 0), 60_000_000_000)
+    is_timed = columns.gps_ns != UNKNOWN_TIME
+    minutes, remainder = np.divmod(np.where(is_timed, columns.gps_ns, 0), 60_000_000_000)
     milliseconds, fine = np.divmod(remainder, 1_000_000)
-    return np.where(known, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
+    return np.where(is_timed, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, accuracy: np.ndarray) -> None:
@@ -188,7 +189,7 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
     return output
 
 
-def _acceleration_over_ground(motion: Motion) -> Vector:
+def _compute_ground_acceleration(motion: Motion) -> Vector:
     """Acceleration relative to the ground [m/s^2], FLU: a = A + R^T (g - (2 w_ie + w_en) x v), R from body axes to ENU.
 
     A: specific force. g: gravity. w_ie: earth rate. w_en: transport rate, of the local frame relative to the earth.

@@ -1,6 +1,7 @@
 """Exports an NCOM file to CSV for `st ncom`: the values of every packet, and every change of the status."""
 
 import csv
+import math
 from pathlib import Path
 from typing import TypeAlias
 
@@ -8,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .channels import FIELDS, INVERTED_B6, Value
-from .derived import Settings, compute_gps_seconds, derive
+from .derived import Settings, compute_gps_seconds, derive_columns
 from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import NcomError
 from .packet_time import WEEK_MS
@@ -24,6 +25,9 @@ _LARGEST_UMAC_STATUS = 10
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6)
+_SETTINGS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
+             63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
+"""Status channel -> fields that derived columns depend on."""
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 
@@ -65,8 +69,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
 
 def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     n = len(columns)
-    in_series = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
-    gps_ms = np.where(in_series, columns.gps_ns // 1_000_000, 0)
+    is_timed = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
+    gps_ms = np.where(is_timed, columns.gps_ns // 1_000_000, 0)
     degrees, out_type = np.degrees, np.array(KINDS, "<U8")[columns.kind]
     for i in np.flatnonzero(columns.kind == TRIGGER):
         out_type[i] = TRIGGER_NAMES[int(columns.channel[i])]
@@ -80,8 +84,8 @@ def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
         "nav_mode": columns.navigation_status,
         "channel": columns.channel,
         "time": compute_gps_seconds(columns),
-        "week": np.where(in_series, (gps_ms // WEEK_MS).astype(str), ""),
-        "tow": np.where(in_series, gps_ms % WEEK_MS / 1e3, np.nan),
+        "week": np.where(is_timed, (gps_ms // WEEK_MS).astype(str), ""),
+        "tow": np.where(is_timed, gps_ms % WEEK_MS / 1e3, np.nan),
         "quality": quality,
         **dict(zip(("Ax", "Ay", "Az"), columns.acceleration, strict=True)),
         **dict(zip(("Wx", "Wy", "Wz"), degrees(columns.angular_rate), strict=True)),
@@ -92,17 +96,16 @@ def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
         "Heading": np.where(heading < 0, heading + 360.0, heading),
         "Pitch": degrees(columns.pitch),
         "Roll": degrees(columns.roll),
-        **derive(columns, settings),
+        **derive_columns(columns, settings),
     }
 
 
 def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
     """Changes of all status fields, and the status values that derived columns depend on."""
     tracker = StatusTracker()
-    known: dict[str, Value] = {}
+    last_values: dict[str, Value] = {}
     changes: list[Change] = []
-    settings = Settings([], [], [])
-    surfaces: list[tuple[int, tuple[Value, ...]]] = []
+    settings: dict[int, list[tuple[int, tuple[Value, ...]]]] = {channel: [] for channel in _SETTINGS}
     positions = np.array([columns.latitude, columns.longitude, columns.altitude]).T
     for i in np.flatnonzero(columns.has_status).tolist():
         channel = int(columns.channel[i])
@@ -111,26 +114,22 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
         fields = tracker.update(channel, columns.batch_s[:, i].tobytes(), seconds, position)
         for name, sent in fields.items():
             value = min(sent, _LARGEST_UMAC_STATUS) if name == "UmacStatus" and sent is not None else sent
-            if name not in RAW_FIELDS and (value is not None or name not in _RETAINED) and known.get(name) != value:
-                known[name] = value
+            is_reported = name not in RAW_FIELDS and (value is not None or name not in _RETAINED)
+            if is_reported and last_values.get(name) != value:
+                last_values[name] = value
                 changes.append((i, channel, name, value))
-        # The status in a packet applies from the next packet on; in a trigger packet, it applies from this packet on.
-        since = i if columns.kind[i] == TRIGGER else i + 1
-        if channel == 4 and fields:
-            north, east = tracker.get_number("VnAcc"), tracker.get_number("VeAcc")
-            settings.speed_accuracy.append((since, 2 * (north**2 + east**2) ** 0.5))
-        elif channel == 74 and fields:
-            settings.acceleration_filter.append((since, (tracker.get("LinAccFiltFreq"), tracker.get("LinAccFiltZeta"))))
-        elif channel == 63 and fields:
-            settings.rate_filter.append((since, (tracker.get("AngAccFiltFreq"), tracker.get("AngAccFiltZeta"))))
-        elif channel == 60 and fields:
-            surfaces.append((since, tuple(tracker.get(f"Ned2Surf{angle}") for angle in ("Heading", "Pitch", "Roll"))))
-    changes.extend(_surface_angles(columns, surfaces))
+        if fields and channel in _SETTINGS:
+            # A status applies from the next packet on; in a trigger packet, it applies from this packet on.
+            first_packet = i if columns.kind[i] == TRIGGER else i + 1
+            settings[channel].append((first_packet, tuple(map(tracker.get, _SETTINGS[channel]))))
+    changes.extend(_compute_surface_angles(columns, settings[60]))
     changes.sort(key=lambda change: change[0])
-    return changes, settings
+    speed_accuracy = [(first, math.nan if None in sigma else 2 * (sigma[0] ** 2 + sigma[1] ** 2) ** 0.5)
+                      for first, sigma in settings[4]]
+    return changes, Settings(speed_accuracy, acceleration_filter=settings[74], rate_filter=settings[63])
 
 
-def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]) -> list[Change]:
+def _compute_surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]) -> list[Change]:
     """Changes of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
 
         R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)
@@ -139,7 +138,7 @@ def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...
     """
     changes: list[Change] = []
     ends = [index for index, _ in [*surfaces, (len(columns), ())]][1:]
-    before: list[float | None] = [None, None, None]
+    previous: list[float | None] = [None, None, None]
     for (start, angles), end in zip(surfaces, ends, strict=True):
         if None in angles:
             continue
@@ -152,6 +151,6 @@ def _surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...
         heading %= 360.0
         for i, *values in zip((usable + start).tolist(), heading.tolist(), pitch.tolist(), roll.tolist(), strict=True):
             changes.extend((i, int(columns.channel[i]), name, value)
-                           for name, value, old in zip(_SURFACE_ANGLES, values, before, strict=True) if value != old)
-            before = values
+                           for name, value, old in zip(_SURFACE_ANGLES, values, previous, strict=True) if value != old)
+            previous = values
     return changes

@@ -87,27 +87,27 @@ def decode_file(source: str | Path | bytes) -> Columns:
     counters = Counters()
     offset = _find_packets(data, counters)
     if not len(offset):
-        raise NcomError(_no_packet_message(name, data))
+        raise NcomError(_describe_missing_packet(name, data))
     return _decode(data, offset, counters)
 
 
 def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
     """Byte offsets of all packets; counts packets, checksum_errors and skipped_bytes."""
-    bytes_ = np.frombuffer(data, np.uint8)
+    octets = np.frombuffer(data, np.uint8)
     found: list[np.ndarray] = []
-    at, size, rows = 0, len(data), _FIRST_ROWS
-    while size - at >= PACKET_SIZE:
-        count = min(rows, (size - at) // PACKET_SIZE)
-        block = bytes_[at : at + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
+    start, size, rows = 0, len(data), _FIRST_ROWS
+    while size - start >= PACKET_SIZE:
+        count = min(rows, (size - start) // PACKET_SIZE)
+        block = octets[start : start + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
         good = block[:, 0] == ncom.SYNC
         good &= np.add.reduce(block[:, 1:ncom.CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, ncom.CHECKSUM_3_AT]
         run = count if good.all() else int(good.argmin())
-        found.append(np.arange(at, at + run * PACKET_SIZE, PACKET_SIZE))
-        at += run * PACKET_SIZE
+        found.append(np.arange(start, start + run * PACKET_SIZE, PACKET_SIZE))
+        start += run * PACKET_SIZE
         rows = min(_MAX_ROWS, 4 * rows)
         if run < count:
-            at, rows = find_next_packet(data, at, True, counters)[0], _FIRST_ROWS
-    find_next_packet(data, at, True, counters)  # only to count the bytes after the last packet
+            start, rows = find_next_packet(data, start, True, counters)[0], _FIRST_ROWS
+    find_next_packet(data, start, True, counters)  # only to count the bytes after the last packet
     offset = np.concatenate(found) if found else np.empty(0, np.int64)
     counters.packets = len(offset)
     return offset
@@ -117,15 +117,15 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     raw = _join_rows(data, offset)
     packets = raw.view(_FIELDS).ravel()
     status, channel = packets["status"].copy(), packets["channel"].copy()
-    kind, gps_ns, order, jumps = _times(raw, packets)
-    acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, at, unit) for at, unit in (
-        (ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
-        (ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), (ncom.ANGLES_AT, ncom.ANGLE_UNIT)))
+    kind, gps_ns, order, jumps = _compute_times(raw, packets)
+    layout = ((ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
+              (ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), (ncom.ANGLES_AT, ncom.ANGLE_UNIT))
+    acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, *place) for place in layout)
     with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
     columns = Columns(
         offset=offset, raw=raw, kind=kind, order=order, gps_ns=gps_ns,
-        utc_ns=_utc_times(raw, status, channel, gps_ns), milliseconds=packets["milliseconds"].astype(np.int64),
+        utc_ns=_compute_utc_times(raw, status, channel, gps_ns), milliseconds=packets["milliseconds"].astype(np.int64),
         navigation_status=status, channel=channel, batch_s=raw[:, BATCH_S].T,
         acceleration=acceleration, angular_rate=angular_rate, velocity_ned=velocity,
         latitude=packets["latitude"].copy(), longitude=packets["longitude"].copy(), altitude=altitude,
@@ -138,22 +138,22 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
 
 def _join_rows(data: bytes, offset: np.ndarray) -> np.ndarray:
     """The packets as (n, 72) bytes, without a copy if they are contiguous."""
-    bytes_ = np.frombuffer(data, np.uint8)
+    octets = np.frombuffer(data, np.uint8)
     breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
     starts, ends = [0, *breaks], [*breaks, len(offset)]
-    runs = [bytes_[offset[start] : offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
+    runs = [octets[offset[start] : offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
     return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
 
 
-def _decode_vectors(raw: np.ndarray, at: int, unit: float) -> np.ndarray:
+def _decode_vectors(raw: np.ndarray, first: int, unit: float) -> np.ndarray:
     """Physical values (3, n) of three consecutive i24; each is read as the upper 24 bits of an i32."""
-    number = np.ndarray((3, len(raw)), "<i4", raw.reshape(-1).data, at - 1, (3, PACKET_SIZE)) >> 8
+    number = np.ndarray((3, len(raw)), "<i4", raw.reshape(-1).data, first - 1, (3, PACKET_SIZE)) >> 8
     values = number * unit
     values[number == ncom.INVALID_I24] = np.nan
     return values
 
 
-def _times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Kind, GPS time [ns] and order of every packet, and the number of time jumps."""
     status, ms, minutes = packets["status"], packets["milliseconds"], packets["minute"]
     kind, gps_ns, order = _KIND[status], np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
@@ -198,43 +198,43 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     wraps = np.cumsum((step < 0) & ~is_late)
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, packet_time.NEW, packet_time.SAME).astype(np.int8)
-    waiting, clock, at, rows = deque(hints), packet_time.GpsClock(), 0, _FIRST_ROWS
-    while at < len(ms):
+    waiting, clock, start, rows = deque(hints), packet_time.GpsClock(), 0, _FIRST_ROWS
+    while start < len(ms):
         if clock.is_settled:
-            block = slice(at, min(at + rows, len(ms)))
-            counted = wraps[block] + (clock.minute - wraps[at - 1])
+            block = slice(start, min(start + rows, len(ms)))
+            counted = wraps[block] + (clock.minute - wraps[start - 1])
             differs = is_late[block] | ((minutes[block] >= 0) & (minutes[block] != counted))
-            run = slice(at, at + int(differs.argmax()) if differs.any() else block.stop)
-            if run.stop > at:
-                times[run] = counted[:run.stop - at] * packet_time.MINUTE_MS + ms[run]
+            run = slice(start, start + int(differs.argmax()) if differs.any() else block.stop)
+            if run.stop > start:
+                times[run] = counted[:run.stop - start] * packet_time.MINUTE_MS + ms[run]
                 clock.minute, clock.milliseconds = divmod(int(times[run.stop - 1]), packet_time.MINUTE_MS)
                 clock.jumps += int(np.count_nonzero(is_jump[run]))
-            at, rows = run.stop, min(_MAX_ROWS, 4 * rows)
-            if at == block.stop:
+            start, rows = run.stop, min(_MAX_ROWS, 4 * rows)
+            if start == block.stop:
                 continue
         rows = _FIRST_ROWS
-        for i in range(at, min(at + _SINGLE_STEPS, len(ms))):
+        for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
             while waiting and waiting[0][0] <= i:
                 clock.hint(waiting.popleft()[1])
             time, order[i] = clock.step(int(ms[i]), None if minutes[i] < 0 else int(minutes[i]))
             times[i] = -1 if time is None else time
-            at = i + 1
+            start = i + 1
     return times, order, clock.jumps
 
 
-def _utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
+def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
     """UTC [ns since 1970] of each packet.
 
     UTC - GPS as sent by the unit applies from that packet on; before the first one, the leap-second table is used.
     """
-    known = gps_ns != UNKNOWN_TIME
-    offset = -leap_seconds_at_gps_times(np.where(known, gps_ns // 1_000_000_000, 0))
+    is_timed = gps_ns != UNKNOWN_TIME
+    offset = -leap_seconds_at_gps_times(np.where(is_timed, gps_ns // 1_000_000_000, 0))
     carriers = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
-    sent = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
-    carriers, sent = carriers[sent != _INVALID_UTC_OFFSET], sent[sent != _INVALID_UTC_OFFSET]
+    offsets = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
+    carriers, offsets = carriers[offsets != _INVALID_UTC_OFFSET], offsets[offsets != _INVALID_UTC_OFFSET]
     if len(carriers):
-        offset[carriers[0]:] = np.repeat(sent, np.diff(carriers, append=len(gps_ns)))
-    return np.where(known, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
+        offset[carriers[0]:] = np.repeat(offsets, np.diff(carriers, append=len(gps_ns)))
+    return np.where(is_timed, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
 
 
 def _fill_counters(columns: Columns) -> None:
@@ -269,7 +269,7 @@ def _mask_invalid(columns: Columns) -> None:
             getattr(columns, name)[..., packets] = np.nan
 
 
-def _no_packet_message(name: str, data: bytes) -> str:
+def _describe_missing_packet(name: str, data: bytes) -> str:
     if not data:
         return f"{name}: the file is empty"
     head = data[:4]

@@ -43,13 +43,13 @@ def yaw_from_heading(heading: Number) -> Number:
 class Attitude:
     """Orientation of the vehicle (FLU) in ENU: yaw, pitch (nose down +) and roll about fixed axes [rad]."""
 
-    __slots__ = ("_rows", "pitch", "roll", "yaw")
+    __slots__ = ("_matrix", "pitch", "roll", "yaw")
 
     def __init__(self, yaw: Number, pitch: Number, roll: Number) -> None:
         self.yaw, self.pitch, self.roll = yaw, pitch, roll
         sin, cos, _ = _functions(yaw)
         sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
-        self._rows = (
+        self._matrix = (
             cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
             sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
             -sp, cp * sr, cp * cr)
@@ -71,26 +71,24 @@ class Attitude:
 
     def to_body(self, enu: Vector) -> Vector:
         """Forward, left, up components of a vector given as east, north, up."""
-        a, b, c, d, e, f, g, h, i = self._rows
+        a, b, c, d, e, f, g, h, i = self._matrix
         x, y, z = enu
         return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
     def to_enu(self, body: Vector) -> Vector:
         """East, north, up components of a vector given as forward, left, up."""
-        a, b, c, d, e, f, g, h, i = self._rows
+        a, b, c, d, e, f, g, h, i = self._matrix
         x, y, z = body
         return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
 
     def rotate_covariance(self, enu_variances: Vector) -> tuple[float, ...]:
         """Covariance of independent ENU errors in body axes, row by row: R^T diag(enu_variances) R."""
-        rows = self._rows
+        a, b, c, d, e, f, g, h, i = self._matrix
         ve, vn, vu = enu_variances
-        xx, xy, xz = (
-            ve * rows[0] * rows[j] + vn * rows[3] * rows[3 + j] + vu * rows[6] * rows[6 + j] for j in (0, 1, 2)
-        )
-        yy, yz = (ve * rows[1] * rows[j] + vn * rows[4] * rows[3 + j] + vu * rows[7] * rows[6 + j] for j in (1, 2))
-        zz = ve * rows[2] ** 2 + vn * rows[5] ** 2 + vu * rows[8] ** 2
-        return xx, xy, xz, xy, yy, yz, xz, yz, zz
+        xy, xz = ve * a * b + vn * d * e + vu * g * h, ve * a * c + vn * d * f + vu * g * i
+        yz = ve * b * c + vn * e * f + vu * h * i
+        return (ve * a * a + vn * d * d + vu * g * g, xy, xz, xy, ve * b * b + vn * e * e + vu * h * h, yz,
+                xz, yz, ve * c * c + vn * f * f + vu * i * i)
 
     def rotate_orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
         """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.

@@ -74,7 +74,7 @@ class Health:
         return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:
-        (rate, longest), counters = self._statistics.take(), self._parser.counters
+        (rate, longest), counters = self._statistics.summarise_steps(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
         faults = {
             "checksum errors": counters.checksum_errors,
@@ -85,7 +85,7 @@ class Health:
             "impossible times": counters.impossible_times,
             "packets without a complete solution": self.incomplete,
         }
-        new = {name: count - self._previous_faults.get(name, 0) for name, count in faults.items()}
+        increments = {name: count - self._previous_faults.get(name, 0) for name, count in faults.items()}
         self._previous_faults = faults
         values = {
             "rate [Hz]": rate,
@@ -105,7 +105,8 @@ class Health:
             return Check("stream", ERROR, "no NCOM packet yet", values)
         if age > self._silence_after:
             return Check("stream", ERROR, f"no packet for {age:.1f} s", values)
-        problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in new.items() if count > 0]
+        problems = [f"{count} {'late packets' if name == 'late' else name}" for name, count in increments.items()
+                    if count > 0]
         if problems:
             return Check("stream", WARN, ", ".join(problems) + " since the last report", values)
         return Check("stream", OK, f"{rate:.0f} packets/s", values)
@@ -178,8 +179,8 @@ class Health:
         median, percentile_1, newest = differences
         values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
         if abs(newest) > MAX_DELAY:
-            apart = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
-            text = f"stamps are {apart} from the host's clock: wrong date, or packets of a recording"
+            difference = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
+            text = f"stamps are {difference} from the host's clock: wrong date, or packets of a recording"
             return Check("time", ERROR, text, values)
         if abs(median) > MAX_CLOCK_OFFSET:
             return Check("time", WARN, f"stamps are {median:+.3f} s from the host's clock: check both clocks", values)

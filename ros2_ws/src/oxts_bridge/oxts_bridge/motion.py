@@ -28,9 +28,10 @@ class Accuracy(NamedTuple):
 
     @classmethod
     def from_status(cls, status: StatusTracker) -> "Accuracy":
-        get = status.get_number
-        return cls((get("EastAcc"), get("NorthAcc"), get("AltAcc")), (get("VeAcc"), get("VnAcc"), get("VdAcc")),
-                   (radians(get("RollAcc")), radians(get("PitchAcc")), radians(get("HeadingAcc"))))
+        number = status.get_number
+        return cls((number("EastAcc"), number("NorthAcc"), number("AltAcc")),
+                   (number("VeAcc"), number("VnAcc"), number("VdAcc")),
+                   (radians(number("RollAcc")), radians(number("PitchAcc")), radians(number("HeadingAcc"))))
 
 
 def compute_variances(deviations: Vector) -> Vector | None:

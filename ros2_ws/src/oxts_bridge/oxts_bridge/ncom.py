@@ -163,11 +163,6 @@ def decode(data: bytes) -> Packet:
         raise NcomError(f"not an NCOM packet: {len(data)} bytes starting with {data[:1].hex() or 'nothing'}")
     if data[STATUS_AT] == STRUCTURE_B:
         raise NcomError("structure B packet (navigation status 11): its layout is not published")
-    return decode_unchecked(data)
-
-
-def decode_unchecked(data: bytes) -> Packet:
-    """Physical values of 72 bytes already known to be a structure A packet."""
     (milliseconds, acceleration, angular_rate, status, latitude, longitude, altitude, velocity, angles, channel,
      batch_s) = _LAYOUT.unpack(data)
     return Packet(milliseconds, _decode_vector(acceleration, ACCELERATION_UNIT),
@@ -204,8 +199,8 @@ def encode(packet: Packet) -> bytes:
     except (struct.error, OverflowError) as error:
         raise NcomError(f"a value is outside the range of its field: {error}") from None
     data[0] = SYNC
-    for at in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
-        data[at] = sum(data[1:at]) & 0xFF
+    for end in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
+        data[end] = sum(data[1:end]) & 0xFF
     return bytes(data)
 
 
@@ -245,27 +240,27 @@ class Counters:
     impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
 
 
-def find_next_packet(data: bytes, at: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
+def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters) -> tuple[int, bool]:
     """(index of the next whole packet, or else of the first byte to keep; whether a packet is expected there).
 
-    in_sync: a packet is expected at `at`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is accepted
-    only if all three checksums are correct and its navigation status is known, because checksum 3 alone matches by
-    chance for one in 256 false sync bytes.
+    in_sync: a packet is expected at `start`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is
+    accepted only if all three checksums are correct and its navigation status is defined, because checksum 3 alone
+    matches by chance for one in 256 false sync bytes.
     """
-    while at < len(data):
-        if data[at] == SYNC:
-            raw = data[at : at + PACKET_SIZE]
+    while start < len(data):
+        if data[start] == SYNC:
+            raw = data[start : start + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
             if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT]:
                 status = raw[STATUS_AT]
                 if in_sync or status == STRUCTURE_B or (BY_STATUS[status].is_defined and inner_checksums_match(raw)):
-                    return at, True
+                    return start, True
             counters.checksum_errors += in_sync
-        found = data.find(_SYNC, at + 1)
+        found = data.find(_SYNC, start + 1)
         following = len(data) if found < 0 else found
-        counters.skipped_bytes += following - at
-        at, in_sync = following, False
-    return at, in_sync
+        counters.skipped_bytes += following - start
+        start, in_sync = following, False
+    return start, in_sync
 
 

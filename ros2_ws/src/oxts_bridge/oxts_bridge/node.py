@@ -181,7 +181,7 @@ class OxtsBridge(LifecycleNode):
         in_series = received.kind == "regular" and received.order == NEW
         motion = extract_motion(received)
         self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
-        position = self._position(publishers, received_ns, motion)
+        position = self._locate(publishers, received_ns, motion)
         if (event := self._events.detect(received)) is not None:
             pose = (position, motion) if event.has_pose else (None, None)
             utc_ns = to_unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
@@ -194,7 +194,7 @@ class OxtsBridge(LifecycleNode):
             self._publish_motion(publishers, received, motion, position, now)
         self._publish_status(publishers, received.utc_ns if received.utc_ns is not None else received_ns, now)
 
-    def _position(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
+    def _locate(self, publishers: Publishers, received_ns: int, motion: Motion | None) -> Vector | None:
         if motion is None:
             return None
         frame = self._origin.update(motion, self._status, received_ns)

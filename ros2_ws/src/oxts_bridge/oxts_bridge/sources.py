@@ -225,8 +225,7 @@ class ReplaySource(Source):
         on_restart: called before each repetition."""
         super().__init__(f"file {path}")
         columns = decode_file(path)
-        self._data = path.read_bytes()
-        self._offsets = columns.offset
+        self._packets = columns.raw
         self._due = _compute_due_times(columns.gps_ns, start_offset)
         self._on_data, self._on_restart = on_data, on_restart
         self._speed, self._loop = speed_factor, loop
@@ -242,15 +241,14 @@ class ReplaySource(Source):
 
     def _play(self) -> None:
         start = time.monotonic()
-        count = len(self._offsets)
-        for number, (offset, due) in enumerate(zip(self._offsets.tolist(), self._due.tolist(), strict=True), 1):
+        for number, (packet, due) in enumerate(zip(self._packets, self._due.tolist(), strict=True), 1):
             if due >= 0:
                 wait = start + due * 1e-9 / self._speed - time.monotonic()
                 if wait > 0 and self._stop.wait(wait):
                     return
-            self._on_data(self._data[offset : offset + PACKET_SIZE], time.time_ns(), due >= 0)
+            self._on_data(packet.tobytes(), time.time_ns(), due >= 0)
             self.status.datagrams += 1
-            self.status.progress = number / count
+            self.status.progress = number / len(self._packets)
 
 
 def _compute_due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:

@@ -68,8 +68,8 @@ class StatusTracker:
             self._set_wheel_speed(fields, gps_seconds)
         elif channel == 48:
             horizontal, total = fields["HDOP"], fields["PDOP"]
-            known = horizontal is not None and total is not None and total > horizontal
-            fields["VDOP"] = sqrt(total**2 - horizontal**2) if known else None
+            is_valid = horizontal is not None and total is not None and total > horizontal
+            fields["VDOP"] = sqrt(total**2 - horizontal**2) if is_valid else None
         elif channel in (66, 67):
             self._local_frame.update(fields)
             fields = {}
@@ -188,8 +188,8 @@ class EventLog:
         if time is None:
             return None
         count = packet.batch_s[7]
-        before = self._last.get(channel)
+        previous = self._last.get(channel)
         self._last[channel] = (count, time)
         has_pose = received.kind == "trigger"
-        is_new = has_pose if before is None else count != before[0] and (has_pose or time > before[1])
+        is_new = has_pose if previous is None else count != previous[0] and (has_pose or time > previous[1])
         return Event(channel, time, count, has_pose) if is_new else None

@@ -62,18 +62,18 @@ class NcomParser:
         """All packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
         packets: list[ReceivedPacket] = []
-        at = 0
-        while at < len(buffer):
-            at, self._in_sync = find_next_packet(buffer, at, self._in_sync, self.counters)
-            raw = buffer[at : at + PACKET_SIZE]
+        start = 0
+        while start < len(buffer):
+            start, self._in_sync = find_next_packet(buffer, start, self._in_sync, self.counters)
+            raw = buffer[start : start + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
-            received = self._accept(raw, self._consumed + at, received_ns)
+            received = self._accept(raw, self._consumed + start, received_ns)
             if received is not None:
                 packets.append(received)
-            at += PACKET_SIZE
-        self._tail = buffer[at:]
-        self._consumed += at
+            start += PACKET_SIZE
+        self._tail = buffer[start:]
+        self._consumed += start
         return packets
 
     def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> ReceivedPacket | None:
@@ -86,7 +86,7 @@ class NcomParser:
         if not ncom.inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
         rule = ncom.BY_STATUS[status]
-        packet = ncom.decode_unchecked(raw)
+        packet = ncom.decode(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
         minute = self._read_clock(packet) if kind != "empty" else None
@@ -119,9 +119,9 @@ class NcomParser:
     def _compute_event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
         self.counters.triggers += 1
-        before, self._last_trigger = self._last_trigger, raw
+        previous, self._last_trigger = self._last_trigger, raw
         gps_ns = channels.decode_event_time(packet.channel, packet.batch_s)
-        if gps_ns is None or raw != before:
+        if gps_ns is None or raw != previous:
             return gps_ns, NEW
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
@@ -189,7 +189,7 @@ class StreamStatistics:
         if received.received_ns is not None and received.utc_ns is not None:
             self._offsets.append(received.utc_ns - received.received_ns)
 
-    def take(self) -> tuple[float, float]:
+    def summarise_steps(self) -> tuple[float, float]:
         """Mean rate [1/s] and longest step [s] since the previous call."""
         rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
         longest = self._longest_ns * 1e-9

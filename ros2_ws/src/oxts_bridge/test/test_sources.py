@@ -286,6 +286,6 @@ def test_statistics_count_rate_and_gaps(drive):
             received.received_ns = received.utc_ns + 3_000_000 + (50_000_000 if i == 200 else 0)
             statistics.add(received)
     assert statistics.gaps == 1
-    assert statistics.take() == (pytest.approx(247.0), pytest.approx(0.016))
+    assert statistics.summarise_steps() == (pytest.approx(247.0), pytest.approx(0.016))
     assert statistics.summarise_clock_offset()[0] == pytest.approx(-0.003)
-    assert statistics.take() == (0.0, 0.0)
+    assert statistics.summarise_steps() == (0.0, 0.0)

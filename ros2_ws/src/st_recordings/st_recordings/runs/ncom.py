@@ -35,8 +35,8 @@ def read_ncom(file: Path) -> NcomLog:
     try:
         columns = file_decoder.decode_file(file)
     except NcomError as error:
-        what = str(error).removeprefix(f"{file}: ")
-        raise RunError(file, what, "remove the file from the command, or name the right one") from None
+        problem = str(error).removeprefix(f"{file}: ")
+        raise RunError(file, problem, "remove the file from the command, or name the right one") from None
     warnings = _damage_warnings(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
@@ -54,8 +54,8 @@ def read_ncom(file: Path) -> NcomLog:
     if (lost := total - len(found)) > MAX_LOST_SHARE * total:
         warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; "
                         "they were left out")
-    used, notes = select_usable_rows(columns.utc_ns[found], "packets")
-    rows = found[used]
+    usable, notes = select_usable_rows(columns.utc_ns[found], "packets")
+    rows = found[usable]
     warnings += [f"{file}: {note}" for note in notes]
     motion = Motion.from_packet(columns.take(rows))
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
