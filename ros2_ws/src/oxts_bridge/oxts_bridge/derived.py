@@ -150,7 +150,7 @@ def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Se
 
 
 def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
-             settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
+                    settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
     """Values filtered by the second-order low-pass with the settings that the unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),

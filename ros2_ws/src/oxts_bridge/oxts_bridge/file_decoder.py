@@ -182,7 +182,7 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
 
 
 def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
-                 hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
+                         hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets, and the number of time jumps.
 
     The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
