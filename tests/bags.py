@@ -1,4 +1,4 @@
-"""Bags of numbered messages, made and read back without ROS; and the messages of recorded runs."""
+"""Writes and reads bags of numbered messages without ROS, and reads the messages of recorded runs."""
 
 import struct
 from collections import defaultdict
@@ -12,13 +12,13 @@ TYPE_HASH = "RIHS01_" + "ab" * 32
 
 
 def numbered(number: int, text: str = "") -> bytes:
-    """A demo_msgs/Numbered in CDR, little endian."""
+    """Serialises a demo_msgs/Numbered in little-endian CDR."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + struct.pack("<qI", number, len(data)) + data
 
 
 def read_numbers(path: Path) -> dict[str, list[int]]:
-    """What rosbags reads from a bag directory or file: the numbers of each topic, in time order."""
+    """Reads a bag directory or file with rosbags: the numbers of each topic, in order of time."""
     from rosbags.rosbag2 import Reader
 
     found: dict[str, list[int]] = {}
@@ -29,7 +29,7 @@ def read_numbers(path: Path) -> dict[str, list[int]]:
 
 
 def read_numbers_with_mcap(path: Path) -> dict[str, list[int]]:
-    """The same with the mcap library, checksums checked, every message decoded by its schema."""
+    """Reads the numbers with the mcap library, which verifies checksums and decodes each message by its schema."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -42,37 +42,37 @@ def read_numbers_with_mcap(path: Path) -> dict[str, list[int]]:
 
 
 def read_messages(directory: Path, topics: Collection[str] = ()) -> dict[str, list[Any]]:
-    """The messages of a bag by topic, in the order of their receipt; of all topics where none are named."""
+    """Reads the messages of a bag by topic, in order of reception. topics: by default all."""
     from rosbags.highlevel import AnyReader
 
     messages = defaultdict(list)
     with AnyReader([directory]) as reader:
-        wanted = [c for c in reader.connections if not topics or c.topic in topics]
-        for connection, _, raw in reader.messages(wanted):
+        chosen = [c for c in reader.connections if not topics or c.topic in topics]
+        for connection, _, raw in reader.messages(chosen):
             messages[connection.topic].append(reader.deserialize(raw, connection.msgtype))
     return messages
 
 
-def from_where_both_heard(*known: Iterable[tuple[str, int]]) -> list[list[tuple[str, int]]]:
-    """Of what two nodes know of several publishers, as (publisher, stamp): from the stamp on at which both knew all.
+def select_common_period(*known: Iterable[tuple[str, int]]) -> list[list[tuple[str, int]]]:
+    """Messages (publisher, stamp) that two nodes received, from the stamp on at which both had found all publishers.
 
-    Nodes find each publisher in their own time, which may be after its first messages.
+    A node may discover a publisher only after its first messages.
     """
-    both = [list(one) for one in known]
-    first = max(min(stamp for name, stamp in one if name == publisher)
-                for one in both for publisher in {name for name, _ in one})
-    return [sorted(each for each in one if each[1] >= first) for one in both]
+    received = [list(messages) for messages in known]
+    first = max(min(stamp for name, stamp in messages if name == publisher)
+                for messages in received for publisher in {name for name, _ in messages})
+    return [sorted(message for message in messages if message[1] >= first) for messages in received]
 
 
-def from_where_all_heard(*topics: list[int]) -> list[list[int]]:
-    """Stamps of several topics of one node, from the one on at which a recorder had found them all."""
+def trim_to_common_start(*topics: list[int]) -> list[list[int]]:
+    """Stamps of several topics of one node, from the stamp on at which a recorder had found all of them."""
     first = max(stamps[0] for stamps in topics)
     return [[stamp for stamp in stamps if stamp >= first] for stamps in topics]
 
 
-def ticks_before(first_ns: int, zero_ns: int, rate: float = 10.0) -> int:
-    """How many predictions a recorder that found the predictor late may have missed: the ticks of its rate [Hz] since
-    the inputs began, up to the first prediction that it has."""
+def count_ticks_before(first_ns: int, zero_ns: int, rate: float = 10.0) -> int:
+    """Number of predictions that a recorder may have missed because it discovered the predictor late: ticks at `rate`
+    [Hz] from the first input (zero_ns) to the first recorded prediction (first_ns)."""
     return round((first_ns - zero_ns) * 1e-9 * rate)
 
 
@@ -86,16 +86,16 @@ def stamps(messages: list[Any]) -> list[int]:
 
 
 def health(messages: dict[str, list[Any]]) -> dict[str, list[tuple[int, int, str]]]:
-    """What each check of /diagnostics said: (stamp [ns], level, text) in order, by "node: check"."""
-    said = defaultdict(list)
+    """Messages of each check on /diagnostics by "node: check": (stamp [ns], level, text) in order."""
+    checks = defaultdict(list)
     for message in messages["/diagnostics"]:
         for status in message.status:
-            said[status.name].append((nanoseconds(message.header.stamp), status.level, status.message))
-    return said
+            checks[status.name].append((nanoseconds(message.header.stamp), status.level, status.message))
+    return checks
 
 
-def keep_topics(bag: Path, wanted: tuple[str, ...], file: Path) -> None:
-    """A copy of a recording with the topics that begin with one of `wanted`, and with what it says about itself."""
+def copy_topics(bag: Path, prefixes: tuple[str, ...], file: Path) -> None:
+    """Copies the topics that begin with one of `prefixes`, and the metadata, from a recording to a file."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
@@ -106,7 +106,7 @@ def keep_topics(bag: Path, wanted: tuple[str, ...], file: Path) -> None:
         schemas: dict[int, int] = {}
         channels: dict[int, int] = {}
         for schema, channel, message in reader.iter_messages():
-            if not channel.topic.startswith(wanted):
+            if not channel.topic.startswith(prefixes):
                 continue
             if schema.id not in schemas:
                 schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -1,4 +1,4 @@
-"""Headless Chromium, driven through its DevTools port: open a page, look at it, note what it asks for."""
+"""Headless Chromium, controlled through its DevTools port: opens a page, captures it, and lists its requests."""
 
 import asyncio
 import base64
@@ -19,18 +19,18 @@ def program() -> str | None:
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
-def _modestly() -> list[str]:
-    """Words before the command that keep it behind the nodes: as root Chromium puts itself before everybody."""
+def _priority_prefix() -> list[str]:
+    """Prefix of the command that gives Chromium a lower priority than the nodes; as root it would raise its own."""
     without = ["setpriv", "--bounding-set", "-sys_nice"] if os.geteuid() == 0 and shutil.which("setpriv") else []
     return [*without, "nice", "-n", "5"]
 
 
 class Browser:
-    """One page in a browser of its own. Use as `async with`."""
+    """A separate browser with one page. Use as `async with`."""
 
     def __init__(self, folder: Path, size: tuple[int, int] = (1600, 1000)):
         self._folder, self._size = folder, size
-        self.requested: list[str] = []  # addresses the page asked for
+        self.requested: list[str] = []  # requested addresses
         self.console: list[str] = []
         self._number = 0
         self._answers: dict[int, asyncio.Future] = {}
@@ -38,7 +38,7 @@ class Browser:
     async def __aenter__(self) -> "Browser":
         from tornado.websocket import websocket_connect
 
-        command = [*_modestly(), program(), *FLAGS, f"--window-size={self._size[0]},{self._size[1]}",
+        command = [*_priority_prefix(), program(), *FLAGS, f"--window-size={self._size[0]},{self._size[1]}",
                    f"--user-data-dir={self._folder / 'profile'}", "about:blank"]
         with (self._folder / "browser.log").open("wb") as log:
             self._process = subprocess.Popen(command, stdout=log, stderr=log)
@@ -69,8 +69,8 @@ class Browser:
     async def open(self, url: str) -> None:
         await self._call("Page.navigate", url=url)
 
-    async def look_like(self, width: int, height: int, dark: bool = False) -> None:
-        """Size of the window in pixels, a phone below 500, and the colour scheme of the device."""
+    async def emulate(self, width: int, height: int, dark: bool = False) -> None:
+        """Sets the size of the window in pixels (below 500: a phone) and the colour scheme."""
         await self._call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
                          mobile=width < 500)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}

@@ -1,7 +1,7 @@
-"""Publishes odometry and steering of a car on a circle, exactly known, so that predictions can be checked by hand.
+"""Publishes odometry and steering of a car on an exact circle, so that predictions can be verified by hand.
 
-The INS point moves on the circle at constant speed, a left turn that starts in the origin towards east. Stamps are the
-host's clock unless told otherwise. Run with --help for what can be made to go wrong.
+The INS point moves at constant speed in a left turn that starts at the origin towards east. Stamps are those of the
+host's clock unless --zero is given. --help lists the faults that can be added.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from st_msgs.msg import Steering
 from st_ros import spin
 from st_ros.polling import from_nanoseconds
 
-SETTLING = 0.5
+SETTLING_TIME = 0.5  # s
 
 
 def pose_at(t: float, radius: float, speed: float) -> tuple[float, float, float]:
@@ -45,16 +45,16 @@ def main() -> None:
     options = parse_arguments()
     rclpy.init()
     node = rclpy.create_node("feeder")
-    qos = QoSProfile(depth=1000)  # as the bridges: what UDP loses is sent again up to three seconds later
+    qos = QoSProfile(depth=1000)  # as in the bridges, for retransmission of messages that UDP has lost
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
     clock = node.create_publisher(Clock, "/clock", qos) if options.loop else None
-    wanted = {"ins/odometry": options.subscribers, "vehicle/steering": options.subscribers}
-    wanted |= {topic: int(count) for topic, _, count in (text.rpartition(":") for text in options.wait_for)}
-    while any(node.count_subscribers(topic) < count for topic, count in wanted.items()):
+    subscribers = {"ins/odometry": options.subscribers, "vehicle/steering": options.subscribers}
+    subscribers |= {topic: int(count) for topic, _, count in (text.rpartition(":") for text in options.wait_for)}
+    while any(node.count_subscribers(topic) < count for topic, count in subscribers.items()):
         time.sleep(0.02)
-    # The graph is known here a little before every publisher knows its subscribers.
-    time.sleep(SETTLING)
+    # The graph is complete here shortly before all publishers are matched with their subscribers.
+    time.sleep(SETTLING_TIME)
     zero_ns, began = options.zero or time.time_ns(), time.monotonic()
     print("feeding", zero_ns, flush=True)
     for k in range(round(options.duration * options.rate)):
@@ -94,8 +94,8 @@ def parse_arguments() -> argparse.Namespace:
     for name in ("silent-odometry", "silent-steering", "invalid-steering", "nan"):
         parser.add_argument(f"--{name}", action="append", default=[], type=numbers, metavar="FROM:UNTIL")
     parser.add_argument("--jump", action="append", default=[], type=numbers, metavar="FROM:UNTIL:BY", help="of stamps")
-    parser.add_argument("--loop", type=float, default=0.0, help="start over every so many seconds, and publish /clock")
-    parser.add_argument("--subscribers", type=int, default=1, help="begin when this many listen to each topic")
+    parser.add_argument("--loop", type=float, default=0.0, help="period of the drive [s]; also publishes /clock")
+    parser.add_argument("--subscribers", type=int, default=1, help="start when each topic has this many subscribers")
     parser.add_argument("--wait-for", action="append", default=[], metavar="TOPIC:N", help="the same for another topic")
     parser.add_argument("--zero", type=int, default=0, help="stamp of the start [ns]; 0: now")
     return parser.parse_args()

@@ -1,6 +1,6 @@
-"""Drives of a car that is the model with some effects, as sensors with noise record them; and problems made of numbers.
+"""Drives of the model itself with some effects and sensor noise, and synthetic fit problems.
 
-A plant of its own, the sealed cases and raw files are in bench/discovery and st_cli/test.
+bench/discovery has an independent plant and sealed cases.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,13 +22,13 @@ NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0
          "acceleration_y": 0.05}
 """Standard deviations of white noise, SI."""
 COLUMNS = ("velocity_y", "yaw_rate", "acceleration_y", "yaw", "position_lateral", "position_longitudinal")
-"""Of the problems made of numbers, whatever else can be measured, so that their draws stay the same."""
+"""Columns of the synthetic problems, a fixed list so that their random numbers stay the same."""
 DRIVEN = ("lane_change", "slalom", "circle")
 
 
 def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Sequence[str] = DRIVEN,
              base: str = "nonlinear", noise: float = 1.0) -> list[DriveLog]:
-    """One log for each manoeuvre of the catalogue named. effects: {name: {parameter: value}}."""
+    """One log per named manoeuvre of the catalogue. effects: {name: {parameter: value}}."""
     rng, model, logs = np.random.default_rng(seed), augment(base, effects), []
     for k, name in enumerate(names):
         log = simulate_drive(next(m for m in CATALOGUE if m.name == name), model, vehicle)
@@ -39,7 +39,7 @@ def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Seq
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What `Errors` asks of windows."""
+    """The attributes of windows that `Errors` uses."""
 
     count: int
     run: np.ndarray
@@ -56,7 +56,7 @@ class Rows:
 
 
 class LinearErrors:
-    """Errors that fall by `signatures` (p, n, m) for each typical size that a value moves, from noise at `truth`."""
+    """Errors that are linear in the parameters: noise at `truth`, plus `signatures` (p, n, m) per typical size."""
 
     def __init__(self, space: Space, truth: np.ndarray, signatures: np.ndarray, noise: np.ndarray, runs: int):
         count = len(noise)
@@ -73,9 +73,8 @@ class LinearErrors:
 
 def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int, count: int = 160, block: int = 8,
                    runs: int = 4, common: float = 0.5, size: float = 0.02, prior: np.ndarray | None = None) -> Problem:
-    """A problem whose errors are known in closed form: signatures and noise are drawn; windows of a block share a part
-    of both (`common`, of the variance). truth: {"effect": by how many typical sizes of its first parameter the car
-    differs}."""
+    """A problem with linear errors. Signatures and noise are random; windows of a block share the fraction `common` of
+    the variance of both. truth: effect -> deviation of its first parameter from null [typical sizes]."""
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
     shape = (count, len(Rows.time) * len(COLUMNS))

@@ -1,4 +1,4 @@
-"""Drives of a single-track car that is exactly what identification takes a car to be, with sensors as told."""
+"""Drives of a single-track car with the equations that identification assumes, and sensors with chosen errors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,8 +15,8 @@ STEP = 0.01
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations of white noise; misalignment: heading reported too far left; lever: the INS further forward
-    and left than the vehicle file says [m]; yaw_rate_bias [rad/s]; delay: the wheels after the reading [s].
+    """Standard deviations of white noise [SI]; misalignment: heading too far left [rad]; lever: INS further forward and
+    left than in the vehicle file [m]; yaw_rate_bias [rad/s]; delay: of the road wheels after the measured angle [s].
     """
 
     velocity: float = 0.003
@@ -39,7 +39,7 @@ def with_stiffness(vehicle: VehicleParameters, front: float, rear: float) -> Veh
 
 def drive(vehicle: VehicleParameters, speed: float, steer: Callable[[np.ndarray], np.ndarray], seconds: float = 60.0,
           *, model: str | Model = "linear", sensors: Sensors = Sensors(), seed: int = 0, name: str = "") -> DriveLog:
-    """At one speed [m/s]; steer(time) -> road-wheel angle [rad]. INS and steering at 100 Hz."""
+    """Drives at constant speed [m/s]. steer(time) -> road wheel angle [rad]. INS and steering at 100 Hz."""
     time = np.arange(0.0, seconds, STEP)
     equations = get_model(model) if isinstance(model, str) else model
     p = equations.parameters(vehicle)
@@ -69,12 +69,12 @@ def drive(vehicle: VehicleParameters, speed: float, steer: Callable[[np.ndarray]
 
 
 def weave(amplitude: float, period: float = 9.0) -> Callable[[np.ndarray], np.ndarray]:
-    """Left and right, with a slower swing in it so that no two bends are alike."""
+    """Steers left and right, with a slower modulation so that no two bends are equal."""
     return lambda t: amplitude * np.sin(2 * np.pi * t / period) * (0.75 + 0.25 * np.sin(2 * np.pi * t / 37.0))
 
 
 def steps(amplitude: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Left, straight, right, straight, 1.5 s each; the hand needs 0.15 s."""
+    """Steers left, straight, right, straight, 1.5 s each, with ramps of 0.15 s."""
     def steer(time: np.ndarray) -> np.ndarray:
         corners = np.array([0.0, 0.15, 1.5, 1.65, 3.0, 3.15, 4.5, 4.65, 6.0])
         return np.interp(time % 6.0, corners, amplitude * np.array([0.0, 1.0, 1.0, 0.0, 0.0, -1.0, -1.0, 0.0, 0.0]))
@@ -82,5 +82,5 @@ def steps(amplitude: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def straight(time: np.ndarray) -> np.ndarray:
-    """A hand that is never quite still."""
+    """Small steering motion of a driver on a straight road."""
     return 0.0008 * np.sin(1.3 * time) + 0.0005 * np.sin(0.31 * time)

@@ -1,4 +1,4 @@
-"""Drives made of numbers, as CSV files: what the tests of `st evaluate` evaluate."""
+"""Computed drives as CSV files, for the tests of `st evaluate`."""
 
 from pathlib import Path
 
@@ -12,8 +12,8 @@ COLUMNS = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
 def weave(seconds: float = 14.0, speed: float = 8.0, curvature: float = 0.03) -> np.ndarray:
     """Rows of COLUMNS at 50 Hz: a kinematic car of 2.7 m wheelbase, measured 1.524 m ahead of its rear axle.
 
-    It weaves with the given largest curvature [1/m], its speed one per cent up and down: a recorded speed never
-    stands still. Slip-free, so a kinematic model has next to no error.
+    It weaves with the given largest curvature [1/m]. Its speed varies by 1 %, as a constant one would count as frozen.
+    Without slip, so a kinematic model has almost no error.
     """
     dt, rear = 0.001, 1.524
     time = np.arange(0.0, seconds, dt)
@@ -35,7 +35,7 @@ def weave(seconds: float = 14.0, speed: float = 8.0, curvature: float = 0.03) ->
 
 
 def circle(seconds: float = 40.0, speed: float = 8.0, curvature: float = 0.03) -> np.ndarray:
-    """As `weave`, but to the left all the time."""
+    """As `weave`, but with a constant curvature to the left."""
     time = np.arange(0.0, seconds, 0.02)
     beta = np.arctan(1.524 * curvature)
     speed = speed * (1.0 + 0.01 * np.sin(2 * np.pi * time / 5.0))
@@ -54,7 +54,7 @@ def write_drive(path: Path, rows: np.ndarray) -> Path:
 
 
 def write_vehicle(path: Path, leaf: Path) -> Path:
-    """The Leaf with its INS at the CG, which is where the drives are measured."""
+    """Writes a vehicle file of the Leaf with the INS at the CG, the point of the drives."""
     text = leaf.read_text().replace("cg_to_ins_x: {value: -0.398", "cg_to_ins_x: {value: 0.0")
     path.write_text(text)
     return path

@@ -1,9 +1,9 @@
-"""A drive in closed form: speed and yaw rate are sums of sines, positions their integrals, exact but for rounding.
+"""A drive in closed form: speed and yaw rate are sums of sines, positions their integrals, exact except for rounding.
 
     v(t) = v0 + sum A sin(w t),    r(t) = r0 + sum B sin(w t),    yaw = integral of r
     v_y = (d - s v^2) r            d: INS point ahead of the rear axle, s: slip of the rear axle
-    (x, y) = integral of R(yaw) (v, v_y)          by Gauss and Legendre, six nodes a sample
-    steering(t) = atan(L r / v) at t + tau        tau: by which this car answers its steering late
+    (x, y) = integral of R(yaw) (v, v_y)          by Gauss-Legendre quadrature, six nodes per sample
+    steering(t) = atan(L r / v) at t + tau        tau: lag of the car behind its steering
 """
 
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ TURNING = Sines(0.02, ((0.16, 23.0, 0.0), (0.07, 6.1, 0.7), (0.03, 2.3, 2.0)))
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of white noise, as a good INS has them [SI]."""
+    """Standard deviations of the white noise of a good INS [SI]."""
 
     position: float = 0.003
     yaw: float = 0.0005
@@ -56,7 +56,7 @@ SILENT = Noise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def exact_drive(car: VehicleParameters, seconds: float = 60.0, *, rate: float = 100.0, speed: Sines = SPEED,
                 turning: Sines = TURNING, noise: Noise = Noise(), seed: int = 0) -> DriveLog:
-    """Both INS and steering at `rate` [1/s], steering half a sample later."""
+    """INS and steering at `rate` [Hz], steering half a sample later."""
     time = np.arange(0.0, seconds, 1.0 / rate)
     ahead = car.cg_to_rear_axle + car.cg_to_ins_x
     slip = car.mass * car.cg_to_front_axle / (car.wheelbase * car.cornering_stiffness_rear)
@@ -88,7 +88,7 @@ def exact_drive(car: VehicleParameters, seconds: float = 60.0, *, rate: float = 
 
 
 def late(log: DriveLog, seconds: float, *channels: str) -> DriveLog:
-    """These INS channels say what was true so long before, at even stamps of whole samples; steering: its stamps."""
+    """Delays INS channels by a whole number of samples, or the stamps of the steering [s]."""
     if channels == ("road_wheel_angle",):
         return replace(log, steering_time_ns=log.steering_time_ns + round(seconds * 1e9))
     rows = round(seconds / (float(np.median(np.diff(log.ins_time_ns))) * 1e-9))

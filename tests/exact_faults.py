@@ -1,4 +1,4 @@
-"""Faults put into a recorded drive, and the cures that a finding proposes, applied as a run.yaml would be."""
+"""Faults of a recorded drive, and the corrections that a finding proposes, applied as by a run.yaml."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -11,8 +11,7 @@ from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
 Fault = Callable[[DriveLog], DriveLog]
-COUNTS = {"ms": 10**3, "us": 10**6}
-"""Of each unit of time in a second."""
+UNITS_PER_SECOND = {"ms": 10**3, "us": 10**6}
 
 
 def times(factor: float, *channels: str) -> Fault:
@@ -28,12 +27,12 @@ def delayed(seconds: float, *channels: str) -> Fault:
 
 
 def steered(factor: float, offset: float = 0.0) -> Fault:
-    """Of a recording that holds the road wheel angle alone."""
+    """Changes the steering of a recording that contains only the road wheel angle."""
     return lambda log: replace(log, road_wheel_angle=factor * log.road_wheel_angle + offset, steering_wheel_angle=None)
 
 
 def wheel_turned(angle: float) -> Fault:
-    """The steering wheel reads so much too far left; the road wheel angle is made of it with the ratio of the file."""
+    """Offset of the steering wheel angle, + to the left [rad]; the road wheel angle is computed from it."""
     return lambda log: replace(log, steering_wheel_angle=log.steering_wheel_angle + angle)
 
 
@@ -42,12 +41,12 @@ def point_of_positions(ahead: float) -> Fault:
 
 
 def mounted(ahead: float) -> Fault:
-    """The whole INS, so much further forward."""
+    """Moves the INS forward [m]."""
     return lambda log: replace(point_of_positions(ahead)(log), velocity_y=log.velocity_y + ahead * log.yaw_rate)
 
 
 def askew(angle: float) -> Fault:
-    """The whole INS, turned to the left."""
+    """Rotates the INS to the left [rad]."""
     def turned(log: DriveLog) -> DriveLog:
         parts = {"yaw": log.yaw + angle}
         for kind in ("velocity", "acceleration"):
@@ -58,7 +57,7 @@ def askew(angle: float) -> Fault:
 
 
 def compass(size: float = 1.0) -> Fault:
-    """Heading from north, clockwise."""
+    """Replaces yaw by a heading from north, clockwise."""
     return lambda log: replace(log, yaw=size * (0.5 * np.pi - log.yaw))
 
 
@@ -67,18 +66,18 @@ def exchanged(sign: float = 1.0) -> Fault:
 
 
 def counted(per_second: int) -> Fault:
-    """Stamps in a smaller unit, read as seconds."""
+    """Stamps in a smaller unit that were read as seconds."""
     def faster(time: np.ndarray) -> np.ndarray:
         return time[0] + (time - time[0]) * per_second
     return lambda log: replace(log, ins_time_ns=faster(log.ins_time_ns), steering_time_ns=faster(log.steering_time_ns))
 
 
-def cured(log: DriveLog, entry: Mapping[str, Any], car: VehicleParameters) -> DriveLog:
-    """The drive read again with a run.yaml that holds `entry`: first columns, then units, then corrections."""
+def corrected_drive(log: DriveLog, entry: Mapping[str, Any], car: VehicleParameters) -> DriveLog:
+    """The drive as read with the entry of a run.yaml: first columns, then units, then corrections."""
     assert set(entry) <= {"columns", "units", "correct", "leave_out"} and set(entry.get("units", ())) <= {"t"}
     log = replace(log, **{name: getattr(log, column) for name, column in entry.get("columns", {}).items()})
     if "units" in entry:
-        count, start = COUNTS[entry["units"]["t"]], log.ins_time_ns[0]
+        count, start = UNITS_PER_SECOND[entry["units"]["t"]], log.ins_time_ns[0]
         log = replace(log, **{name: start + (getattr(log, name) - start) // count
                               for name in ("ins_time_ns", "steering_time_ns")})
     corrections = {channel: Correction(**fields) for channel, fields in entry.get("correct", {}).items()}

@@ -1,5 +1,4 @@
-"""Experiment tables of a car whose parameters are known: what `st identify` has to find again, with noise as one "
-"meets it."""
+"""Experiment tables with realistic noise of a car with known parameters, which `st identify` has to recover."""
 
 import sys
 from pathlib import Path
@@ -21,7 +20,7 @@ TYRE_STIFFNESS = 20000.0  # kg/m, of one tyre
 
 
 def weighings(car: VehicleParameters, seed: int, count: int = 3) -> Weighings:
-    """Four scales; the left side carries a little more, the driver."""
+    """Four scales; the driver loads the left side slightly more."""
     random = np.random.default_rng(seed)
     share = car.cg_to_front_axle / car.wheelbase
     true = car.mass * np.array([0.51 * (1 - share), 0.49 * (1 - share), 0.51 * share, 0.49 * share])
@@ -31,7 +30,7 @@ def weighings(car: VehicleParameters, seed: int, count: int = 3) -> Weighings:
 
 
 def axle_lift(car: VehicleParameters, seed: int, lifts: int = 2) -> Lift:
-    """Front axle lifted in steps; exact statics, rear tyres that give way, scales and inclinometer with noise."""
+    """Front axle lifted in steps; exact statics with elastic rear tyres, noise of scales and inclinometer."""
     random = np.random.default_rng(seed)
     pitch = np.tile(np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 15.0]), lifts)
     share = car.cg_to_front_axle / car.wheelbase
@@ -47,8 +46,7 @@ def axle_lift(car: VehicleParameters, seed: int, lifts: int = 2) -> Lift:
 
 
 def turntable(car: VehicleParameters, seed: int) -> Turntable:
-    """There and back in steps of 45 deg; wheels by Ackermann, tables with an error of their zero, play between "
-    "sweeps."""
+    """Sweep forth and back in steps of 45 deg; Ackermann steering, zero error of the tables, play between sweeps."""
     random = np.random.default_rng(seed)
     half = np.radians(np.arange(-540.0, 541.0, 45.0))
     steering = np.concatenate([half, half[::-1]])
@@ -59,10 +57,10 @@ def turntable(car: VehicleParameters, seed: int) -> Turntable:
                              + random.normal(0.0, TABLE_NOISE, len(steering))) / np.radians(0.1)) * np.radians(0.1)
                    for sign in (1.0, -1.0))
     noisy = np.round((steering + random.normal(0.0, np.radians(1.0), len(steering))) / STEERING_STEP) * STEERING_STEP
-    # The steering wheel is never exactly at its mark, and the log says where it was.
+    # The steering wheel is never exactly at its mark; the logged angle is its actual one.
     true_mean = noisy / car.steering_ratio - mean
-    return Turntable(noisy, left + true_mean, right + true_mean, ("to the left",) * len(half) + ("to the "
-                                                                                                 "right",) * len(half))
+    return Turntable(noisy, left + true_mean, right + true_mean,
+                     ("to the left",) * len(half) + ("to the right",) * len(half))
 
 
 def flat_plank(car: VehicleParameters, tyre: str, seed: int) -> FlatPlank:
@@ -75,7 +73,7 @@ def flat_plank(car: VehicleParameters, tyre: str, seed: int) -> FlatPlank:
 
 
 def write_tables(car: VehicleParameters, folder: Path, seed: int = 2) -> dict[str, Path]:
-    """The four tables as CSV files, in the form `st identify` reads."""
+    """Writes the four tables as CSV files for `st identify`."""
     folder.mkdir(parents=True, exist_ok=True)
     w, lift, table = weighings(car, seed), axle_lift(car, seed), turntable(car, seed)
     planks = [flat_plank(car, tyre, seed) for tyre in ("tyre_front", "tyre_rear")]

@@ -1,4 +1,4 @@
-"""A running oxts_bridge, a unit that sends to it over real UDP, and everything it publishes over real DDS."""
+"""A running oxts_bridge, a simulated unit that sends to it over UDP, and the messages it publishes over DDS."""
 
 import os
 import signal
@@ -60,7 +60,7 @@ def stamp_ms(message) -> float:
 
 
 class Rig:
-    """A running node, a unit that sends to it, and everything it has published so far."""
+    """A running node, a unit that sends to it, and the messages published so far."""
 
     def __init__(self, port, parameters, log_folder):
         self.port = port
@@ -85,9 +85,9 @@ class Rig:
         return True
 
     def wait_connected(self):
-        """Until both sides have found each other: what is sent from now on is seen."""
+        """Waits until node and test have discovered each other, so that no later message is lost."""
         assert self.spin(lambda: self.node.count_publishers("ins/odometry")), self.process.poll()
-        self.spin(lambda: False, 0.7)  # the node's side of the match cannot be asked from here
+        self.spin(lambda: False, 0.7)  # whether the node has matched its subscribers is not visible here
 
     def send(self, *packets):
         for packet in packets:

@@ -1,4 +1,4 @@
-"""Drives of the virtual Leaf as raw files, run.ncom and run.log, as its INS and CAN logger would have written them."""
+"""Drives of the virtual Leaf as files of its INS and CAN logger, run.ncom and run.log."""
 
 import contextlib
 import io
@@ -10,23 +10,23 @@ from st_sim.run import main
 from support import ROOT
 
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
-# What each run is driven for: content in frequency, forces along the car, both directions.
+# The runs provide high frequencies, longitudinal forces, and turns to both sides.
 PROGRAMME = (("sweep", 26.0), ("brake_in_turn", 20.0), ("lane_change", 18.0))
 
 
 def write_drives(folder: Path, effects: Mapping[str, float], seed: int,
                  programme: Sequence[tuple[str, float]] = PROGRAMME, plant: str = "realistic") -> Path:
-    """One run for each (scenario, seconds), in folder/<scenario>/; the seeds count on from `seed`."""
+    """Writes one run per (scenario, seconds) to folder/<scenario>/, with consecutive seeds from `seed` on."""
     for number, (scenario, seconds) in enumerate(programme):
         words = ["--vehicle", str(LEAF), "--scenario", scenario, "--duration", str(seconds), "--plant", plant, "--seed",
                  str(seed + number), "--to-files", str(folder / Path(scenario).stem)]
         words += [word for name, value in effects.items() for word in ("--effect", f"{name}={value}")]
-        said, wrong = io.StringIO(), io.StringIO()
-        # The command takes Ctrl-C for itself, and would keep it.
+        output, errors = io.StringIO(), io.StringIO()
+        # The command installs signal handlers and does not restore the previous ones.
         before = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             status = main(words)
         for kind, handler in before.items():
             signal.signal(kind, handler)
-        assert status == 0, wrong.getvalue()
+        assert status == 0, errors.getvalue()
     return folder

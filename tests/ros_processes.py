@@ -1,4 +1,4 @@
-"""Nodes as processes of their own, on a ROS domain of their own, ended by their own handles."""
+"""Runs nodes as processes on a separate ROS domain, and ends them by their own handles."""
 
 import os
 import random
@@ -23,9 +23,9 @@ def executable(package: str, name: str) -> str:
 
 
 def free_domain() -> int:
-    """A ROS domain that nobody on this machine uses: the discovery port of its first participant can be bound."""
+    """A ROS domain without participants on this machine: the discovery port of its first participant is free."""
     domains = list(range(1, 101))
-    random.shuffle(domains)  # two test runs that look at the same moment shall not find the same one
+    random.shuffle(domains)  # so that two simultaneous test runs do not choose the same one
     for domain in domains:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -48,14 +48,14 @@ class Processes:
         self._running: list[subprocess.Popen] = []
 
     def start(self, command: list[str], name: str) -> subprocess.Popen:
-        """Runs in the root of the repository; output goes to NAME.log."""
+        """Starts a process in the root of the repository; its output is written to NAME.log."""
         with (self.folder / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=self.environment, cwd=ROOT)
         self._running.append(process)
         return process
 
     def node(self, package: str, name: str, *parameters: str, arguments: tuple[str, ...] = ()) -> subprocess.Popen:
-        """A node by its console script. parameters: "name:=value"; arguments: further ROS arguments."""
+        """Starts a node by its console script. parameters: "name:=value"; arguments: further ROS arguments."""
         words = [word for p in parameters for word in ("-p", p)]
         return self.start([executable(package, name), "--ros-args", *arguments, *words], name)
 

@@ -1,4 +1,4 @@
-"""What several tests share: where the reference data lie, and free ports and ROS domains."""
+"""Paths of the project and of the reference data, shared by the tests."""
 
 import os
 from pathlib import Path
@@ -12,15 +12,15 @@ SETS = ("kept", "whole")
 
 
 def shared(relative: str) -> Path:
-    """A path inside the reference data beside the checkout (or in $ST_SHARED); skips the test where there are none."""
+    """A path in the reference data next to the checkout or in $ST_SHARED; skips the test if it does not exist."""
     base = Path(os.environ.get("ST_SHARED", ROOT.parent / "shared"))
     path = base / relative
     if not path.exists():
         folder = relative.partition("/")[0]
-        pytest.skip(f"reference data not found: {path} (set ST_SHARED to the folder that holds {folder}/)")
+        pytest.skip(f"reference data not found: {path} (set ST_SHARED to the folder that contains {folder}/)")
     return path
 
 
 def vectors(which: str, relative: str) -> Path:
-    """A path inside the NCOM and CAN vectors: the part "kept" in tests/golden/data, or the "whole" set by `shared`."""
+    """A path in the NCOM and CAN vectors: the excerpt ("kept") in tests/golden/data, or the complete set ("whole")."""
     return KEPT / relative if which == "kept" else shared(f"vectors/{relative}")

@@ -1,7 +1,8 @@
 """Publishes odometry and steering of a drive on a winding road as fast as the node identifier takes them.
 
-Stamps are those of the drive. The car of the vehicle file has an offset, a ratio and a stiffness of its own. What the
-node says it has taken is waited for, so that a busy machine loses nothing; if it stops taking, the feeder says so.
+Stamps are those of the drive. Steering offset, steering ratio and stiffnesses differ from the vehicle file. The feeder
+waits for the duration that the node reports as processed, so that no message is lost on a busy machine, and ends with
+an error if the node stops processing.
 """
 
 import argparse
@@ -20,8 +21,8 @@ from st_ros import spin
 from st_ros.polling import from_nanoseconds
 from winding_road import Truth, winding_road
 
-SIGNAL_TIMEOUT = 30.0  # s without anything taken
-AHEAD = 6.0  # s of driving the node may be behind; its queues hold ten
+PROGRESS_TIMEOUT = 30.0  # s without progress of the node
+MAX_BACKLOG = 6.0  # s of driving that the node may lag behind; its queues hold 10 s
 
 
 def main() -> None:
@@ -34,13 +35,13 @@ def main() -> None:
     qos = QoSProfile(depth=1000)
     ins = node.create_publisher(Odometry, "ins/odometry", qos)
     steering = node.create_publisher(Steering, "vehicle/steering", qos)
-    heard = Heard(node)
-    while not (heard.anything and listened_to(node, ins) and listened_to(node, steering)):
+    progress = Progress(node)
+    while not (progress.received and is_subscribed(node, ins) and is_subscribed(node, steering)):
         rclpy.spin_once(node, timeout_sec=0.1)
     zero = time.time_ns()
     print("feeding", flush=True)
     for t, x, y, yaw, v_x, v_y, rate, angle in drive.tolist():
-        heard.wait_for(t - AHEAD)
+        progress.wait_for(t - MAX_BACKLOG)
         message = Odometry(child_frame_id="ins_link")
         message.header.stamp, message.header.frame_id = from_nanoseconds(zero + round(t * 1e9)), "map"
         position, orientation = message.pose.pose.position, message.pose.pose.orientation
@@ -52,37 +53,38 @@ def main() -> None:
         measured = Steering(steering_wheel_angle=angle, road_wheel_angle=car.road_wheel_angle(angle), valid=True)
         measured.header.stamp = message.header.stamp
         steering.publish(measured)
-    heard.wait_for(options.seconds - 1.0)
+    progress.wait_for(options.seconds - 1.0)
     spin.flush(node)
     node.destroy_node()
     rclpy.shutdown()
 
 
-class Heard:
-    """How much driving the identifier says it has taken; its last word is latched, so it comes before any driving."""
+class Progress:
+    """Duration of driving that the identifier reports as processed. The topic is latched, so one message arrives before
+    the drive starts."""
 
     def __init__(self, node: Node) -> None:
-        self._node, self.anything, self._taken = node, False, 0.0
+        self._node, self.received, self._processed = node, False, 0.0
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(TrackedParameters, "identifier/parameters", self._note, latched)
+        node.create_subscription(TrackedParameters, "identifier/parameters", self._update, latched)
 
-    def _note(self, message: TrackedParameters) -> None:
-        self.anything, self._taken = True, message.seconds_used + message.seconds_rejected
+    def _update(self, message: TrackedParameters) -> None:
+        self.received, self._processed = True, message.seconds_used + message.seconds_rejected
 
     def wait_for(self, seconds: float) -> None:
-        before, since = self._taken, time.monotonic()
-        while self._taken < seconds:
+        last, since = self._processed, time.monotonic()
+        while self._processed < seconds:
             rclpy.spin_once(self._node, timeout_sec=1.0)
-            if self._taken > before:
-                before, since = self._taken, time.monotonic()
-            if time.monotonic() - since > SIGNAL_TIMEOUT:
-                raise SystemExit(f"identifier has taken {self._taken:.1f} s, waited for {seconds:.1f} s")
+            if self._processed > last:
+                last, since = self._processed, time.monotonic()
+            if time.monotonic() - since > PROGRESS_TIMEOUT:
+                raise SystemExit(f"the identifier has processed {self._processed:.1f} s, expected {seconds:.1f} s")
 
 
-def listened_to(node: Node, publisher: Publisher) -> bool:
-    """Whether the identifier and everybody else known to want the topic is matched: samples before that are lost."""
+def is_subscribed(node: Node, publisher: Publisher) -> bool:
+    """Whether the identifier and all other subscribers are matched with the publisher; earlier samples are lost."""
     readers = node.get_subscriptions_info_by_topic(publisher.topic_name)
-    return any(one.node_name == "identifier" for one in readers) and publisher.get_subscription_count() >= len(readers)
+    return "identifier" in {r.node_name for r in readers} and publisher.get_subscription_count() >= len(readers)
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -1,4 +1,4 @@
-"""A winding road driven by the paper's linear car with other steering and tyres than the vehicle file says."""
+"""A winding road driven by the paper's linear model with steering and tyres that differ from the vehicle file."""
 
 from dataclasses import dataclass, replace
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import keep_topics
+from bags import copy_topics
 from support import ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -37,7 +37,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def raw(everything: Path) -> Path:
     folder = everything.parent / "raw"
     folder.mkdir()
-    keep_topics(everything / "bag", RAW + SAID, folder / "bag.mcap")
+    copy_topics(everything / "bag", RAW + SAID, folder / "bag.mcap")
     (folder / "errors").symlink_to(everything / "errors")
     return folder / "bag.mcap"
 
@@ -75,7 +75,7 @@ def test_the_report_is_the_same(everything: Path, raw: Path, tmp_path: Path) -> 
 
 
 def test_what_was_made_again_is_not_played(everything: Path, tmp_path: Path) -> None:
-    keep_topics(everything / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
+    copy_topics(everything / "bag", ("/can/frames", "/ins/odometry"), tmp_path / "frames.mcap")
     done = st("replay", tmp_path / "frames.mcap", "--output", tmp_path / "run")
     assert done.returncode == 2
     assert "cannot be played: no st_msgs/msg/Steering" in done.stderr

@@ -68,7 +68,7 @@ async def watch(demo: subprocess.Popen, url: str, folder: Path) -> tuple[dict, B
         await until(browser, "typeof picture !== 'undefined' && Number.isFinite(picture.age())")
         await browser.evaluate(AGES)
         for size in SIZES:
-            await browser.look_like(*size, dark=size[0] == 1024)
+            await browser.emulate(*size, dark=size[0] == 1024)
             before, begin = await browser.evaluate("picture.drawn"), time.monotonic()
             await asyncio.sleep(WATCH)
             after, seconds = await browser.evaluate("picture.drawn"), time.monotonic() - begin

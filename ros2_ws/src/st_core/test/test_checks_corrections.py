@@ -12,8 +12,8 @@ from exact_drive import Sines, exact_drive
 from exact_faults import (
     askew,
     compass,
+    corrected_drive,
     counted,
-    cured,
     delayed,
     exchanged,
     mounted,
@@ -123,7 +123,7 @@ def test_a_fault_is_measured_and_its_cure_removes_it(log, leaf, name, value, fau
     assert high - low < 0.35 * abs(value)
     advice = found[name].advice
     assert advice.kind == "run.yaml" and same_to_print(yaml.safe_load(advice.line), advice.entry)
-    assert findings(cured(wrong, advice.entry, leaf), leaf) == {}
+    assert findings(corrected_drive(wrong, advice.entry, leaf), leaf) == {}
 
 
 @pytest.mark.parametrize(("name", "fault"), FORMS)
@@ -133,7 +133,7 @@ def test_a_wrong_form_is_an_error_and_its_cure_removes_it(log, leaf, name, fault
     assert list(found) == [name] and found[name].severity is Severity.ERROR
     advice = found[name].advice
     assert same_to_print(yaml.safe_load(advice.line.replace("  # and ", "\n")), advice.entry)
-    assert findings(cured(wrong, advice.entry, leaf), leaf) == {}
+    assert findings(corrected_drive(wrong, advice.entry, leaf), leaf) == {}
 
 
 def of_map(log):
@@ -192,7 +192,7 @@ def test_latitude_and_longitude_decide_that_yaw_and_yaw_rate_count_clockwise(log
     wrong = replace(compass()(log), yaw_rate=-log.yaw_rate)
     (found,) = check(wrong, leaf, known).findings
     assert found.name == "yaw_convention" and same_to_print(yaml.safe_load(found.advice.line), found.advice.entry)
-    assert check(cured(wrong, found.advice.entry, leaf), leaf, known).findings == ()
+    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, known).findings == ()
 
 
 def test_a_longitude_that_counts_west_is_no_compass_heading(log, leaf):
@@ -200,7 +200,7 @@ def test_a_longitude_that_counts_west_is_no_compass_heading(log, leaf):
     wrong = replace(log, x=-log.x)
     (found,) = check(wrong, leaf, known).findings
     assert found.name == "position_axes" and found.advice.entry == {"correct": {"x": {"scale": -1.0}}}
-    assert check(cured(wrong, found.advice.entry, leaf), leaf, known).findings == ()
+    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, known).findings == ()
 
 
 @pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])
@@ -209,7 +209,7 @@ def test_wheels_decide_between_positions_and_velocity(log, leaf, channels, name,
     wheels = AuxiliaryData(wheel_speed=Series(log.ins_time_ns, log.velocity_x))
     (found,) = check(times(factor, *channels)(log), leaf, wheels).findings
     assert found.name == name and found.interval[0] <= factor <= found.interval[1]
-    assert check(cured(times(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
+    assert check(corrected_drive(times(factor, *channels)(log), found.advice.entry, leaf), leaf, wheels).findings == ()
 
 
 @pytest.mark.parametrize("angle", [0.5, -0.7])
@@ -233,7 +233,7 @@ def test_road_wheels_that_are_not_straight_are_cured_in_the_run(log, leaf, facto
         assert one.advice.kind == "run.yaml" and same_to_print(yaml.safe_load(one.advice.line), one.advice.entry)
         entry |= one.advice.entry["correct"]["road_wheel_angle"]
     assert entry["add"] == pytest.approx(-angle, abs=0.002)
-    assert findings(cured(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
+    assert findings(corrected_drive(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
 
 
 @pytest.mark.parametrize("ahead", [1.5, -0.8])
@@ -260,7 +260,7 @@ def test_two_faults_are_two_findings_and_their_cures_go_together(log, leaf, firs
     for one in found.values():
         for channel, fields in one.advice.entry["correct"].items():
             entry.setdefault(channel, {}).update(fields)
-    assert findings(cured(wrong, {"correct": entry}, leaf), leaf) == {}
+    assert findings(corrected_drive(wrong, {"correct": entry}, leaf), leaf) == {}
 
 
 @pytest.mark.parametrize(("name", "fault", "least"), [

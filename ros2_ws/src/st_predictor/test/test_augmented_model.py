@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from bags import from_where_all_heard, health, nanoseconds, read_messages, stamps
+from bags import health, nanoseconds, read_messages, stamps, trim_to_common_start
 from circle_feeder import pose_at
 from ros_processes import Processes, wait_for
 from scipy.optimize import fsolve
@@ -81,7 +81,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_each_tick_carries_four_predictions_and_paths(run: Run) -> None:
-    ticks, *others = from_where_all_heard(
+    ticks, *others = trim_to_common_start(
         *(stamps(run.messages[f"/predictor/{model}/{kind}"]) for model in MODELS for kind in ("prediction", "path")))
     assert len(ticks) > FEWEST
     assert all(other == ticks for other in others)

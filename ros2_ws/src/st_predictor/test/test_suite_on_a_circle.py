@@ -17,13 +17,13 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import (
-    from_where_all_heard,
-    from_where_both_heard,
+    count_ticks_before,
     health,
     nanoseconds,
     read_messages,
+    select_common_period,
     stamps,
-    ticks_before,
+    trim_to_common_start,
 )
 from circle_feeder import pose_at
 from mcap.reader import make_reader
@@ -85,12 +85,12 @@ def test_all_end_with_status_zero_and_closed_files(run: Run) -> None:
 
 def test_each_tick_carries_three_predictions_and_paths(run: Run) -> None:
     """From the tick at which the recorder has discovered all six publishers, possibly after the first."""
-    ticks, *others = from_where_all_heard(
+    ticks, *others = trim_to_common_start(
         *(stamps(run.messages[f"/predictor/{m}/{kind}"]) for m in MODELS for kind in ("prediction", "path")))
     assert all(other == ticks for other in others)
     assert len(set(ticks)) == len(ticks) > FEWEST
     status = run.messages["/predictor/status"][-1]
-    assert 0 <= status.predicted - len(ticks) <= ticks_before(ticks[0], run.zero_ns)
+    assert 0 <= status.predicted - len(ticks) <= count_ticks_before(ticks[0], run.zero_ns)
     assert status.due == status.predicted + status.skipped_stale + status.skipped_overrun + status.skipped_slow
 
 
@@ -176,7 +176,7 @@ def test_every_prediction_is_scored_twice(run: Run) -> None:
     for mode in ("forecast", "hindsight"):
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in run.errors["/evaluator/errors"] if e.mode == mode]
         assert len(scored) == len(set(scored)) > FEWEST * len(MODELS)
-        there, here = from_where_both_heard(scored, predicted)
+        there, here = select_common_period(scored, predicted)
         assert there == here
     last_ns = max(nanoseconds(m.header.stamp) for m in run.messages["/ins/odometry"])
     for error in run.errors["/evaluator/errors"]:

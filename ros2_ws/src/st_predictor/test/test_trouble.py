@@ -16,13 +16,13 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from bags import (
-    from_where_all_heard,
-    from_where_both_heard,
+    count_ticks_before,
     health,
     nanoseconds,
     read_messages,
+    select_common_period,
     stamps,
-    ticks_before,
+    trim_to_common_start,
 )
 from ros_processes import Processes, executable, wait_for
 from support import ROOT
@@ -99,7 +99,7 @@ def test_skipped_ticks_are_counted(troubled: dict[str, Any]) -> None:
     assert last.skipped_stale > 30
     assert last.due == last.predicted + last.skipped_stale + last.skipped_overrun + last.skipped_slow
     got = stamps(troubled["messages"]["/predictor/nonlinear/prediction"])
-    assert 0 <= last.predicted - len(got) <= ticks_before(got[0], troubled["zero_ns"])
+    assert 0 <= last.predicted - len(got) <= count_ticks_before(got[0], troubled["zero_ns"])
     reasons = {m.reason for m in troubled["messages"]["/predictor/status"]}
     assert any("steering" in reason for reason in reasons)
 
@@ -129,7 +129,7 @@ def test_predictions_waiting_when_time_jumps_back_end_incomplete(troubled: dict[
     predicted = [(m, stamp) for m in MODELS for stamp in stamps(messages[f"/predictor/{m}/prediction"])]
     for mode in ("forecast", "hindsight"):
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in messages["/evaluator/errors"] if e.mode == mode]
-        there, here = from_where_both_heard(scored, predicted)
+        there, here = select_common_period(scored, predicted)
         assert there == here
         assert here[0][1] < troubled["zero_ns"] + 5 * 10**9  # before the first fault
 
@@ -173,7 +173,7 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     status = messages["/predictor/status"][-1]
     assert status.skipped_overrun > status.predicted > 0
     assert status.due == status.predicted + status.skipped_overrun + status.skipped_stale + status.skipped_slow
-    ticks, others = from_where_all_heard(
+    ticks, others = trim_to_common_start(
         *(stamps(messages[f"/predictor/{model}/prediction"]) for model in ("nonlinear", "kinematic")))
     assert ticks == sorted(set(ticks)) == others
     warnings = {name: [text for _, level, text in output if level == WARN] for name, output in health(messages).items()}
