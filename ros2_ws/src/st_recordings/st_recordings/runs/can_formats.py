@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,11 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
-    position: number of the last line that was read. last: its text. `unread`: makes a line the next one.
+    position: number of the last line that was read. last: its text. `unread`: makes a line the next one. header: line
+    for a reader that starts again after an unreadable line, if it parses a header first.
     """
+
+    header = ""
 
     def __init__(self, file: Path):
         self._unread: list[str] = []
@@ -86,35 +90,31 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _make_text_reader(make: Callable[[Lines, list[str]], Any], lines_type: type[Lines] = Lines, restart: str = ""
-                      ) -> Callable[[Path, list[str]], Iterator[Any]]:
-    """Makes a reader of a text format that skips lines which python-can cannot read.
+def _read_text(file: Path, notes: list[str], make: Callable[[Lines, list[str]], Any], lines_type: type[Lines] = Lines
+               ) -> Iterator[Any]:
+    """Yields the messages of a text format and skips lines that python-can cannot read.
 
-    make: makes the python-can reader from the lines and the notes. restart: line to insert after an unreadable line,
-    because python-can parses a header when it starts again.
+    make: makes the python-can reader from the lines and the notes.
     """
-    def messages(file: Path, notes: list[str]) -> Iterator[Any]:
-        bad = list[int]()
-        with closing(lines_type(file)) as lines:
-            reader = make(lines, notes)
-            remaining = iter(reader)
-            while True:
-                try:
-                    yield next(remaining)
-                except StopIteration:
-                    break
-                except Exception:  # any, from int() or indexing in python-can
-                    if bad and bad[-1] == lines.position:
-                        break  # no progress: the file ends within its header
-                    bad.append(lines.position)
-                    if restart:
-                        lines.unread(restart)
-                    remaining = iter(reader)
-            if bad:
-                notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read and were skipped; "
-                             f"the first is line {bad[0]}")
-
-    return messages
+    bad: list[int] = []
+    with closing(lines_type(file)) as lines:
+        reader = make(lines, notes)
+        remaining = iter(reader)
+        while True:
+            try:
+                yield next(remaining)
+            except StopIteration:
+                break
+            except Exception:  # any, from int() or indexing in python-can
+                if bad and bad[-1] == lines.position:
+                    break  # no progress: the file ends within its header
+                bad.append(lines.position)
+                if lines.header:
+                    lines.unread(lines.header)
+                remaining = iter(reader)
+        if bad:
+            notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read and were skipped; "
+                         f"the first is line {bad[0]}")
 
 
 def month_number(name: str) -> int | None:
@@ -163,6 +163,7 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
 
 
 class _AscLines(Lines):
+    header = "\n"
     _are_relative, _seconds = False, 0.0  # whether times count from the previous line; last time since the start
 
     def convert(self, line: str) -> str:
@@ -258,10 +259,11 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump, _make_text_reader(_read_candump, _CandumpLines)),
-    Format("Vector ASC", (".asc",), _is_asc, _make_text_reader(_read_asc, _AscLines, "\n")),
+    Format("candump", (".log", ".candump"), _is_candump,
+           partial(_read_text, make=_read_candump, lines_type=_CandumpLines)),
+    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
-    Format("PEAK trace", (".trc",), _is_trc, _make_text_reader(_read_trc)),
+    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make=_read_trc)),
 )
 SHARED_EXTENSIONS = (".log", ".txt", "")
 """Extensions that CAN logs share with files of other programs."""
