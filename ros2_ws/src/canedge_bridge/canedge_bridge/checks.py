@@ -57,6 +57,7 @@ class ChecksumSpec(CheckSpec):
     rule: Callable[[Sequence[Any], int], Any]
 
     def compute(self, data: Data, arbitration_id: int) -> Any:
+        """The correct checksum; the one in `data` is ignored."""
         content = list(data)
         content[self.field.lowest] = content[self.field.lowest] & (0xFF ^ self.field.mask << self.field.shift)
         return self.rule(content, arbitration_id)

@@ -103,8 +103,9 @@ class Extractor:
     @classmethod
     def of(cls, message: DbcMessage, signal: DbcSignal) -> "Extractor":
         is_float = signal.conversion.is_float
-        return cls(signal, Field.of(signal), (1 << signal.length - 1) * (signal.is_signed and not is_float),
-                   signal.length // 8 * is_float, signal.scale, signal.offset, tuple(_find_selectors(message, signal)))
+        sign = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
+        return cls(signal, Field.of(signal), sign, signal.length // 8 if is_float else 0, signal.scale, signal.offset,
+                   tuple(_find_selectors(message, signal)))
 
     def is_sent(self, data: Data) -> Any:
         """Whether the signal is in the frame; True, not an array, for a signal that is not multiplexed."""

@@ -81,8 +81,8 @@ def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray
     last_possible = np.maximum.accumulate(np.where(possible, frames, -1))
     accepted = -1
     for frame in np.flatnonzero(in_range & ~possible).tolist():  # a jump, or no previous frame to compare with
-        earlier = {max(accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1} - {-1}
-        references = [(int(time_ns[k]), float(physical[k])) for k in earlier]
+        earlier = (max(accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1)
+        references = [(int(time_ns[k]), float(physical[k])) for k in earlier if k >= 0]
         if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
             possible[frame], accepted = True, frame
     bad = np.concatenate(([0], np.cumsum(~possible)))
