@@ -25,14 +25,13 @@ SEMI_MAJOR_AXIS = 6_378_137.0  # m
 FLATTENING = 1 / 298.257223563
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 
-
 # For single values, the functions of `math` are ten times as fast.
-_OF_FLOATS, _OF_COLUMNS = (math.sin, math.cos, math.sqrt), (np.sin, np.cos, np.sqrt)
+_FLOAT_FUNCTIONS, _ARRAY_FUNCTIONS = (math.sin, math.cos, math.sqrt), (np.sin, np.cos, np.sqrt)
 
 
-def _functions(value: Number) -> Any:
+def _get_functions(value: Number) -> Any:
     """Sine, cosine and square root for values of this type."""
-    return _OF_COLUMNS if isinstance(value, np.ndarray) else _OF_FLOATS
+    return _ARRAY_FUNCTIONS if isinstance(value, np.ndarray) else _FLOAT_FUNCTIONS
 
 
 def yaw_from_heading(heading: Number) -> Number:
@@ -47,7 +46,7 @@ class Attitude:
 
     def __init__(self, yaw: Number, pitch: Number, roll: Number) -> None:
         self.yaw, self.pitch, self.roll = yaw, pitch, roll
-        sin, cos, _ = _functions(yaw)
+        sin, cos, _ = _get_functions(yaw)
         sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
         self._matrix = (
             cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
@@ -61,7 +60,7 @@ class Attitude:
 
     def to_quaternion(self) -> Quaternion:
         """x, y, z, w of the rotation from body axes to ENU; w >= 0."""
-        sin, cos, _ = _functions(self.yaw)
+        sin, cos, _ = _get_functions(self.yaw)
         yaw, pitch, roll = self.yaw / 2, self.pitch / 2, self.roll / 2
         sy, cy, sp, cp, sr, cr = sin(yaw), cos(yaw), sin(pitch), cos(pitch), sin(roll), cos(roll)
         w = cr * cp * cy + sr * sp * sy
@@ -94,7 +93,7 @@ class Attitude:
         """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
         attitude_variances: of roll, pitch, heading [rad^2]."""
-        sin, cos, _ = _functions(self.yaw)
+        sin, cos, _ = _get_functions(self.yaw)
         s, c = sin(self.yaw), cos(self.yaw)
         roll, pitch, heading = attitude_variances
         cross = (roll - pitch) * s * c
@@ -108,7 +107,7 @@ def flu_from_frd(frd: Vector) -> Vector:
 
 def compute_radii(latitude: Number) -> tuple[Number, Number]:
     """(meridian, normal) radius of curvature [m] at a geodetic latitude [rad]."""
-    sin, _, sqrt = _functions(latitude)
+    sin, _, sqrt = _get_functions(latitude)
     w = 1 - ECCENTRICITY_SQUARED * sin(latitude) ** 2
     normal = SEMI_MAJOR_AXIS / sqrt(w)
     return normal * (1 - ECCENTRICITY_SQUARED) / w, normal
@@ -116,7 +115,7 @@ def compute_radii(latitude: Number) -> tuple[Number, Number]:
 
 def to_ecef(latitude: Number, longitude: Number, height: Number) -> Vector:
     """Earth-centred x, y, z [m] from latitude, longitude [rad] and height above the ellipsoid [m]."""
-    sin, cos, sqrt = _functions(latitude)
+    sin, cos, sqrt = _get_functions(latitude)
     sine = sin(latitude)
     normal = SEMI_MAJOR_AXIS / sqrt(1 - ECCENTRICITY_SQUARED * sine**2)
     axis_distance = (normal + height) * cos(latitude)

@@ -127,7 +127,7 @@ def get_fix_status(mode: int | None) -> int:
 class Packet:
     """Values in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
 
-    Of one packet; or of several packets (columns): arrays (n,), vectors (3, n), and batch_s (8, n) of uint8.
+    The fields of several packets are columns: arrays (n,), vectors (3, n), batch_s (8, n) uint8.
 
     milliseconds: into the GPS minute, 0..59999; a larger number is kept, but gives no time.
     acceleration: specific force x, y, z [m/s^2], z about -9.81 at rest; each at most 838.8607.

@@ -89,7 +89,7 @@ class NcomParser:
         packet = ncom.decode(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
-        minute = self._read_clock(packet) if kind != "empty" else None
+        minute = self._read_status(packet) if kind != "empty" else None
         if rule.has_time and packet.milliseconds >= MINUTE_MS:
             counters.impossible_times += 1
         elif rule.has_time:
@@ -126,8 +126,8 @@ class NcomParser:
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
 
-    def _read_clock(self, packet: Packet) -> int | None:
-        """Minute that this packet sends; also sets the UTC offset, and counts unknown channels."""
+    def _read_status(self, packet: Packet) -> int | None:
+        """Count an unknown status channel, set the UTC offset, and return the minute if the channel sends it."""
         channel, status, data = packet.channel, packet.navigation_status, packet.batch_s
         self.counters.unknown_channels += channel not in channels.FIELDS
         if channel not in (0, channels.UTC_CHANNEL) or status not in ncom.MINUTE_STATUSES:
