@@ -6,7 +6,7 @@ from oxts_bridge.channels import encode_channel
 from oxts_bridge.geometry import Attitude
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.ncom import NcomLog, read_ncom
-from st_recordings.runs.serialiser import UNKNOWN_VARIANCE, Covariances, body_to_map_rotation
+from st_recordings.runs.serialiser import UNKNOWN_VARIANCE, Covariances
 
 ACCURACY = {3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05}, 4: {"VnAcc": 0.01, "VeAcc": 0.02, "VdAcc": 0.03},
             5: {"HeadingAcc": 0.2, "PitchAcc": 0.1, "RollAcc": 0.05}}
@@ -31,7 +31,7 @@ def ins(tmp_path_factory: pytest.TempPathFactory) -> NcomLog:
 
 
 def test_quaternions_of_the_bridge(ins: NcomLog) -> None:
-    found = body_to_map_rotation(ins.yaw, ins.pitch, ins.roll).as_quat(canonical=True)
+    found = np.stack(Attitude(ins.yaw, ins.pitch, ins.roll).to_quaternion(), axis=1)
     columns = ins.columns
     for k, row in enumerate(ins.rows):
         attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])

@@ -1,14 +1,14 @@
 """Serialises the columns of a raw run as ROS messages of the suite."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from oxts_bridge.file_decoder import Columns
+from oxts_bridge.geometry import Attitude
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
-from scipy.spatial.transform import Rotation
 from st_core.vehicle import VehicleParameters
 
 from .can_signals import CanSignals
@@ -39,26 +39,20 @@ class Covariances:
         Variances of angular rates, and variances that the unit does not report, are UNKNOWN_VARIANCE.
         """
         packets = ins.rows[rows]
-        yaw, pitch, roll = (a[rows] for a in (ins.yaw, ins.pitch, ins.roll))
+        attitude = Attitude(ins.yaw[rows], ins.pitch[rows], ins.roll[rows])
         pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
-        level = body_to_map_rotation(-yaw, 0 * yaw, 0 * yaw)
-        pose[:, :3, :3] = self._rotated(3, packets, Rotation.identity(len(packets)))
-        pose[:, 3:, 3:] = self._rotated(5, packets, level)
-        twist[:, :3, :3] = self._rotated(4, packets, body_to_map_rotation(yaw, pitch, roll))
+        pose[:, :3, :3] = self._compute_block(3, packets, Attitude(0.0, 0.0, 0.0).rotate_covariance)
+        pose[:, 3:, 3:] = self._compute_block(5, packets, attitude.rotate_orientation_covariance)
+        twist[:, :3, :3] = self._compute_block(4, packets, attitude.rotate_covariance)
         twist[:, 3:, 3:] = np.eye(3) * UNKNOWN_VARIANCE
         return pose.reshape(-1, 36), twist.reshape(-1, 36)
 
-    def _rotated(self, channel: int, packets: np.ndarray, axes: Rotation) -> np.ndarray:
-        """Covariances R^T diag(variance) R, (n, 3, 3), from the accuracies in a status channel."""
+    def _compute_block(self, channel: int, packets: np.ndarray, rotate: Callable[[Any], tuple]) -> np.ndarray:
+        """Covariances (n, 3, 3) from the accuracies in a status channel. rotate: variances -> elements, row by row."""
         deviation = select_latest_values(*self._accuracies[channel], packets)
-        known = np.isfinite(deviation).all(axis=1)[:, None, None]
-        rotated = np.einsum("nij,ni,nik->njk", axes.as_matrix(), np.nan_to_num(deviation) ** 2, axes.as_matrix())
-        return np.where(known, rotated, np.eye(3) * UNKNOWN_VARIANCE)
-
-
-def body_to_map_rotation(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Rotation:
-    """Rotation from body axes to map axes, Rz(yaw) Ry(pitch) Rx(roll), angles [rad]."""
-    return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1))
+        is_known = np.isfinite(deviation).all(axis=1)[:, None, None]
+        elements = np.broadcast_arrays(*rotate(np.nan_to_num(deviation).T ** 2))
+        return np.where(is_known, np.stack(elements, axis=-1).reshape(-1, 3, 3), np.eye(3) * UNKNOWN_VARIANCE)
 
 
 @dataclass(frozen=True)
@@ -113,8 +107,8 @@ class Serialiser:
             columns[f"pose.pose.position.{axis}"] = ins.position[k, rows]
             columns[f"twist.twist.linear.{axis}"] = ins.velocity[k, rows]
             columns[f"twist.twist.angular.{axis}"] = ins.rate[k, rows]
-        quaternions = body_to_map_rotation(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).as_quat(canonical=True)
-        columns |= {f"pose.pose.orientation.{axis}": quaternions[:, k] for k, axis in enumerate("xyzw")}
+        quaternion = Attitude(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).to_quaternion()
+        columns |= {f"pose.pose.orientation.{axis}": values for axis, values in zip("xyzw", quaternion, strict=True)}
         return self._messages("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
     def ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
