@@ -12,7 +12,7 @@ from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
 from st_core.bands import LEVELS, Band, Bands
 from st_core.bands.conditions import compute_magnitudes
-from st_core.bands.scale import compute_floor, compute_scalar_features, make_interpolation_matrix
+from st_core.bands.scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
@@ -22,8 +22,6 @@ from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable speed for each
-MAX_LOG_SCALE = 60.0
-"""Limit of |log(scale^2)|; scales at the upper limit are finite in floats and far above any prediction error."""
 
 
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
@@ -145,8 +143,8 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     interpolation, floor = make_interpolation_matrix(scale.knots, scale.time), compute_floor(scale.floor, scale.time)
     columns = []
     for axis, coefficients in enumerate(scale.coefficients):
-        at_knots = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -MAX_LOG_SCALE), MAX_LOG_SCALE)
-        squared = casadi.exp(casadi.DM(interpolation) @ at_knots) + casadi.DM(np.square(floor[:, axis]))
+        logs = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -2.0 * MAX_LOG_SCALE), 2.0 * MAX_LOG_SCALE)
+        squared = casadi.exp(casadi.DM(interpolation) @ logs) + casadi.DM(np.square(floor[:, axis]))
         columns.append(band.factors[level] * casadi.sqrt(squared))
     return casadi.Function(name, [x, u, activity], [casadi.horzcat(*columns)], ["x", "u", "steering_activity"],
                            ["half_widths"])

@@ -30,7 +30,7 @@ from .calibration import LEVELS
 from .conditions import activity_instants, compute_magnitudes, steering_activity
 from .file import Bands
 from .samples import ModelMode, to_predicted_frame
-from .scale import compute_floor, compute_scalar_features, make_interpolation_matrix
+from .scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
 
 HalfWidths = dict[tuple[str, float], np.ndarray]
 """Half-widths (points + 1, 3) along, across [m] and in yaw [rad], float32, 0 at the start, by (mode, level)."""
@@ -65,7 +65,7 @@ class LiveBands:
         factors = np.array([[band.factors[level] for band in chosen] for level in self.levels], np.float32)
         self._factors = factors.repeat(3, axis=1)[:, :, None]
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)
-        self._ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
+        self._widths_ahead = widths.reshape(len(self.levels), -1, widths.shape[-1])[..., 1:]
         self.half_widths: Mapping[str, HalfWidths] = {model: {} for model, _ in pairs}
         for (model, mode), pair_widths in zip(pairs, widths.swapaxes(0, 1), strict=True):
             for level, level_widths in zip(self.levels, pair_widths, strict=True):
@@ -76,12 +76,12 @@ class LiveBands:
         if not self.domain(np.array([condition]))[0]:
             return False
         # Clipping at the few knots also limits the interpolated values.
-        logs = (self._coefficients @ compute_scalar_features(condition)).clip(-60.0, 60.0)
+        logs = (self._coefficients @ compute_scalar_features(condition)).clip(-2.0 * MAX_LOG_SCALE, 2.0 * MAX_LOG_SCALE)
         scale = np.exp(logs.reshape(-1, len(self._interpolation)) @ self._interpolation)
         scale += self._floor
         np.sqrt(scale, out=scale)
         self._scale = scale
-        np.multiply(self._factors, scale.astype(np.float32), out=self._ahead)
+        np.multiply(self._factors, scale.astype(np.float32), out=self._widths_ahead)
         return True
 
     def get_scale(self, pair: ModelMode) -> np.ndarray | None:
@@ -108,7 +108,7 @@ class AdaptiveBands:
             model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
             for model in models}
         self.counts: dict[ModelMode, tuple[int, dict[float, int]]] = {}
-        self._since: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
+        self._first_ns: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
 
     @property
     def remaining_warm_up(self) -> float:
@@ -134,7 +134,7 @@ class AdaptiveBands:
                 widths = band.issue(start_ns, np.empty(0), scale)
                 if not band.remaining_warm_up:
                     found.add(pair)
-                    self._since[pair] = min(self._since.get(pair, start_ns), start_ns)  # time may jump back
+                    self._first_ns[pair] = min(self._first_ns.get(pair, start_ns), start_ns)  # time may jump back
                     for level, level_widths in widths.items():
                         half_widths[mode, level][1:] = level_widths
         return found, reason
@@ -144,7 +144,7 @@ class AdaptiveBands:
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         pair = score.model, score.mode
         inside = self._bands[pair].observe(score.start_ns, errors)
-        if inside and score.start_ns >= self._since.get(pair, math.inf):
+        if inside and score.start_ns >= self._first_ns.get(pair, math.inf):
             n, counts = self.counts.get(pair, (0, {}))
             self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
 

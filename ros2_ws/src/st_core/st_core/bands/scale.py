@@ -29,6 +29,7 @@ NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error a
 FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
 RIDGE = 1.0e-2
+MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
 MAX_STEPS, MAX_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the mean squares, below their uncertainty
 FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
@@ -98,7 +99,7 @@ class Scale:
         phi = compute_features(conditions)
         logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
         logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
-        sigma = np.exp(np.clip(self._interpolation @ logs, -30.0, 30.0))
+        sigma = np.exp(np.clip(self._interpolation @ logs, -MAX_LOG_SCALE, MAX_LOG_SCALE))
         return np.hypot(sigma, compute_floor(self.floor, self.time))
 
 
@@ -131,7 +132,7 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
     def evaluate_loss(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(loss (m,), its derivative (features, m), e^2 / sigma^2 (n, m))."""
         eta = phi @ c
-        ratio = squares * np.exp(-2.0 * np.clip(eta, -30.0, 30.0))
+        ratio = squares * np.exp(-2.0 * np.clip(eta, -MAX_LOG_SCALE, MAX_LOG_SCALE))
         return (weights @ (eta + 0.5 * ratio) + (ridge * c * c).sum(axis=0),
                 phi.T @ (weights[:, None] * (1.0 - ratio)) + 2.0 * ridge * c, ratio)
 

@@ -148,14 +148,15 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module.
-    sampling = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
-    dead_time = sampling / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
+    interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
+    delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
     covariance = fit.slopes @ np.linalg.inv(fit.hessian) @ fit.slopes.T
     inertia, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
     change = abs(float(covariance[inertia, delay] / covariance[delay, delay]))  # with all other parameters refitted
-    timing = {DELAY: dead_time, "yaw_inertia": change * dead_time}
+    systematic = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
-    result = _make_identification("yaw-inertia", vehicle, fit, method, INERTIA_NAMES[:4], timing)
+    result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
+                                  systematic)
     found = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
     implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
@@ -171,7 +172,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
-                        reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
+                         reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
     """Identification with the results of a fit. reported: parameters that become estimates. systematic: standard
     uncertainties by parameter, added in quadrature to those from the variation between drives."""
     spread = fit.spread

@@ -14,7 +14,7 @@ from ..regression import add_ridge
 from .candidates import ODD, Candidate, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
-MIN_IMPROVEMENT = 1.3  # factor on separation or precision; a manoeuvre with less is not suggested
+MIN_IMPROVEMENT = 1.3  # factor of separation or precision; a manoeuvre with a smaller factor is not suggested
 SPARSE = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
@@ -23,7 +23,7 @@ Range = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class Option:
     """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: separation from each rival [standard deviations]. seconds: time that one drive spends
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: time that one drive spends
     in each sparse range [s]."""
 
     manoeuvre: Manoeuvre
@@ -44,7 +44,7 @@ class NextDrives:
     def find_most_precise(self, deviation: np.ndarray) -> Option | None:
         """The option with the lowest maximum deviation; None if the improvement is below MIN_IMPROVEMENT. deviation:
         (k,) in the existing runs."""
-        best = min(self.options, key=lambda o: float(o.deviation.max()), default=None)
+        best = min(self.options, key=lambda option: float(option.deviation.max()), default=None)
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def find_most_separating(self) -> tuple[Option, str] | None:
