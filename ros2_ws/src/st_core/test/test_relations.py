@@ -153,7 +153,7 @@ def read(candidate: Candidate, formula, noise=0.0, pinned=False):
 def test_shapes_are_read(shape, formula):
     law = Candidate("front_force", "slip_front", -1.0, -1.0, 1.0)
     first, *more = read(law, formula)
-    assert first.shape == shape and first.explained > 0.99
+    assert first.name == shape and first.explained > 0.99
     assert len(more) <= 2
     assert not read(law, lambda u: 0.0 * u)
 
@@ -164,12 +164,12 @@ def test_shapes_are_read(shape, formula):
 def test_shapes_without_a_mirror_image_are_read(shape, formula):
     law = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
     first = read(law, formula)[0]
-    assert first.shape == shape and first.explained > 0.99
+    assert first.name == shape and first.explained > 0.99
 
 
 def test_a_constant_that_a_parameter_of_the_car_can_do_is_no_part_of_the_shape():
     first = read(Candidate("front_grip", "speed", 0.0, 4.0, 20.0), lambda u: 2.0 - 0.1 * u, pinned=True)[0]
-    assert first.shape == "linear" and first.parameters == pytest.approx([-0.1], rel=1e-3)
+    assert first.name == "linear" and first.parameters == pytest.approx([-0.1], rel=1e-3)
 
 
 def test_a_shape_that_misses_much_of_the_curve_does_not_stand_for_it_however_little_the_drives_tell():
@@ -177,12 +177,12 @@ def test_a_shape_that_misses_much_of_the_curve_does_not_stand_for_it_however_lit
     law = Candidate("front_grip", "speed", 0.0, 3.2, 14.0)
     for noise in (0.0, 0.01):
         first, *more = read(law, lambda u: 0.0156 - 8.7e-5 * u**2, noise)
-        assert first.shape == "square" and all(r.explained > 0.9 for r in (first, *more))
+        assert first.name == "square" and all(r.explained > 0.9 for r in (first, *more))
 
 
 def test_what_the_drives_do_not_tell_apart_is_read_as_the_simplest_shape():
     law = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
-    names = [read(law, lambda u: u - 0.5 * u**3, noise)[0].shape for noise in (0.0, 2.0)]
+    names = [read(law, lambda u: u - 0.5 * u**3, noise)[0].name for noise in (0.0, 2.0)]
     assert names == ["linear and cubic", "linear"]
 
 

@@ -39,7 +39,7 @@ class FittedShape:
     """A shape fitted by the quadratic about the curve. parameters: fitted to all blocks; by_fold: fitted
     without each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) increase of the loss."""
 
-    shape: str
+    name: str
     text: str
     function: ShapeFunction
     parameters: np.ndarray
@@ -117,7 +117,7 @@ CAUSES: Mapping[tuple[str, ...], str] = {
     ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
     ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
 }
-CONSTANT = {
+CONSTANT_CAUSES = {
     "front_steer": "a steering offset, toe", "rear_steer": "a misaligned rear axle",
     "yaw_moment": "unequal drag or brakes",
     "side_force": "steady wind, a banked road", "sensor_yaw_rate": "a bias of the sensor",
@@ -206,15 +206,15 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     found = []
     key = (candidate.term, candidate.quantity, *((candidate.factor,) if candidate.factor else ()))
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
-        offsets = (False, True) if candidate.parity == NEITHER and shape.shape != "constant" else (False,)
+        offsets = (False, True) if candidate.parity == NEITHER and shape.name != "constant" else (False,)
         for with_offset in offsets:
-            retained, offset = _simulate_shape(fits, fit, without, shape, with_offset)
-            if retained >= MIN_RETAINED_GAIN * gain:
+            shape_gain, offset = _simulate_shape(fits, fit, without, shape, with_offset)
+            if shape_gain >= MIN_RETAINED_GAIN * gain:
                 text = shape.text.format(*shape.parameters)
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
-                constant = shape.shape == "constant" and not candidate.factor
-                causes = CONSTANT.get(candidate.term, "") if constant else CAUSES.get(key, "")
-                found.append(Formula(shape.shape, text, retained / gain, causes))
+                is_constant = shape.name == "constant" and not candidate.factor
+                causes = CONSTANT_CAUSES.get(candidate.term, "") if is_constant else CAUSES.get(key, "")
+                found.append(Formula(shape.name, text, shape_gain / gain, causes))
                 break
     return tuple(found)
 
