@@ -16,7 +16,7 @@ WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before th
 # Longitudinal slip divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
 # 0.003 for a braked rear axle, 0.007 for a driven one, and 0 for an axle that rolls freely.
 WHEEL_SLIP = 0.002
-STEERING_LEAD = (-0.06, 0.06)  # negative: steering leads the yaw rate by the response time of the car
+STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the log contains no INS frames that the DBC describes (RT_..., as in rt.dbc of `st car new`)"
 
@@ -30,7 +30,7 @@ MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals 
 MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
 CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the CAN time frame
 # Signal of the log -> channel with the plausibility limits that apply to it
-CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
+PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
             "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
             "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
 
@@ -108,7 +108,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
     is_fast = np.abs(velocity_x) > MIN_CURVATURE_SPEED
     curvature = np.where(is_fast, yaw_rate / np.where(is_fast, velocity_x, 1.0), np.nan)
     pair = SharedSignal("curvature against steering", ins.time_ns, curvature, steering.time_ns,
-                        steering_sign * steering.values, *STEERING_LEAD, MIN_VARIATION["curvature"])
+                        steering_sign * steering.values, *STEERING_DELAY, MIN_VARIATION["curvature"])
     return [pair], (f"{NO_INS_FRAMES}, and no wheel speed: aligned by steering and curvature, which lags by the "
                     "unknown response time of the car")
 
@@ -134,11 +134,12 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
     masked = dict(can.signals)
     for key, signal in can.signals.items():
-        if signal.name in CHANNELS:
+        if signal.name in PLAUSIBILITY_CHANNELS:
             moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
                       else np.ones(len(signal.values), bool))
-            masked[key] = replace(signal, values=mask(CHANNELS[signal.name], f"{signal.name} ({signal.message})",
-                                                      signal.time_ns, signal.values, moving))
+            masked[key] = replace(signal, values=mask(
+                PLAUSIBILITY_CHANNELS[signal.name], f"{signal.name} ({signal.message})", signal.time_ns, signal.values,
+                moving))
     can = CanSignals(masked, can.faults)
     moving = _is_moving(ins.time_ns, ins.time_ns, ins.velocity[0])
     velocity, rate, yaw = ins.velocity.copy(), ins.rate.copy(), ins.yaw
@@ -182,9 +183,11 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
         return result
     # Search only near the offset of the time frame, because repeated laps fit at several offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # Only one message each for velocity, yaw rate and yaw, because a second one adds no information.
-    distinct = list({pair.name.partition(" (")[0]: pair for pair in reversed(pairs)}.values())[::-1]
-    check = align(distinct, search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
+    # Only the first message each for velocity, yaw rate and yaw, because a second one adds no information.
+    distinct: dict[str, SharedSignal] = {}
+    for pair in pairs:
+        distinct.setdefault(pair.name.partition(" (")[0], pair)
+    check = align(list(distinct.values()), search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
         return result.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9

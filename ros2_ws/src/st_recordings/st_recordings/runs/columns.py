@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from .errors import RunError
 
@@ -58,8 +59,8 @@ _BASE_UNITS = {**_UNIT_OF["length"], **_UNIT_OF["angle"], **_UNIT_OF["time"]}
 
 
 def find_unit(kind: str, text: str) -> str | None:
-    """Finds the unit that a text denotes for a kind of quantity, also one such as "in degrees per sec". None if it
-    denotes none, "" if it only denotes a clock or a format of time."""
+    """Finds the unit in a text such as "in degrees per sec". None if the text is not a unit of this kind of quantity,
+    "" if it only names a clock or a time format."""
     text = text.translate(_SPELLINGS).replace("_", " ")
     words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
     if kind == "time" and words and not normalise(_CLOCK.sub("", text)):
@@ -101,7 +102,8 @@ COLUMNS: Mapping[str, Channel] = {
         "longitude long lon lng pos_lon laengengrad")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
-    "compass_heading": Channel("angle", "clockwise from north; read if yaw is missing: yaw = 90° - heading", _words(
+    "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
+                               "heading", _words(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
@@ -211,6 +213,15 @@ class ColumnSource:
         return UNITS[self.kind][self.unit][0]
 
 
+class _Meaning(NamedTuple):
+    """What the name of a column denotes."""
+
+    channel: str  # a key of COLUMNS, or _STEERING
+    rank: int  # of the name among the names of the channel
+    unit: str | None  # as the name states it
+    path: str  # text before the name of the channel
+
+
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the channels in a header. Raises RunError if a column that the layout names is missing."""
     found = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
@@ -234,14 +245,15 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
-    """The columns of each channel with the best name; several if their names do not show which one is meant."""
-    paths = {meaning[3] for name in names if (meaning := _identify_channel(name))} - {""}
+    """The columns of each channel with the best name; several columns if their names are equally good."""
+    paths = {meaning.path for name in names if (meaning := _identify_channel(name))} - {""}
     found: dict[str, list[ColumnSource]] = {}
     ranks: dict[str, int] = {}
     for number, name in enumerate(names):
-        channel, rank, unit, _ = _identify_channel(name, paths) or (_STEERING, 0, None, "")
-        if channel == _STEERING:
+        meaning = _identify_channel(name, paths)
+        if meaning is None or meaning.channel == _STEERING:
             continue
+        channel, rank, unit, _ = meaning
         if rank < ranks.get(channel, 2 * PATH_RANK):
             found[channel], ranks[channel] = [], rank
         if not found[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != found[channel][-1].name):
@@ -259,8 +271,8 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
 
 def find_times(names: Sequence[str]) -> list[ColumnSource]:
     """Finds all columns with times."""
-    return [_make_source(number, name, "t", meaning[2]) for number, name in enumerate(names)
-            if (meaning := _identify_channel(name)) and meaning[0] == "t"]
+    return [_make_source(number, name, "t", meaning.unit) for number, name in enumerate(names)
+            if (meaning := _identify_channel(name)) and meaning.channel == "t"]
 
 
 def find_rivals(names: Sequence[str]) -> dict[str, list[str]]:
@@ -303,7 +315,7 @@ def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) ->
 
 def find_ambiguous_steering(names: Sequence[str]) -> str | None:
     """Finds the first column that may be the steering wheel or the road wheel angle; None if there is none."""
-    return next((name for name in names if (meaning := _identify_channel(name)) and meaning[0] == _STEERING), None)
+    return next((name for name in names if (meaning := _identify_channel(name)) and meaning.channel == _STEERING), None)
 
 
 def _make_source(number: int, name: str, channel: str, unit: str | None) -> ColumnSource:
@@ -311,10 +323,9 @@ def _make_source(number: int, name: str, channel: str, unit: str | None) -> Colu
     return ColumnSource(number, name, kind, unit or next(iter(UNITS[kind])), unit is not None)
 
 
-def _identify_channel(name: str, paths: Collection[str] = ()) -> tuple[str, int, str | None, str] | None:
-    """(channel, rank of the name among the names of the channel, stated unit, path before it) of a column; None for
-    other columns. A single letter after a path denotes a channel only if the path is one of `paths`: state.x is a
-    position if there is a state.yaw, acceleration.x is not."""
+def _identify_channel(name: str, paths: Collection[str] = ()) -> _Meaning | None:
+    """Identifies the channel of a column; None for other columns. A single letter after a path denotes a channel only
+    if the path is one of `paths`: state.x is a position if there is a state.yaw, acceleration.x is not."""
     # "%time" and "field.x" from `rostopic echo -p`, "vx\\CCP:1" from ETAS, "Speed (m/s) *gps" from RaceChrono
     name = re.sub(r"\\.*$| \*\w+$", "", name.lstrip("%# ").removeprefix("field."))[-MAX_NAME_LENGTH:]
     name = _CAMEL_CASE.sub("_", name)
@@ -322,14 +333,14 @@ def _identify_channel(name: str, paths: Collection[str] = ()) -> tuple[str, int,
         for base, unit in _split_name_and_unit(name[start:]):
             for form in (base, _SUFFIX.sub("", base)):
                 channel, rank = _CHANNEL_OF.get(normalise(form), ("", 0))
-                known = find_unit(_KIND_OF[channel], unit) if channel else None
-                if not channel or (unit and known is None):
+                known_unit = find_unit(_KIND_OF[channel], unit) if channel else None
+                if not channel or (unit and known_unit is None):
                     continue
                 if start == 0 and form == base:
-                    return channel, rank, known or None, ""
+                    return _Meaning(channel, rank, known_unit or None, "")
                 if channel != "t" and (len(normalise(form)) > 1 or name[:start] in paths) and not (
                         _OTHER_QUANTITY.search(name)):
-                    return channel, rank + PATH_RANK, known or None, name[:start]
+                    return _Meaning(channel, rank + PATH_RANK, known_unit or None, name[:start])
     return None
 
 

@@ -26,12 +26,12 @@ from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is
 from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
-ROAD_WHEEL, STEERING_WHEEL, COMPASS, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
+ROAD_WHEEL, STEERING_WHEEL, HEADING, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
                  "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*.{kind}'`)")
 STEERING_ADVICE = ("name its column by --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or also give the CAN log that contains the steering angle")
-COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": COMPASS}
+COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 """Channel -> channel from which it is computed if the table has no column for it."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
@@ -127,8 +127,8 @@ def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     rows = table.used & all_finite(columns, channels)
     if rows.sum() < 2:
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
-    reported = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
-    _count_missing(table, reported, (), notes)
+    counted = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
+    _count_missing(table, counted, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
@@ -151,23 +151,24 @@ def lacks_steering(file: Path) -> bool:
     return _missing_in_header(file) == [ROAD_WHEEL]
 
 
-def _missing_in_header(file: Path) -> list[str]:
-    names = read_header(file)
-    return _missing_channels(find_columns(file, names, Layout()), names, ("t", *INS_SIGNALS, ROAD_WHEEL))
-
-
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names a position and lacks at most one INS channel."""
-    names = read_header(file)
-    missing = _missing_channels(find_columns(file, names, Layout()), names, INS_SIGNALS, completed=False)
+    missing = _missing_in_header(file, INS_SIGNALS, completed=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
+
+
+def _missing_in_header(file: Path, needed: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
+                       completed: bool = True) -> list[str]:
+    names = read_header(file)
+    return _missing_channels(find_columns(file, names, Layout()), names, needed, completed)
 
 
 def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                       completed: bool = True) -> list[str]:
-    """The needed channels that have no column and cannot be derived; completed: `_complete_motion` may derive them."""
+    """The needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may derive
+    them."""
     found = set(sources)
-    if found & {COMPASS, COURSE} or found.issuperset(QUATERNION_CHANNELS):
+    if found & {HEADING, COURSE} or found.issuperset(QUATERNION_CHANNELS):
         found.add("yaw")
     if found >= {"yaw", "velocity_east", "velocity_north"}:
         found |= {"velocity_x", "velocity_y"}
@@ -219,18 +220,17 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
     """
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
-    if "yaw" not in columns and COMPASS in columns:
-        columns["yaw"] = np.pi / 2 - columns[COMPASS]
+    if "yaw" not in columns and HEADING in columns:
+        columns["yaw"] = np.pi / 2 - columns[HEADING]
     elif "yaw" not in columns and columns.keys() >= {*QUATERNION_CHANNELS}:
         columns["yaw"] = yaw_from_quaternion(*map(columns.__getitem__, QUATERNION_CHANNELS))
     elif "yaw" not in columns and COURSE in columns:
         columns[COURSE] = _replace_course_when_slow(table, columns, notes)
         columns["yaw"] = np.pi / 2 - columns[COURSE]
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
-        _check_yaw(table, np.arctan2(columns["velocity_north"], columns["velocity_east"]), np.hypot(
-            columns["velocity_north"], columns["velocity_east"]))
-        c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
         east, north = columns["velocity_east"], columns["velocity_north"]
+        _check_yaw(table, np.arctan2(north, east), np.hypot(east, north))
+        c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
     _complete_motion(table, columns, notes)
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
@@ -256,9 +256,9 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
 
 
 def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
-    """Raises RunError if the yaw or compass heading agrees with the course [rad, from east, counter-clockwise] only in
-    another unit or direction; the velocities in body axes would be wrong."""
-    read = next((name for name in ("yaw", COMPASS) if name in table.sources), "")
+    """Raises RunError if yaw or heading agrees with the course [rad, from east, counter-clockwise] only in another unit
+    or direction, because the velocities in body axes would be wrong. speed: [m/s]."""
+    read = next((name for name in ("yaw", HEADING) if name in table.sources), "")
     if not read or table.sources[read].unit not in ("rad", "deg"):
         return
     cells = table.columns[read] / table.sources[read].factor
@@ -268,7 +268,7 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
     errors: dict[tuple[str, str], float] = {}
     for unit in ("rad", "deg"):
         angle = cells[rows] * UNITS["angle"][unit][0]
-        for name, yaw in (("yaw", angle), (COMPASS, np.pi / 2 - angle)):
+        for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
             errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
     name, unit = min(errors, key=lambda reading: errors[reading])
     if errors[read, table.sources[read].unit] > OTHER_ANGLE and errors[name, unit] < AGREEING_ANGLE:
@@ -298,17 +298,18 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     if driven[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
         return
     moving = np.diff(driven) > 0.5 * np.median(np.diff(driven))
-    turned = [np.pi / 2 - columns[name] for name in (COMPASS, COURSE) if name in columns]
-    heading = next((angle[rows[::step]][:-1] for angle in ([columns["yaw"]] if "yaw" in columns else turned)), None)
+    yaws = [columns["yaw"]] if "yaw" in columns else [
+        np.pi / 2 - columns[name] for name in (HEADING, COURSE) if name in columns]
+    yaw = yaws[0][rows[::step]][:-1] if yaws else None
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
-        """Medians over steps: (ratio of position distance to driven distance, |course - heading| [rad])."""
+        """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad])."""
         frame, at = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
         east, north, _ = map(np.diff, frame.to_enu(latitude[at], longitude[at], 0.0))
         ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
-        if heading is None:
+        if yaw is None:
             return float(ratio), np.nan
-        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * heading)))[moving]))
+        return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * yaw)))[moving]))
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
@@ -330,7 +331,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
     in the other channels, are not filled.
     """
-    names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, COMPASS, COURSE, "velocity_east", "velocity_north")
+    names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north")
              if name in columns]
     known = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
     rows = max(known.values(), key=len, default=np.empty(0, int))
@@ -348,7 +349,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         if not is_regular or not (is_slower or np.isin(samples, rows).mean() < 0.5):
             continue
         values = columns[name][samples]
-        if name in ("yaw", COMPASS, COURSE):
+        if name in ("yaw", HEADING, COURSE):
             values = np.unwrap(values)
         interpolated = np.interp(time[rows], time[samples], values, np.nan, np.nan)
         after = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
@@ -419,20 +420,20 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in recorded)
     if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
         return
-    fresh = np.concatenate(([True], new))
-    # The first new position after missing rows may have been measured at one of them, so its time is unknown.
+    measured = np.concatenate(([True], new))
+    # The first new position after missing rows may have been measured during the gap, so its time is unknown.
     after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
-    if (fresh & after_gap).sum() <= MAX_AFTER_GAP_SHARE * fresh.sum() and (fresh & ~after_gap).sum() > 2:
-        fresh &= ~after_gap
+    if (measured & after_gap).sum() <= MAX_AFTER_GAP_SHARE * measured.sum() and (measured & ~after_gap).sum() > 2:
+        measured &= ~after_gap
+    before, last = np.flatnonzero(measured)[-2:]
     for name in ("x", "y"):
         values = columns[name].copy()
-        values[rows] = np.interp(seconds, seconds[fresh], columns[name][rows][fresh])
-        last, before = np.flatnonzero(fresh)[-1], np.flatnonzero(fresh)[-2]
+        values[rows] = np.interp(seconds, seconds[measured], columns[name][rows][measured])
         slope = (values[rows[last]] - values[rows[before]]) / (seconds[last] - seconds[before])
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
-    rate = (fresh.sum() - 1) / max(seconds[fresh][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions change in {format_share(int(fresh.sum()), len(rows), 'rows')}, about "
+    rate = (measured.sum() - 1) / max(seconds[measured][-1] - seconds[0], 1e-9)
+    notes.append(f"{table.file}: positions change in {format_share(int(measured.sum()), len(rows), 'rows')}, about "
                  f"{rate:.0f} Hz; the positions of the other rows were interpolated")
 
 
@@ -463,7 +464,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
         return (STEERING_WHEEL,)
     if STEERING_WHEEL not in columns:
         return (ROAD_WHEEL,)
-    if _count_lost_samples(columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
+    if _count_missing_samples(columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
         notes.append(f"{table.file}: {STEERING_WHEEL} (column {table.sources[STEERING_WHEEL].name}) has no number in "
                      "more than half of the rows; the road wheel angle is used instead")
         return (ROAD_WHEEL,)
@@ -474,28 +475,28 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
                    notes: list[str]) -> dict[str, int]:
     """Channel -> number of used rows in which it has no number; adds a note on each such channel."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
-    lost = {"time": table.rows_without_time,
-            **{name: _count_lost_samples(columns[name][table.used]) for name in channels}}
-    lost = {name: count for name, count in lost.items() if count}
+    counts = {"time": table.rows_without_time,
+              **{name: _count_missing_samples(columns[name][table.used]) for name in channels}}
+    missing = {name: count for name, count in counts.items() if count}
     total = len(table.time_ns) + table.rows_without_time
-    for name, count in lost.items():
+    for name, count in missing.items():
         source = table.sources.get(name) or table.sources.get(COMPUTED_FROM.get(name, ""))
-        half = count > total / 2
+        is_mostly_missing = count > total / 2
         if name == "time":
             consequence = "these rows were left out"
         elif name in OPTIONAL_INS_SIGNALS:
-            consequence = "it is not used" if half else "it is unknown there"
+            consequence = "it is not used" if is_mostly_missing else "it is unknown there"
         else:
             consequence = f"these {'steering' if name in steering else 'INS'} samples were left out"
         column = f" (column {source.name})" if source else ""
         notes.append(f"{table.file}: {name}{column}: {format_share(count, total, 'rows')} have no number"
-                     f"{', more than half' if half else ''}; {consequence}")
-    if ROAD_WHEEL not in steering and STEERING_WHEEL in lost:
-        lost[ROAD_WHEEL] = lost.pop(STEERING_WHEEL)
-    return lost
+                     f"{', more than half' if is_mostly_missing else ''}; {consequence}")
+    if ROAD_WHEEL not in steering and STEERING_WHEEL in missing:
+        missing[ROAD_WHEEL] = missing.pop(STEERING_WHEEL)
+    return missing
 
 
-def _count_lost_samples(column: np.ndarray) -> int:
+def _count_missing_samples(column: np.ndarray) -> int:
     """Number of rows without a number, except the regular blanks of a channel with a lower rate than the rows."""
     known_rows = np.flatnonzero(np.isfinite(column))
     steps = np.diff(known_rows)

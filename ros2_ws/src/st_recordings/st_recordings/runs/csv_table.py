@@ -243,12 +243,12 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
 
 
 def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
-    """Index of the first line that names the most channels. If no line names two, of the line with the most words."""
+    """Index of the first line that names the most channels, or has the most words if no line names two channels."""
     counts, words = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
-        of_layout = set(layout.columns.values()).intersection(names) if layout else ()
-        counts.append(len(find_columns(Path(), names, Layout())) + len(of_layout) if len(names) > 1 else 0)
+        named = set(layout.columns.values()).intersection(names) if layout else ()
+        counts.append(len(find_columns(Path(), names, Layout())) + len(named) if len(names) > 1 else 0)
         words.append(sum(bool(name) and not _NUMERIC.fullmatch(name) for name in names))
     counts = counts if max(counts, default=0) > 1 else words
     return counts.index(max(counts)) if counts else 0
@@ -274,7 +274,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
     The units are in the first row in which all cells are units of their channels; other rows without numbers contain
     types or sources. Raises RunError if there are such rows below the names but no row of units.
     """
-    def texts(line: str) -> dict[str, str]:
+    def read_unit_texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
         found = {channel: text for channel, source in sources.items() if source.column < len(cells)
                  and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
@@ -282,29 +282,31 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
             parse_stamp(text) or _split_unit(channel, text) for channel, text in found.items())
         return {} if is_data else found
 
-    def invalid(found: Mapping[str, str]) -> list[str]:
+    def find_invalid(found: Mapping[str, str]) -> list[str]:
         return [channel for channel, text in found.items()
                 if channel not in layout.units and find_unit(COLUMNS[channel].kind, text) is None]
 
     lines = body.split("\n", MAX_UNIT_ROWS)
-    rows = [texts(line) for line in lines[:-1]]
+    rows = [read_unit_texts(line) for line in lines[:-1]]
     first = next((k for k, found in enumerate(rows) if lines[k].strip() and not found), len(rows))
     # Numbers of channels may be between the names and the units.
-    first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not invalid(found)), 0)
+    first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not find_invalid(found)), 0)
     below = [found for found in rows[:first] if found]
-    labelled = [{c: text for c, text in texts(line).items() if c != "t"} for line in above]
-    units = next((found for found in [*below, *(one for one in labelled if len(one) > 1)] if not invalid(found)), None)
+    rows_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in above]
+    candidates = [*below, *(found for found in rows_above if len(found) > 1)]
+    units = next((found for found in candidates if not find_invalid(found)), None)
     if units is None and below:
         units = below[0]
-        channel = invalid(units)[0]
+        channel = find_invalid(units)[0]
         kind = COLUMNS[channel].kind
         raise RunError(
             file, f"unit row: {units[channel][:40]!r} of column {sources[channel].name} is not a unit of {kind}",
             f"known units are {', '.join(UNITS[kind])}; or set it in a run.yaml, as units: {{{channel}: ...}}")
-    return _apply_units(sources, units or {}, layout), "\n".join(lines[first:])
+    return _apply_stated_units(sources, units or {}, layout), "\n".join(lines[first:])
 
 
-def _apply_units(sources: dict[str, ColumnSource], texts: Mapping[str, str], layout: Layout) -> dict[str, ColumnSource]:
+def _apply_stated_units(sources: dict[str, ColumnSource], texts: Mapping[str, str],
+                        layout: Layout) -> dict[str, ColumnSource]:
     """Sets the units in `texts` (by channel), except for channels with a unit in the layout."""
     return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
@@ -323,11 +325,11 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
         for row in rows:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"\'').removesuffix(text)
-    return _apply_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
+    return _apply_stated_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:
-    """The unit written after the number in a cell of a channel; empty if there is none."""
+    """The unit after the number in a cell of a channel; empty if there is none."""
     match = _WITH_UNIT.fullmatch(cell)
     return match[2] if match and find_unit(COLUMNS[channel].kind, match[2]) else ""
 
@@ -390,8 +392,8 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
-    except ValueError as first:
-        error = first
+    except ValueError as parse_error:
+        error = parse_error
     widths = [len(row) for row in _split_cells(file, lines, delimiter)]
     complete = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
     lost = len(lines) - len(complete)
@@ -405,8 +407,8 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
                 f"{format_share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {what}")
             return rows
-        except ValueError as second:
-            error = second
+        except ValueError as parse_error:
+            error = parse_error
     raise RunError(file, f"a row cannot be read ({shorten(error).partition('; use')[0]})", "correct or remove that row "
                    "(rows count from 0 after the header)") from None
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,8 +75,9 @@ def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
     return body
 
 
-def _replace_month_name(date: re.Match[str]) -> str:
-    return f"{date[3]}-{month_number(date[2]) or 0:02d}-{date[1]}"
+def _replace_month_name(match: re.Match[str]) -> str:
+    day, month, year = match.groups()
+    return f"{year}-{month_number(month) or 0:02d}-{day}"
 
 
 def parse_stamp(text: str) -> tuple[float, float] | None:
@@ -109,7 +111,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     meanings: list[tuple[float, float, str]] = []
     if not source.stated and _is_hhmmss(finite):
         warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
-        seconds = times // 10000 * HOUR + times // 100 % 100 * 60 + times % 100
+        seconds = seconds_of_day(times)
         known = np.isfinite(seconds)
         seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
         return seconds
@@ -130,10 +132,19 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     return seconds
 
 
+def seconds_of_day(hhmmss: Any) -> Any:
+    """Time of day [s] of a number HHMMSS.ss, or of an array of such numbers."""
+    return hhmmss // 10000 * HOUR + hhmmss // 100 % 100 * 60 + hhmmss % 100
+
+
+def is_valid_hhmmss(hhmmss: Any) -> Any:
+    """Whether minutes and seconds of a number HHMMSS.ss, or of each number in an array, are below 60."""
+    return (hhmmss % 100 < 60) & (hhmmss // 100 % 100 < 60)
+
+
 def _is_hhmmss(times: np.ndarray) -> bool:
-    """Whether numbers are HHMMSS.ss: minutes and seconds are below 60, and the step to a new minute is larger by 40."""
-    if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or (times % 100 >= 60.0).any() or (
-            times // 100 % 100 >= 60).any():
+    """Whether all numbers are valid HHMMSS.ss, and the step to a new minute is larger by 40."""
+    if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or not is_valid_hhmmss(times).all():
         return False
     steps = np.diff(times)
     median = float(np.median(np.abs(steps)))

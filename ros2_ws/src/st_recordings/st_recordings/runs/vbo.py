@@ -22,7 +22,7 @@ from .columns import (
 )
 from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
-from .table_times import DAY, times_to_seconds
+from .table_times import DAY, is_valid_hhmmss, seconds_of_day, times_to_seconds
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
@@ -74,10 +74,10 @@ def lacks_steering(file: Path) -> bool:
     """Whether [column names] has neither a road wheel nor a steering wheel angle."""
     try:
         names = _read_column_names(_split_sections(read_text(file, HEADER_SIZE)))
-        found = find_columns(file, names, Layout())
+        sources = find_columns(file, names, Layout())
     except (RunError, OSError):  # read_vbo reports the error
         return False
-    return bool(names) and not (found.keys() & {"road_wheel_angle", "steering_wheel_angle"}
+    return bool(names) and not (sources.keys() & {"road_wheel_angle", "steering_wheel_angle"}
                                 or find_ambiguous_steering(names))
 
 
@@ -145,7 +145,7 @@ def _is_hhmmss(body: str, column: int) -> bool:
     """Whether the times are HHMMSS: minutes and seconds are below 60, except in a few damaged times."""
     cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
     clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
-    invalid = (clock % 100 >= 60) | (clock // 100 % 100 >= 60)
+    invalid = ~is_valid_hhmmss(clock)
     three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
     return bool(invalid.sum() <= MAX_DAMAGED_TIMES * len(clock) and not three_in_a_row)
 
@@ -156,9 +156,8 @@ def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
         clock = float(text)
     except ValueError:
         return None
-    seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
-    is_time = 0 <= seconds < DAY + 1 and clock % 100 < 60 and clock // 100 % 100 < 60
-    return (midnight + seconds, DAY) if is_time else None
+    seconds = seconds_of_day(clock)
+    return (midnight + seconds, DAY) if 0 <= seconds < DAY + 1 and is_valid_hhmmss(clock) else None
 
 
 def _correct_signs(table: Table) -> Table:
