@@ -8,7 +8,7 @@ from canedge_bridge.signals import load_table
 from st_cli.cli import app
 from st_cli.verbs._options import LEAF, ReadOptions, report_default_car
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import car_names, load_car
+from st_recordings.car import list_cars, load_car
 from st_recordings.car_skeleton import MEASUREMENT_HINTS, find_problems, list_remarks, write_skeleton
 from st_recordings.paths import config
 from st_recordings.runs.errors import RunError
@@ -26,7 +26,7 @@ def folder(tmp_path):
     return car
 
 
-@pytest.mark.parametrize("name", car_names())
+@pytest.mark.parametrize("name", list_cars())
 def test_every_car_of_the_configuration_can_be_read(name):
     car = load_car(name)
     assert VehicleParameters.from_yaml(car.vehicle.read_text(), str(car.vehicle)).mass > 0
@@ -213,7 +213,7 @@ def test_a_table_without_steering_is_refused(new):
     assert "steering_wheel_angle" in find_problems(str(new))[0]
 
 
-@pytest.mark.parametrize("name", car_names())
+@pytest.mark.parametrize("name", list_cars())
 def test_the_cars_of_the_configuration_are_good(name):
     assert find_problems(name) == []
 

@@ -50,8 +50,8 @@ class Qos:
 
 
 def _format_duration(nanoseconds: int) -> dict[str, int]:
-    seconds, rest = divmod(min(nanoseconds, INFINITE_NS), 1_000_000_000)
-    return {"sec": seconds, "nsec": rest}
+    seconds, remainder = divmod(min(nanoseconds, INFINITE_NS), 1_000_000_000)
+    return {"sec": seconds, "nsec": remainder}
 
 
 def format_qos(qos: Sequence[Qos]) -> str:
@@ -88,7 +88,7 @@ class BagInformation:
     topics: list[Topic]
     custom: Mapping[str, str] = field(default_factory=dict)
 
-    def document(self) -> dict[str, Any]:
+    def to_document(self) -> dict[str, Any]:
         filled = [f for f in self.files if f.count]
         start = min((f.start_ns for f in filled), default=INFINITE_NS)
         end = max((f.end_ns for f in filled), default=INFINITE_NS)
@@ -106,12 +106,12 @@ class BagInformation:
             "custom_data": dict(self.custom) or None, "ros_distro": "jazzy",
         }}
 
-    def text(self) -> str:
-        return yaml.dump(self.document(), Dumper=_NoAliases, sort_keys=False)
+    def to_yaml(self) -> str:
+        return yaml.dump(self.to_document(), Dumper=_NoAliases, sort_keys=False)
 
     def save(self, directory: Path) -> None:
         """Replaces the metadata.yaml of a directory. Raises OSError."""
-        replace_file(directory / FILE_NAME, self.text())
+        replace_file(directory / FILE_NAME, self.to_yaml())
 
 
 class _NoAliases(yaml.SafeDumper):
@@ -158,12 +158,12 @@ def read_definition(type_name: str) -> str:
         used = waiting.pop(0)
         if used not in texts:
             texts[used] = _find_interface_file(used, ".msg").read_text().rstrip("\n") + "\n"
-            waiting += _list_types_used(used, texts[used])
+            waiting += _list_field_types(used, texts[used])
     return "".join(text if used == type_name else f"{TYPE_SEPARATOR}\nMSG: {used}\n{text}"
                    for used, text in texts.items())
 
 
-def _list_types_used(owner: str, text: str) -> list[str]:
+def _list_field_types(owner: str, text: str) -> list[str]:
     """Lists the types (pkg/Type) of the fields in a definition, in order of appearance."""
     used = []
     for line in text.splitlines():

@@ -51,7 +51,7 @@ def load_car(text: str) -> Car:
                        "--vehicle for a vehicle file alone")
     if not (folder / "vehicle.yaml").is_file():
         raise RunError(folder, "not a car folder: it contains no vehicle.yaml",
-                       f"known cars are {', '.join(car_names())}; or name the folder of a car")
+                       f"known cars are {', '.join(list_cars())}; or name the folder of a car")
     file = folder / "car.yaml"
     table = read_yaml_mapping(file) if file.exists() else {}
     unknown = set(table) - set(STEERING_DEFAULTS)
@@ -66,7 +66,7 @@ def load_car(text: str) -> Car:
     return Car(folder, int(values["steering_sign"]), float(latency))
 
 
-def car_names() -> list[str]:
+def list_cars() -> list[str]:
     """The names of the cars in config/car."""
     return sorted(path.parent.name for path in config("car").glob("*/vehicle.yaml"))
 

@@ -77,7 +77,7 @@ class BagWriter:
         self._start_chunk()
         # Create the file first: of two writers that start together only one succeeds, and the other changes nothing.
         self._file = _LockedFile(self.path)
-        self._information().save(self.directory)
+        self._build_information().save(self.directory)
         self._file.write(MAGIC)
         self._contents.append(self._file, Header(profile="ros2", library="st_predictor"), *(
             Metadata(name, dict(entries)) for name, entries in (records or {}).items()))
@@ -160,7 +160,7 @@ class BagWriter:
             try:
                 if self._messages:
                     self._write_chunk()
-                description = {"serialized_metadata": self._information().text()}
+                description = {"serialized_metadata": self._build_information().to_yaml()}
                 self._contents.append(self._file, Metadata("rosbag2", description))
                 self._finish(self.directory)
                 self._close_file()
@@ -182,7 +182,7 @@ class BagWriter:
         if self.syncer:
             self.syncer.wake()
 
-    def _information(self) -> BagInformation:
+    def _build_information(self) -> BagInformation:
         return BagInformation([self._bag_file], self._topics, self._custom)
 
     def _finish(self, folder: Path | None) -> None:
@@ -190,7 +190,7 @@ class BagWriter:
         self._contents.finish(self._file)
         os.fsync(self._file.descriptor)
         if folder is not None:
-            self._information().save(folder)
+            self._build_information().save(folder)
 
     def _close_file(self) -> None:
         if self.syncer:
@@ -225,11 +225,11 @@ class BagWriter:
                 self._bag_file = BagFile(self.path.name, counts.total(), *times)
                 self._finish(self.directory)
                 break
-            except OSError as failed:
-                dropped = self._contents.drop_last_chunk() if failed.errno in DISK_FULL_ERRORS else None
+            except OSError as write_error:
+                dropped = self._contents.drop_last_chunk() if write_error.errno in DISK_FULL_ERRORS else None
                 if dropped is None:
-                    self.error += (f"; its index could not be written either ({failed.strerror}): repair the bag with "
-                                   "`recover`")
+                    self.error += (f"; its index could not be written either ({write_error.strerror}): repair the bag "
+                                   "with `recover`")
                     with contextlib.suppress(OSError):
                         self._file.truncate(length)
                     break

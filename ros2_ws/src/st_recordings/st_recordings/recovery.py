@@ -251,7 +251,7 @@ def _parse_qos(text: str) -> list[Any]:
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
     """Whether metadata.yaml lists the same files, topics and counts; other entries vary between recorders."""
-    expected, found = information.document()["rosbag2_bagfile_information"], read_information(folder)
+    expected, found = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
     try:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
     except (KeyError, TypeError):

@@ -81,7 +81,7 @@ def read_results(folder: Path) -> Results:
     """Reads bag/ and errors/ of a run folder. Error series within the horizon are kept only for drawn predictions."""
     bag, errors = open_bag(folder / "bag"), open_bag(folder / "errors")
     scores, configuration_hash = _read_scores(folder / "errors")
-    summary = _last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
+    summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
     bands = [row for row in summary.statistics if row.n_bands] if summary else []
     return Results(_read_track(folder / "bag", bag), scores, _read_segments(folder / "errors", scores),
                    _read_ticks(bag), configuration_hash, bands)
@@ -99,14 +99,14 @@ def _read_track(path: Path, bag: Storage) -> Track:
     return Track(values["header.stamp"], x, y, np.unwrap(yaw_from_quaternion(*(values[name] for name in quaternion))))
 
 
-def _last_message(bag: Storage, topic: str, type_name: str) -> Any:
+def _read_last_message(bag: Storage, topic: str, type_name: str) -> Any:
     """The last message of a topic; None without one."""
     last = deque(bag.messages(topic), maxlen=1)
     return load_typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
 
 
 def _read_ticks(bag: Storage) -> dict[str, Any]:
-    status = _last_message(bag, STATUS_TOPIC, "st_msgs/msg/PredictorStatus")
+    status = _read_last_message(bag, STATUS_TOPIC, "st_msgs/msg/PredictorStatus")
     if status is None:
         return {"due": 0, "predicted": 0, "skipped": 0}
     skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}

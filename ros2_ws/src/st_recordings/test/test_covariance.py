@@ -47,7 +47,7 @@ def test_velocities_of_the_bridge(ins: NcomLog) -> None:
 
 
 def test_covariances_of_the_bridge(ins: NcomLog) -> None:
-    pose, twist = Covariances(ins.columns).of(ins, slice(0, 40))
+    pose, twist = Covariances(ins.columns).compute(ins, slice(0, 40))
     for k in range(40):
         columns, row = ins.columns, int(ins.rows[k])
         attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])

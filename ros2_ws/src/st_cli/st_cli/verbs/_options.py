@@ -256,11 +256,11 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
 
 def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
     """Print a line if the vehicle file in use belongs to the Leaf because the user named none (`named` is None)."""
-    from st_recordings.car import car_names
+    from st_recordings.car import list_cars
 
     if named is None and Path(file).resolve().parent == LEAF.resolve().parent:
         typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another car "
-                   f"({', '.join(car_names())}, or a folder)", err=True)
+                   f"({', '.join(list_cars())}, or a folder)", err=True)
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:

@@ -60,10 +60,10 @@ def check_blocks(data: Buffer) -> Layout | None:
     """
     if len(data) < 64 + 104:
         raise DamageError(f"it ends after {len(data)} bytes, within its header")
-    return next(iter(_BlockWalk(data).layouts), None)
+    return next(iter(_BlockChecker(data).layouts), None)
 
 
-class _BlockWalk:
+class _BlockChecker:
     """Checks every block once, from the header to the records."""
 
     def __init__(self, data: Buffer):
@@ -73,14 +73,14 @@ class _BlockWalk:
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
         self.layouts: list[Layout | None] = []  # one per data group
-        header = self._block(64, (b"##HD",), links=6, content=32)
+        header = self._read_block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
-            self._chain(header.links[link], name)
+            self._check_chain(header.links[link], name)
         offset = header.links[0]
         while offset:
-            offset = self._data_group(offset)
+            offset = self._check_data_group(offset)
 
-    def _block(self, offset: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
+    def _read_block(self, offset: int, names: tuple[bytes, ...], links: int = 0, content: int = 0) -> _Block:
         """Reads the block at an offset. links: minimum number of links. content: minimum size of the content [byte]."""
         if offset + _HEADER > self._size:
             raise DamageError(f"a block refers to byte {offset}, but the file ends at byte {self._size}")
@@ -104,33 +104,33 @@ class _BlockWalk:
             raise DamageError(f"two links refer to the block at byte {offset}")
         self._visited.add(offset)
 
-    def _chain(self, offset: int, name: bytes) -> None:
+    def _check_chain(self, offset: int, name: bytes) -> None:
         """Rejects a circular chain of blocks; follows only the links and does not read the content."""
         while offset and offset + _HEADER + 8 <= self._size and self._data[offset : offset + 4] == name:
             self._mark_visited(offset)
             offset = struct.unpack_from("<Q", self._data, offset + _HEADER)[0]
 
-    def _data_group(self, offset: int) -> int:
+    def _check_data_group(self, offset: int) -> int:
         """Checks a data group; returns the offset of the next one."""
-        block = self._block(offset, (b"##DG",), links=4, content=8)
+        block = self._read_block(offset, (b"##DG",), links=4, content=8)
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
         layout = Layout(block.links[2] + _HEADER, id_size, {}, set())
         declared, group = 0, block.links[1]
         while group:
-            group, size = self._channel_group(group, layout)
+            group, size = self._check_channel_group(group, layout)
             declared += size
         is_unsorted = id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT"
         self.layouts.append(layout if is_unsorted else None)
-        size = self._records_size(block.links[2], b"DT")
+        size = self._measure_records(block.links[2], b"DT")
         if declared > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
             raise DamageError(f"the block at byte {offset} declares {declared} bytes of records, but there are {size}")
         return block.links[0]
 
-    def _channel_group(self, offset: int, layout: Layout) -> tuple[int, int]:
+    def _check_channel_group(self, offset: int, layout: Layout) -> tuple[int, int]:
         """Adds a channel group to the layout; returns (offset of the next group, bytes of its own records)."""
-        block = self._block(offset, (b"##CG",), links=6, content=32)
+        block = self._read_block(offset, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalidation_size = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
             raise DamageError(f"the channel group at byte {offset} has the record identifier {record} of another group")
@@ -144,20 +144,20 @@ class _BlockWalk:
         record_size = size + invalidation_size
         if record_size > _MAX_RECORD_SIZE:
             raise DamageError(f"the channel group at byte {offset} has impossible records of {record_size} bytes")
-        layout.fixed[record] = record_size, self._channels(block.links[1], size, invalidation_size, flags)
+        layout.fixed[record] = record_size, self._check_channels(block.links[1], size, invalidation_size, flags)
         return block.links[0], count * (record_size + layout.id_size)
 
-    def _channels(self, first: int, size: int, invalidation_size: int, group_flags: int) -> bool:
+    def _check_channels(self, first: int, size: int, invalidation_size: int, group_flags: int) -> bool:
         """Checks the channels of a group; returns whether one of them has variable length."""
         waiting, has_variable_length = [first], False
         while waiting:
             offset = waiting.pop()
             if not offset:
                 continue
-            block = self._block(offset, (b"##CN",), links=8, content=72)
+            block = self._read_block(offset, (b"##CN",), links=8, content=72)
             if block.end != block.content + 72:
                 raise DamageError(f"the block at byte {offset} is longer than its content")
-            self._channel(block, size, invalidation_size)
+            self._check_channel(block, size, invalidation_size)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
             waiting.append(block.links[0])
             if part := block.links[1]:
@@ -166,7 +166,7 @@ class _BlockWalk:
                 waiting.append(part)
         return has_variable_length
 
-    def _channel(self, block: _Block, size: int, invalidation_size: int) -> None:
+    def _check_channel(self, block: _Block, size: int, invalidation_size: int) -> None:
         kind, _, data_type, bit, byte, bits, flags, invalidation_bit = struct.unpack_from(
             "<BBBBIIII", self._data, block.content)
         name = f"channel at byte {block.offset}"
@@ -182,18 +182,18 @@ class _BlockWalk:
         if kind == VARIABLE_LENGTH:
             if bits not in (32, 64) or bit or data_type not in _TEXT_AND_BYTE_TYPES:
                 raise DamageError(f"the {name} has an invalid reference to its values")
-            if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # _data_group checks channel groups
-                self._records_size(block.links[5], b"SD")
+            if self._data[block.links[5] : block.links[5] + 4] != b"##CG":  # _check_data_group checks channel groups
+                self._measure_records(block.links[5], b"SD")
         if kind == _MASTER:
             if data_type not in _REAL_TYPES:
                 raise DamageError(f"the time {name} is not numeric")
             if block.links[4]:
-                self._time_conversion(block.links[4])
+                self._check_time_conversion(block.links[4])
 
-    def _time_conversion(self, offset: int) -> None:
+    def _check_time_conversion(self, offset: int) -> None:
         # asammdf ignores an invalid conversion and would read microseconds as seconds.
         self._visited.discard(offset)  # groups share a conversion
-        block = self._block(offset, (b"##CC",), links=4, content=24)
+        block = self._read_block(offset, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR_CONVERSIONS or (kind and (values != 2 or block.content + 40 > block.end)):
             raise DamageError(f"the time conversion at byte {offset} is not linear")
@@ -202,7 +202,7 @@ class _BlockWalk:
             if not math.isfinite(start) or not 0 < factor < math.inf:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
-    def _records_size(self, offset: int, kind: bytes) -> int:
+    def _measure_records(self, offset: int, kind: bytes) -> int:
         """Number of bytes of records at a link, which leads to one block (compressed or not) or a list of blocks."""
         size, lists, waiting = 0, 0, [offset]
         while waiting:
@@ -210,9 +210,9 @@ class _BlockWalk:
             if not offset:
                 continue
             packed = self._data[offset : offset + 4] == b"##DZ"
-            block = self._block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
+            block = self._read_block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
             if packed:
-                size += self._unpacked_size(block, kind)
+                size += self._measure_unpacked_records(block, kind)
             elif block.name == b"##DL":
                 waiting += block.links
                 lists += 1
@@ -225,7 +225,7 @@ class _BlockWalk:
             raise DamageError("it was not finalised, and its records are in more than one list")
         return size
 
-    def _unpacked_size(self, block: _Block, kind: bytes) -> int:
+    def _measure_unpacked_records(self, block: _Block, kind: bytes) -> int:
         content, method, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
             raise DamageError(f"the block at byte {block.offset} is compressed by an unknown method")
@@ -234,7 +234,7 @@ class _BlockWalk:
         return unpacked
 
 
-def end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
+def find_end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
     """Offset after the last record with a complete payload in an unfinalised file; None without such a record.
 
     A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.

@@ -146,7 +146,7 @@ def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     if log is not None:
         log.close()
     content = path.read_bytes()
-    end = mdf_blocks.end_of_last_frame(content, layout) if layout else None
+    end = mdf_blocks.find_end_of_last_frame(content, layout) if layout else None
     if end is None:
         raise DamageError("it contains no complete frame")
     mdf_blocks.check_blocks(content[:end])

@@ -82,8 +82,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
                      f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
-    origin = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
-    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + origin
+    latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
+    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + latency_source
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
                   (*ins.warnings, *can.warnings, *faults, *notes))
@@ -112,7 +112,7 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    """Reads the drive in an INS recording and CAN logs. Raises RunError."""
+    """Reads the drive in an INS recording and CAN logs; needs the vehicle. Raises RunError."""
     if vehicle is None:
         raise RunError(source.where, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
                        "give the vehicle file of the car")
@@ -130,8 +130,8 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     ins, steering = run.ins, run.steering
     assert steering is not None
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
-    good = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
-    wheel = settings.steering_sign * steering.values[good]
+    is_usable = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
+    wheel = settings.steering_sign * steering.values[is_usable]
     accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
     missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
     missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # recorded channels
@@ -143,7 +143,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
         source.where, source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
         velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
         **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
-        steering_time_ns=steering_ns[good], steering_wheel_angle=wheel,
+        steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
                   "alignment": summarise_alignment(run.alignment),

@@ -32,7 +32,7 @@ class Covariances:
             packets, values = decode_status_channel(columns, channel, names)
             self._accuracies[channel] = packets, np.radians(values) if channel == 5 else values
 
-    def of(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    def compute(self, ins: NcomLog, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """(pose, twist) covariances, (n, 36) each, for rows of the log.
 
         The axes of the pose are east, north, up, and rotations about these fixed axes; the twist is in body axes.
@@ -76,13 +76,13 @@ class Serialiser:
         self._store = store
         self._layouts: dict[str, Layout] = {}
 
-    def _blank(self, type_name: str, **texts: str) -> Any:
+    def _make_blank(self, type_name: str, **texts: str) -> Any:
         """A message of zeros. texts: name of a string field of the message or of its header -> text."""
         values: dict[str, Any] = {}
         fields: Any = self._store.fielddefs[type_name][1]
         for name, (node, detail) in fields:
             if node == Nodetype.NAME:
-                values[name] = self._blank(detail, **texts)
+                values[name] = self._make_blank(detail, **texts)
             elif node == Nodetype.BASE:
                 values[name] = texts.get(name, "") if detail[0] == "string" else np.zeros(1, detail[0])[0].item()
             else:
@@ -90,17 +90,17 @@ class Serialiser:
                 values[name] = np.zeros(count, base[0]) if node == Nodetype.ARRAY else []
         return self._store.types[type_name](**values)
 
-    def _messages(self, topic: str, type_name: str, columns: Mapping[str, np.ndarray], **texts: str) -> Messages:
+    def _serialise(self, topic: str, type_name: str, columns: Mapping[str, np.ndarray], **texts: str) -> Messages:
         if type_name not in self._layouts:
-            self._layouts[type_name] = Layout(self._store, type_name, self._blank(type_name, **texts))
+            self._layouts[type_name] = Layout(self._store, type_name, self._make_blank(type_name, **texts))
         time_ns = columns["header.stamp"]
         rows = self._layouts[type_name].rows(len(time_ns), columns)
         edges = np.arange(len(rows) + 1, dtype=np.int64) * rows.shape[1]
         return Messages(topic, type_name, time_ns, memoryview(rows.reshape(-1).data), edges)
 
-    def odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> Messages:
+    def serialise_odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> Messages:
         """Odometry of the INS point: pose in the map (ENU), twist in body axes (FLU)."""
-        pose_covariance, twist_covariance = covariances.of(ins, rows)
+        pose_covariance, twist_covariance = covariances.compute(ins, rows)
         columns = {"header.stamp": ins.time_ns[rows], "pose.covariance": pose_covariance,
                    "twist.covariance": twist_covariance}
         for k, axis in enumerate("xyz"):
@@ -109,30 +109,30 @@ class Serialiser:
             columns[f"twist.twist.angular.{axis}"] = ins.rate[k, rows]
         quaternion = Attitude(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).to_quaternion()
         columns |= {f"pose.pose.orientation.{axis}": values for axis, values in zip("xyzw", quaternion, strict=True)}
-        return self._messages("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
+        return self._serialise("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
-    def ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
+    def serialise_ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
         """Raw packets, given as (n, 72) uint8."""
-        return self._messages("/ins/ncom", NCOM, {"header.stamp": time_ns, "raw_packet": raw}, frame_id=INS_FRAME)
+        return self._serialise("/ins/ncom", NCOM, {"header.stamp": time_ns, "raw_packet": raw}, frame_id=INS_FRAME)
 
-    def steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
-                 vehicle: VehicleParameters) -> Messages:
+    def serialise_steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
+                           vehicle: VehicleParameters) -> Messages:
         """Steering angles. wheel: steering wheel angle [rad], left positive, without offset correction."""
-        return self._messages("/vehicle/steering", STEERING, {
+        return self._serialise("/vehicle/steering", STEERING, {
             "header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": vehicle.road_wheel_angle(wheel),
             "valid": valid})
 
-    def wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
+    def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
         """Wheel speeds, one ROS message per frame of a CAN message; NaN for speeds that are not in the frame."""
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))
         unknown = dict.fromkeys(WHEEL_FIELDS.values(), np.full(len(first.values), np.nan))
-        return self._messages("/vehicle/wheel_speeds", WHEEL_SPEEDS, {
+        return self._serialise("/vehicle/wheel_speeds", WHEEL_SPEEDS, {
             "header.stamp": to_reference(first.time_ns), "valid": first.valid, **unknown,
             **{field: signal.values for field, signal in wheels.items()}})
 
-    def can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
+    def serialise_can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
         """Frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
 
         Each frame consists of a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
@@ -143,8 +143,8 @@ class Serialiser:
         words = rows[:, :12].view("<i4")
         words[:, 0], words[:, 1] = np.divmod(time_ns, 1_000_000_000)
         words[:, 2] = (frames.id & ~np.uint32(EXTENDED)).view(np.int32)
-        for at, flag in ((13, ERROR), (14, REMOTE), (15, FD)):
-            rows[:, at] = (frames.flags & flag) != 0
+        for byte, flag in ((13, ERROR), (14, REMOTE), (15, FD)):
+            rows[:, byte] = (frames.flags & flag) != 0
         rows[:, 12] = (frames.id & np.uint32(EXTENDED)) != 0
         length = np.minimum(frames.length, frames.payload.shape[1]).astype(np.int64)
         rows[:, 16] = length
@@ -155,12 +155,12 @@ class Serialiser:
         starts = np.concatenate(([0], np.cumsum(padded)))
         cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
         ends = np.append(cuts[1:], n)
-        head = bytearray(self._store.serialize_cdr(self._blank(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
+        head = bytearray(self._store.serialize_cdr(self._make_blank(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
         data = bytearray()
         edges = [0]
-        for first, last, at in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
-            head[4:8] = (at // 1_000_000_000).to_bytes(4, "little")
-            head[8:12] = (at % 1_000_000_000).to_bytes(4, "little")
+        for first, last, start_ns in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
+            head[4:8] = (start_ns // 1_000_000_000).to_bytes(4, "little")
+            head[8:12] = (start_ns % 1_000_000_000).to_bytes(4, "little")
             head[-4:] = (last - first).to_bytes(4, "little")
             data += head
             # CDR does not pad the last frame of a message.

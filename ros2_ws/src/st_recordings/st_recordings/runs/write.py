@@ -107,19 +107,21 @@ class _MessageBlocks:
         self._frames = [(bus, np.nonzero(run.can.frames.bus == bus)[0]) for bus in buses]
         self._steering_ns = move_to_ins_clock(run, settings, run.steering.time_ns)
         messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
-        self._wheels = [serialiser.wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
+        self._wheels = [serialiser.serialise_wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
         times = [run.ins.time_ns, self._packet_ns, self._frame_ns, self._steering_ns]
         self.start_ns = min(int(t[0]) for t in times if len(t))
         self.end_ns = max(int(t[-1]) for t in times if len(t))
 
     def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
         run, serialiser = self._run, self._serialiser
-        parts = [serialiser.odometry(self._ins, _select_between(run.ins.time_ns, start_ns, end_ns), self._covariances)]
+        rows = _select_between(run.ins.time_ns, start_ns, end_ns)
+        parts = [serialiser.serialise_odometry(self._ins, rows, self._covariances)]
         rows = _select_between(self._packet_ns, start_ns, end_ns)
-        parts.append(serialiser.ncom(self._ins.columns.raw[self._packets[rows]], self._packet_ns[rows]))
+        parts.append(serialiser.serialise_ncom(self._ins.columns.raw[self._packets[rows]], self._packet_ns[rows]))
         rows = _select_between(self._steering_ns, start_ns, end_ns)
         wheel = self._settings.steering_sign * self._steering.values[rows]
-        parts.append(serialiser.steering(self._steering_ns[rows], wheel, self._steering.valid[rows], self._vehicle))
+        parts.append(serialiser.serialise_steering(self._steering_ns[rows], wheel, self._steering.valid[rows],
+                                                   self._vehicle))
         for wheels in self._wheels:
             rows = _select_between(wheels.time_ns, start_ns, end_ns)
             parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
@@ -127,8 +129,8 @@ class _MessageBlocks:
         for bus, of_bus in self._frames:
             frames = of_bus[_select_between(self._frame_ns[of_bus], start_ns, end_ns)]
             if len(frames):
-                parts.append(serialiser.can_frames(run.can.frames.select(frames), self._frame_ns[frames],
-                                                   f"log:can{bus}"))
+                parts.append(serialiser.serialise_can_frames(run.can.frames.select(frames), self._frame_ns[frames],
+                                                             f"log:can{bus}"))
         return [p for p in parts if len(p)]
 
 
