@@ -108,9 +108,9 @@ def write_skeleton(folder: Path) -> list[Path]:
     blocks = re.split(r"\n(?=\S)", dbc)
     rt = "\n" + "".join(f"{block.rstrip()}\n\n" for block in blocks if re.match(r"BO_ \d+ RT_", block))
     rows = re.split(r"(?m)^name:.*\n", vehicle)[1].splitlines()
-    head, rest = signals.split("messages:\n", 1)
+    head, messages = signals.split("messages:\n", 1)
     texts = {"vehicle.yaml": VEHICLE_TEMPLATE + "".join(f"{_make_template_row(row)}\n" for row in rows),
-             "signals.yaml": head + SIGNALS_TEMPLATE + rest[rest.index("  # The INS on CAN"):],
+             "signals.yaml": head + SIGNALS_TEMPLATE + messages[messages.index("  # The INS on CAN"):],
              "can.dbc": DBC_TEMPLATE, "rt.dbc": rt, "car.yaml": CAR_TEMPLATE}
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -156,17 +156,17 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
     for key, quantity in quantities.items():
-        spread = vehicle.uncertainty(key)
-        if spread is None:
+        uncertainty = vehicle.uncertainty(key)
+        if uncertainty is None:
             without.append(key)
             continue
         stated = vehicle.provenance.get(key)
         unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
         default = DEFAULT_UNCERTAINTIES.get(key)
         if stated is not None and stated.uncertainty:
-            lines.append(f"{key} +/- {spread:.3g}{unit} (from the file)")
+            lines.append(f"{key} +/- {uncertainty:.3g}{unit} (from the file)")
         elif default is not None:
-            size = f"{100 * default.size:g} %" if default.relative else f"{spread:.3g}{unit}"
+            size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
             lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
     free = [key for key in without if "." not in key and key not in NOT_FITTED]
     return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(free)}"] if free else lines

@@ -125,16 +125,16 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
                for topic, fields in required.items()}
     topics = {topic.type_name: topic.name for topic in required}
     if not reads_odometry:
-        columns[ODOMETRY] = reconstruction.odometry(_ODOMETRY_FIELDS)
-        topics[ODOMETRY] = reconstruction.topic(NCOM).name + RECONSTRUCTED
+        columns[ODOMETRY] = reconstruction.reconstruct_odometry(_ODOMETRY_FIELDS)
+        topics[ODOMETRY] = reconstruction.find_topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
         named = find_steering_topic(path, all_topics, steering, store)
         columns[STEERING], topics[STEERING] = read_steering_columns(path, storage, named, steering, store), named.name
     elif STEERING not in columns:
-        columns[STEERING] = reconstruction.steering()
-        topics[STEERING] = reconstruction.topic(CAN_FRAMES).name + RECONSTRUCTED
+        columns[STEERING] = reconstruction.reconstruct_steering()
+        topics[STEERING] = reconstruction.find_topic(CAN_FRAMES).name + RECONSTRUCTED
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns)]
-    log, missing, row_notes = _drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+    log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     extras = collect_auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},
                                     stamps, missing, store, reconstruction)
@@ -144,7 +144,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if reads_odometry:
         first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = getattr(first.header, "frame_id", "")  # the definition of a header in the bag may lack it
-    origin = reconstruction.origin()
+    origin = reconstruction.read_origin()
     if origin is not None:
         origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]
     return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *row_notes)), extras, frame,
@@ -158,7 +158,7 @@ def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
     columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
-    ins_ns, values, _, row_notes = _odometry_rows(columns)
+    ins_ns, values, _, row_notes = _select_odometry(columns)
     return build_planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
@@ -282,8 +282,8 @@ def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequenc
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 
-def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int],
-                                                                list[str]]:
+def _select_odometry(
+        odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
     """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes)."""
     values = {
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
@@ -292,19 +292,19 @@ def _odometry_rows(odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict
         "yaw_rate": odometry["twist.twist.angular.z"],
     }
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
-    good = np.isfinite(np.stack(list(values.values()))).all(axis=0)
-    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], good, "odometry messages", missing)
+    is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
+    time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
     return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
 
 
-def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-               ) -> tuple[DriveLog, dict[str, int], list[str]]:
+def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
+                     ) -> tuple[DriveLog, dict[str, int], list[str]]:
     """(log, channel -> number of messages without a usable value, notes)."""
-    ins_ns, values, missing, notes = _odometry_rows(odometry)
-    good = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
-    missing["road_wheel_angle"] = int((~good).sum())
+    ins_ns, values, missing, notes = _select_odometry(odometry)
+    is_usable = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
+    missing["road_wheel_angle"] = int((~is_usable).sum())
     steering_ns, steering_rows, steering_notes = _select_usable_messages(
-        steering["header.stamp"], good, "steering messages", {"the steering angle": missing["road_wheel_angle"]})
+        steering["header.stamp"], is_usable, "steering messages", {"the steering angle": missing["road_wheel_angle"]})
     wheel = steering["steering_wheel_angle"][steering_rows]
     log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
                          road_wheel_angle=steering["road_wheel_angle"][steering_rows],
@@ -312,18 +312,18 @@ def _drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steeri
     return log, missing, [*notes, *steering_notes]
 
 
-def _select_usable_messages(time_ns: np.ndarray, good: np.ndarray, what: str,
+def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, what: str,
                             missing: Mapping[str, int]) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """(strictly ascending times [ns] of the usable messages, their indices, notes).
 
     missing: channel -> number of messages without a usable value.
     """
     time = np.asarray(time_ns, np.int64)
-    rows = np.flatnonzero(good & (time != 0))
+    rows = np.flatnonzero(is_usable & (time != 0))
     notes = []
     if (lost := len(time) - len(rows)):
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
         notes.append(f"{format_share(lost, len(time), what)} have no {' or no '.join(reasons)}; they were left out")
-    kept, time_notes = select_usable_rows(time[rows], what)
-    return time[rows[kept]], rows[kept], [*notes, *time_notes]
+    ascending, time_notes = select_usable_rows(time[rows], what)
+    return time[rows[ascending]], rows[ascending], [*notes, *time_notes]

@@ -96,7 +96,7 @@ def _read_text(file: Path, notes: list[str], make: Callable[[Lines, list[str]], 
 
     make: makes the python-can reader from the lines and the notes.
     """
-    bad: list[int] = []
+    unreadable: list[int] = []
     with closing(lines_type(file)) as lines:
         reader = make(lines, notes)
         remaining = iter(reader)
@@ -106,15 +106,15 @@ def _read_text(file: Path, notes: list[str], make: Callable[[Lines, list[str]], 
             except StopIteration:
                 break
             except Exception:  # any, from int() or indexing in python-can
-                if bad and bad[-1] == lines.position:
+                if unreadable and unreadable[-1] == lines.position:
                     break  # no progress: the file ends within its header
-                bad.append(lines.position)
+                unreadable.append(lines.position)
                 if lines.header:
                     lines.unread(lines.header)
                 remaining = iter(reader)
-        if bad:
-            notes.insert(0, f"{format_share(len(bad), lines.position, 'lines')} cannot be read and were skipped; "
-                         f"the first is line {bad[0]}")
+        if unreadable:
+            notes.insert(0, f"{format_share(len(unreadable), lines.position, 'lines')} cannot be read and were "
+                         f"skipped; the first is line {unreadable[0]}")
 
 
 def month_number(name: str) -> int | None:
@@ -177,14 +177,14 @@ class _AscLines(Lines):
         match = _WEEKDAY_MONTH.match(line)
         if match is None:
             return line
-        key, month, rest = match.groups()
+        key, month, day_and_time = match.groups()
         if key.lower().startswith("begin"):
             self._seconds = 0.0
         number = month_number(month)
-        hour = re.search(r"\s(\d{1,2}):", rest)
+        hour = re.search(r"\s(\d{1,2}):", day_and_time)
         if hour and not 1 <= int(hour.group(1)) <= 12:
-            rest = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", rest)
-        return f"{key} Mon {_ENGLISH_MONTHS[number - 1] if number else month}{rest}\n"
+            day_and_time = re.sub(r"(?i)\s[ap]\.?m\.?(?=\s)", "", day_and_time)
+        return f"{key} Mon {_ENGLISH_MONTHS[number - 1] if number else month}{day_and_time}\n"
 
 
 def _read_trc(lines: Lines, notes: list[str]) -> Any:

@@ -137,17 +137,17 @@ class Layout:
         if node == Nodetype.BASE:
             if detail[0] == "string":
                 return _align(at, 4) + 4 + len(value.encode()) + 1
-            return self._numbers(_DTYPES[detail[0]], 1, path, at)
+            return self._add_numbers(_DTYPES[detail[0]], 1, path, at)
         (inner, inner_detail), _ = detail
         if node == Nodetype.SEQUENCE:
             at = _align(at, 4) + 4
         if inner == Nodetype.BASE and inner_detail[0] != "string":
-            return self._numbers(_DTYPES[inner_detail[0]], len(value), path, at) if len(value) else at
+            return self._add_numbers(_DTYPES[inner_detail[0]], len(value), path, at) if len(value) else at
         for index, element in enumerate(value):
             at = self._walk_member(inner, inner_detail, element, f"{path}.{index}", at)
         return at
 
-    def _numbers(self, dtype: str, count: int, path: str, at: int) -> int:
+    def _add_numbers(self, dtype: str, count: int, path: str, at: int) -> int:
         field = Field(_align(at, np.dtype(dtype).itemsize) + _ENCAPSULATION, dtype, count)
         self.fields[path] = field
         return field.offset - _ENCAPSULATION + field.width
@@ -178,8 +178,9 @@ class Layout:
     def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
         """Whether the messages at `starts`, of `sizes` bytes, have this layout. The middleware pads messages to a
         multiple of four bytes."""
-        sized = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
-        return bool(sized) and all((buffer[starts + k] == self.template[k]).all() for k in np.nonzero(self._fixed)[0])
+        size_fits = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
+        fixed_bytes = np.nonzero(self._fixed)[0]
+        return bool(size_fits) and all((buffer[starts + k] == self.template[k]).all() for k in fixed_bytes)
 
 
 def get_field(message: Any, path: str) -> Any:

@@ -48,31 +48,31 @@ class Reconstruction:
         """Whether the recording contains messages of a type."""
         return any(t.type_name == type_name and t.count for t in self._topics)
 
-    def topic(self, type_name: str) -> Topic:
+    def find_topic(self, type_name: str) -> Topic:
         """The first topic of a type that has messages."""
         return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
     def bus_is_described(self) -> bool:
         """Whether the recording includes CAN frames with their DBC and signal table."""
-        return self.has(CAN_FRAMES) and None not in self._descriptions()
+        return self.has(CAN_FRAMES) and None not in self._read_descriptions()
 
     def map_frame(self) -> str:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
 
-    def odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
+    def reconstruct_odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Columns of nav_msgs/Odometry, reconstructed from raw packets. Raises RunError for damaged packets, or if no
         packet has a fix and a time.
 
         fields: names of stamp, position x, y, quaternion x, y, z, w, velocity x, y and yaw rate, in this order.
         """
         bridge = self._nodes.get("oxts_bridge", {})
-        columns = self._storage.columns({self.topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
-        raw = columns.get(self.topic(NCOM).name)
+        columns = self._storage.columns({self.find_topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
+        raw = columns.get(self.find_topic(NCOM).name)
         if raw is None:
             raise RunError(self._path, "its raw packets differ in length", "repair the bag with `st recover`")
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
-        odometry = reconstruct_odometry(packets, self._origin(bridge), not bridge.get("replay_file"),
+        odometry = reconstruct_odometry(packets, self._choose_origin(bridge), not bridge.get("replay_file"),
                                         bridge.get("stamp_source") == "receive")
         rows = [(stamp_ns, *position[:2], *motion.attitude.to_quaternion(), *motion.body_velocity[:2],
                  motion.angular_velocity[2]) for stamp_ns, position, motion in odometry]
@@ -82,7 +82,7 @@ class Reconstruction:
         stamps, *values = zip(*rows, strict=True)
         return {fields[0]: np.array(stamps, np.int64), **dict(zip(fields[1:], map(np.array, values), strict=True))}
 
-    def origin(self) -> tuple[float, float, float] | None:
+    def read_origin(self) -> tuple[float, float, float] | None:
         """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]."""
         topic = next((t for t in self._topics if t.name.endswith(ORIGIN_TOPIC) and t.type_name == ORIGIN_TYPE
                       and t.count), None)
@@ -91,28 +91,29 @@ class Reconstruction:
         fix: Any = self._store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
         return fix.latitude, fix.longitude, fix.altitude
 
-    def _origin(self, bridge: Mapping[str, Any]) -> Origin:
-        if (recorded := self.origin()) is not None:
+    def _choose_origin(self, bridge: Mapping[str, Any]) -> Origin:
+        if (recorded := self.read_origin()) is not None:
             return Origin(GIVEN, recorded)
         source = bridge.get("origin_source", FIRST_FIX)
         latitude, longitude, altitude = (float(bridge.get(f"origin_{name}", math.nan))
                                          for name in ("latitude", "longitude", "altitude"))
         return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
-    def steering(self) -> dict[str, np.ndarray]:
+    def reconstruct_steering(self) -> dict[str, np.ndarray]:
         """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError."""
         from .can_signals import find_steering
 
         bridge = self._nodes.get("canedge_bridge", {})
         signal = find_steering(self._signals, self._path, self._table)
-        ratio, offset = (self._steering_parameter(bridge, key) for key in ("steering_ratio", "steering_wheel_offset"))
+        ratio = self._read_steering_parameter(bridge, "steering_ratio")
+        offset = self._read_steering_parameter(bridge, "steering_wheel_offset")
         calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
         return {"header.stamp": signal.time_ns - latency_ns,
                 "steering_wheel_angle": calibration.steering_wheel_angle(signal.values),
                 "road_wheel_angle": calibration.road_wheel_angle(signal.values), "valid": signal.valid}
 
-    def _steering_parameter(self, bridge: Mapping[str, Any], key: str) -> float:
+    def _read_steering_parameter(self, bridge: Mapping[str, Any], key: str) -> float:
         value = float(bridge.get(key, math.nan))
         if math.isfinite(value):
             return value
@@ -123,13 +124,13 @@ class Reconstruction:
             raise RunError(self._path, "the road wheel angle of its raw frames needs the steering ratio and offset in "
                            f"a vehicle file: {error}", "also record vehicle/steering") from None
 
-    def speeds(self) -> tuple[Series | None, Series | None]:
+    def decode_speeds(self) -> tuple[Series | None, Series | None]:
         """(wheel speed, INS speed on CAN) [m/s] from raw CAN frames; None for a missing one."""
         from .can_signals import collect_speeds
 
         return collect_speeds(self._signals)
 
-    def _descriptions(self) -> tuple[str | None, ...]:
+    def _read_descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
         return tuple(recorded_text(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
@@ -142,7 +143,7 @@ class Reconstruction:
                            "also record vehicle/steering")
         with tempfile.TemporaryDirectory() as folder:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
-            for file, text in zip(files, self._descriptions(), strict=True):
+            for file, text in zip(files, self._read_descriptions(), strict=True):
                 file.write_text(text or "", encoding="utf-8")
             return load_signal_table(*files)
 
@@ -153,7 +154,7 @@ class Reconstruction:
 
         table = self._table
         try:
-            frames = read_frames(self._storage.messages(self.topic(CAN_FRAMES).name))
+            frames = read_frames(self._storage.messages(self.find_topic(CAN_FRAMES).name))
         except ValueError as error:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
                            "repair the bag with `st recover`") from None
@@ -185,7 +186,7 @@ def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: M
     on_can = by_type.get(INS_ON_CAN)
     ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
     if WHEEL_SPEEDS not in by_type and reconstruction.bus_is_described:
-        wheels, ins_speed = reconstruction.speeds()
+        wheels, ins_speed = reconstruction.decode_speeds()
     if NCOM in by_type and (quality is None or ins_speed is None):
         packet_quality, packet_speed = _decode_packets(by_type[NCOM]["raw_packet"])
         quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
@@ -229,8 +230,8 @@ def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> 
         return None
     time_ns = np.array([row[0] for row in rows], np.int64)
     values = np.array([row[1:] for row in rows], float)
-    used = is_newer(time_ns)
-    time_ns, (status, mode, north, east, heading) = time_ns[used], values[used].T
+    rows_used = is_newer(time_ns)
+    time_ns, (status, mode, north, east, heading) = time_ns[rows_used], values[rows_used].T
     return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)
 
 
