@@ -155,7 +155,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
         topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic_end)]
         total = sum(t.count for t in topics)
         messages = chain.from_iterable(storage.messages(t.name) for t in topics)
-        for done, data in enumerate(messages, 1):
+        for count, data in enumerate(messages, 1):
             yield store.deserialize_cdr(data, type_name)
-            if progress and (done % 500 == 0 or done == total):
-                progress(done, total)
+            if progress and (count % 500 == 0 or count == total):
+                progress(count, total)

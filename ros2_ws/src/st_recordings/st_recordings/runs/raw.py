@@ -62,8 +62,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     if not source.where.is_dir():  # a folder is a bag, and its reader checks it
         check_readable(source.where)
     can = read_can_logs(source.can)
-    dbc, file = find_signal_files(source, settings)
-    table = load_signal_table(dbc, file)
+    dbc, signals_file = find_signal_files(source, settings)
+    table = load_signal_table(dbc, signals_file)
     signals = decode_signals(can.frames, table)
     steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
     parts = _split_log(can)

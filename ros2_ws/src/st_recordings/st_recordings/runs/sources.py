@@ -65,10 +65,10 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     if len(loose) > 1 or runs:
         loose = [f for f in loose if not _is_document(f)] or loose
     described = [run for path in loose if (run := _find_described_run(path)) is not None]
-    rest = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
-    if any(f.suffix.lower() in CAN_EXTENSIONS for f in rest):  # the user names CAN logs that `each` does not describe
-        described, rest = [], loose
-    return _assign_distinct_names([*runs, *described, *_group_files(rest, given=True)])
+    undescribed = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in undescribed):  # CAN logs that `each` does not describe
+        described, undescribed = [], loose
+    return _assign_distinct_names([*runs, *described, *_group_files(undescribed, given=True)])
 
 
 def _find_described_run(path: Path) -> RunSource | None:
@@ -210,8 +210,9 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
 
 
 def _is_continuation(before: Path, file: Path) -> bool:
-    (a, _, first), (b, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
-    if (before.parent, a, before.suffix) != (file.parent, b, file.suffix) or not (first.isdigit() and second.isdigit()):
+    (stem, _, first), (next_stem, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
+    same_series = (before.parent, stem, before.suffix) == (file.parent, next_stem, file.suffix)
+    if not (same_series and first.isdigit() and second.isdigit()):
         return False
     earlier, later = read_time_span(before), read_time_span(file)
     return int(second) == int(first) + 1 and earlier is not None and later is not None and (
