@@ -72,7 +72,7 @@ def prediction_errors(logs: list, car: VehicleParameters) -> dict:
         starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
         batch = LogBatch(own, starts)
         for model in MODELS:
-            mean = batch.errors(batch.predict(model, car))[:, :, :2].mean(axis=1)
+            mean = batch.errors(model, car)[:, :, :2].mean(axis=1)
             mean = mean[np.isfinite(mean).all(axis=1)]
             table[model][log.name] = _rms(mean)
             total[model].append(mean)

@@ -85,7 +85,7 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
             starts, _ = usable_starts(LogSignals(own, 0.1, 5.0), car, regular_starts(own, 0.1), 0.5)
             # Integration steps small enough for these stiffnesses at the lowest speed.
             batch = LogBatch(own, starts, points=(PREDICTION_TIME,), substeps="auto")
-            errors = batch.errors(batch.predict(model, car))[:, 0, :2]
+            errors = batch.errors(model, car)[:, 0, :2]
             good = np.isfinite(errors).all(axis=1)
             columns.append(np.column_stack((np.full(good.sum(), number), (starts[good] - log.start_ns) * 1e-9,
                                             errors[good])))

@@ -18,7 +18,7 @@ def run() -> dict:
     def positions(factors):
         model = augment("nonlinear", {"front_stiffness": {"factor": float(factors[0])},
                                       "rear_stiffness": {"factor": float(factors[1])}})
-        return batch.predict(model, car).states[:, :, :2]
+        return batch.predict(model, car)[:, :, :2]
 
     truth = (0.8, 1.1)
     measured = positions(truth)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from st_core.backends import numpy_batch
-from st_core.batch import LogBatch, LogPrediction
+from st_core.batch import LogBatch
 from st_core.models import Model, get_model
 from st_core.prediction import step_count
 from st_core.vehicle import VehicleParameters
@@ -30,5 +30,5 @@ def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.nda
 
 
 def predict_log(model: str | Model, vehicle: VehicleParameters, log, starts_ns: np.ndarray, *of_batch,
-                **options) -> LogPrediction:
+                **options) -> np.ndarray:
     return LogBatch(log, starts_ns, *of_batch, **options).predict(model, vehicle)

@@ -52,7 +52,7 @@ def fit_paramsd(runs: Sequence[DriveLog], vehicle: VehicleParameters) -> dict[st
 
     def residuals(x: np.ndarray) -> np.ndarray:
         model = _linear().with_values(_as_values(x))
-        rows = [measured - batch.predict(model, vehicle).states[:, :, 5] for batch, measured in batches]
+        rows = [measured - batch.predict(model, vehicle)[:, :, 5] for batch, measured in batches]
         return np.clip(np.nan_to_num(np.concatenate(rows).ravel(), nan=1.0), -1.0, 1.0)
 
     low, high = zip(RATIO, STIFFNESS, OFFSET, strict=True)

@@ -28,9 +28,9 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
     step = 0.01
     # A whole number of steps from the first to the last sample.
     steps = int((time[-1] - time[0]) * 1e-9 / step)
-    predicted = LogBatch(log, time[:1], steps * step, step, acceleration="zero_phase").predict(BASE, vehicle)
-    x, y, v_x, v_y, yaw, rate = predicted.states[0].T
-    if not np.isfinite(predicted.states).all() or np.abs(v_y).max() > 6.0:
+    states = LogBatch(log, time[:1], steps * step, step, acceleration="zero_phase").predict(BASE, vehicle)
+    x, y, v_x, v_y, yaw, rate = states[0].T
+    if not np.isfinite(states).all() or np.abs(v_y).max() > 6.0:
         raise ValueError(f"{log.name}: the model spins on these inputs")
     dx, dy = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
     x, y = cg_to_ins_position(x, y, yaw, dx, dy)

@@ -21,24 +21,13 @@ from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
 from .readings import correct_log, has_steering_dynamics, predict_wheel_angles, reading_errors
-from .start_grid import Block, plan_blocks
+from .start_grid import GridBlock, plan_blocks
 from .timeseries import NANOSECOND, half_step_grid
 from .types import STATE_NAMES
 from .vehicle import VehicleParameters
 
 Inputs = Literal["measured", "held"] | tuple[np.ndarray, ...]
 Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
-
-
-@dataclass(frozen=True, eq=False)
-class LogPrediction:
-    """Predictions of one model from n starts, at k points of the horizon; NaN from an unknown input or start on."""
-
-    model: Model
-    vehicle: VehicleParameters
-    starts_ns: np.ndarray
-    time: np.ndarray  # (k,) after the start [s]
-    states: np.ndarray  # (n, k, 6) at the CG, columns as STATE_NAMES
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +86,7 @@ class LogBatch:
             used = np.abs(self.signals.log.velocity_x[slice(*np.searchsorted(ins_time, ends))])
         self._speeds = (float(used.min()), float(used.max())) if len(used) else ()
         self._recorded = Recording(self.signals)
-        self._single_block: dict[tuple[int, bool], list[Block]] = {}
+        self._single_block: dict[tuple[int, bool], list[GridBlock]] = {}
 
     def _find_point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
@@ -109,13 +98,11 @@ class LogBatch:
                                      f"the horizon of {self.steps * self.step:g} s")
         return numbers
 
-    @property
-    def time(self) -> np.ndarray:
-        """The horizon points [s]."""
-        return self.step * self.points
+    def predict(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
+        """States of one model at the CG, (n, k, 6), columns as STATE_NAMES; NaN from an unknown input or start on.
 
-    def predict(self, model: str | Model, vehicle: VehicleParameters) -> LogPrediction:
-        """States of one model at the horizon points, (n, k, 6)."""
+        n: starts. k: points of the horizon.
+        """
         model = get_model(model)
         for name in model.signals:
             if name not in self.extra_signals:
@@ -132,13 +119,14 @@ class LogBatch:
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
         states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._inverse]
-        return LogPrediction(model, vehicle, self.starts_ns, self.time, states.transpose(2, 0, 1))
+        return states.transpose(2, 0, 1)
 
-    def errors(self, prediction: LogPrediction) -> np.ndarray:
-        """(n, k, 3): longitudinal, lateral [m] and yaw [rad], predicted minus measured, at the INS point."""
+    def errors(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
+        """Errors of `predict`, (n, k, 3): longitudinal, lateral [m], yaw [rad], predicted minus measured at the INS."""
+        model = get_model(model)
         half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
         measured = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
-        return reading_errors(prediction.model, prediction.vehicle, prediction.states, *measured)
+        return reading_errors(model, vehicle, self.predict(model, vehicle), *measured)
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
         """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
@@ -147,7 +135,7 @@ class LogBatch:
         stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
-    def _plan_blocks(self, count: int, separate: bool) -> Iterable[Block]:
+    def _plan_blocks(self, count: int, separate: bool) -> Iterable[GridBlock]:
         """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._single_block:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
@@ -165,7 +153,7 @@ class LogBatch:
         log = correct_log(model, self.signals.log, self.signals.maximum_gap)
         return self._recorded if log is self.signals.log else Recording(self.signals.for_log(log))
 
-    def _sample(self, block: Block, recording: Recording, model: Model) -> list[np.ndarray]:
+    def _sample(self, block: GridBlock, recording: Recording, model: Model) -> list[np.ndarray]:
         """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block, arranged."""
         key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
         if key in recording.sampled:
@@ -186,7 +174,7 @@ class LogBatch:
         extra = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *extra]
 
-    def _sample_separately(self, block: Block, signals: LogSignals, model: Model) -> list[np.ndarray]:
+    def _sample_separately(self, block: GridBlock, signals: LogSignals, model: Model) -> list[np.ndarray]:
         """Like `_sample`, for planned inputs, and for held inputs of a model with steering memory."""
         times, log = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
@@ -206,11 +194,11 @@ class LogBatch:
                  for name in model.signals]
         return [block.arrange(v) for v in (angle, acceleration, *extra)]
 
-    def _table(self, block: Block, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
+    def _table(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
         """w at all instants of a block."""
         return block.tabulate(model.inputs(*values[:2], p, *values[2:]))
 
-    def _advance(self, block: Block, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
+    def _advance(self, block: GridBlock, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,
                  substeps: int) -> np.ndarray:
         with np.errstate(all="ignore"):
             w = self._table(block, values, model, p)

@@ -25,13 +25,14 @@ MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, of the offsets of time frames from a straight line
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
+MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide if a signal fits poorly with one offset
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
     """Alignment with a given offset [ns], of unknown uncertainty (NaN). signals: used to check it within 5 s."""
     offset = offset_ns * 1e-9
-    check = align(signals, search=(offset - 5.0, offset + 5.0)) if signals else refused_alignment()
+    check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
     given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
                       ("the offset was given by hand and could not be checked",))
     if check.verdict is Verdict.REFUSED:
@@ -39,7 +40,7 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
     difference = check.offset_ns * 1e-9 - offset
     reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
               "middle of the log")
-    close = abs(difference) < max(2 * check.offset_deviation, 0.01)
+    close = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
     return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
                    peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
 

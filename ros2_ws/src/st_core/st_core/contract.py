@@ -39,10 +39,9 @@ def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, 
         try:
             with np.errstate(all="ignore"):
                 problems[text] = find_violation(effect, vehicle)
-        except StCoreError as error:
-            problems[text] = str(error)
         except Exception as error:
-            problems[text] = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            kind = "" if isinstance(error, StCoreError) else f"{type(error).__name__}: "
+            problems[text] = kind + " ".join(str(error).split())
     return problems
 
 

@@ -127,7 +127,7 @@ class CourseTracker:
         elapsed = self._advance(ego)
         self._score(ego, elapsed)
         near = self.course.find_near(ego.x, ego.y, ego.direction)
-        candidates = [found for point in near if (found := self._predict_from_pass(point, ego)) is not None]
+        candidates = [prediction for point in near if (prediction := self._predict_from_pass(point, ego))]
         if not candidates:
             return CourseForecast(None, reason="course: it ends within the horizon" if near else
                                   "course: no earlier drive near the car in its direction")

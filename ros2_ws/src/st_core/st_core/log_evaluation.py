@@ -293,10 +293,10 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
     for model in models:
         trajectories[model.name, "hindsight"] = (
-            measured.predict(model, vehicle).states if settings.inputs == "interpolate"
+            measured.predict(model, vehicle) if settings.inputs == "interpolate"
             else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
-        trajectories[model.name, "forecast"] = held.predict(model, vehicle).states
-        trajectories |= {(model.name, mode): batch.predict(model, vehicle).states for mode, batch in batches.items()}
+        trajectories[model.name, "forecast"] = held.predict(model, vehicle)
+        trajectories |= {(model.name, mode): batch.predict(model, vehicle) for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
         for model in models for mode in (*MODES, *planned)}

@@ -17,7 +17,7 @@ SEPARATE_BLOCK = 2**17  # instants per block with separate instants
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class GridBlock:
     """Columns of a batch that are computed together."""
 
     number: int
@@ -50,7 +50,7 @@ class Block:
         return result
 
 
-def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[Block]:
+def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[GridBlock]:
     """Blocks that cover all starts. starts_ns: increasing [ns]. instants_ns: times after each start, from 0 on [ns].
 
     share: False if the values at an instant depend on the start.
@@ -65,7 +65,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
         starts = starts_ns[first:first + size]
         width = _round_up(len(starts), lanes)
         padded = np.pad(starts, (0, width - len(starts)), mode="edge")
-        yield Block(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
+        yield GridBlock(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
                     instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
@@ -94,7 +94,7 @@ def _find_pieces(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Piece]
             return []
         spacing = int(np.gcd.reduce(steps // half)) if len(steps) else count
         column = (starts_ns[run] - starts_ns[run[0]]) // (half * spacing)
-        for first in range(0, int(column[-1]) + 1, SHARED_BLOCK):
+        for first in (SHARED_BLOCK * np.unique(column // SHARED_BLOCK)).tolist():
             begin, end = np.searchsorted(column, (first, first + SHARED_BLOCK)).tolist()
             within = column[begin:end] - first
             pieces.append(_Piece(slice(int(run[0]) + begin, int(run[0]) + end), spacing, within,
@@ -103,7 +103,7 @@ def _find_pieces(starts_ns: np.ndarray, instants_ns: np.ndarray) -> list[_Piece]
     return pieces
 
 
-def _plan_shared(pieces: Sequence[_Piece], instants_ns: np.ndarray, lanes: int) -> Iterator[Block]:
+def _plan_shared(pieces: Sequence[_Piece], instants_ns: np.ndarray, lanes: int) -> Iterator[GridBlock]:
     """Blocks of consecutive pieces; between pieces, the columns into which the last horizon extends are unused."""
     group: list[_Piece] = []
     number = 0
@@ -115,7 +115,7 @@ def _plan_shared(pieces: Sequence[_Piece], instants_ns: np.ndarray, lanes: int) 
     yield _join_pieces(number, group, instants_ns, lanes)
 
 
-def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lanes: int) -> Block:
+def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lanes: int) -> GridBlock:
     half, spacing = int(instants_ns[1]), pieces[0].spacing
     width = [piece.width for piece in pieces]
     first = np.concatenate(([0], np.cumsum(width)))
@@ -127,7 +127,7 @@ def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lan
     starts = np.concatenate([t[::spacing] for t in times])[:count]
     selected = np.concatenate([piece.column + f for piece, f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
-    return Block(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), selected, starts, np.concatenate(times),
+    return GridBlock(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), selected, starts, np.concatenate(times),
                  (k % spacing) * indices + k // spacing, columns, spacing)
 
 

@@ -79,9 +79,8 @@ STARTS = {
 def test_any_starts_as_one_by_one(leaf, log, backend, inputs, starts):
     for name in ("linear", "nonlinear"):
         ours = predict_log(name, leaf, log, starts, 2.0, inputs=inputs, backend=backend)
-        assert ours.states.shape == (len(starts), 41, 6)
-        assert ours.starts_ns.tolist() == starts.tolist()
-        for start, states in zip(starts.tolist(), ours.states, strict=True):
+        assert ours.shape == (len(starts), 41, 6)
+        for start, states in zip(starts.tolist(), ours, strict=True):
             expected = one_by_one(MODELS[name], leaf, log, start, 2.0, inputs == "held")
             np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
 
@@ -91,8 +90,7 @@ def test_only_the_points_asked_for(leaf, log, backend):
     starts = regular(500, 30)
     whole = predict_log("nonlinear", leaf, log, starts, 3.0, backend=backend)
     some = predict_log("nonlinear", leaf, log, starts, 3.0, points=(0.5, 1.0, 3.0), backend=backend)
-    np.testing.assert_array_equal(some.states, whole.states[:, [10, 20, 60]])
-    np.testing.assert_allclose(some.time, [0.5, 1.0, 3.0])
+    np.testing.assert_array_equal(some, whole[:, [10, 20, 60]])
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -112,7 +110,7 @@ def test_hindsight_errors_are_those_of_the_live_evaluator(leaf, log, backend):
     scores = {(s.model, s.start_ns): s for s in evaluator.flush() if s.mode == "hindsight"}
     complete = 0
     for name in MODELS:
-        errors = batch.errors(batch.predict(name, leaf))
+        errors = batch.errors(name, leaf)
         for start, error in zip(starts.tolist(), errors, strict=True):
             score = scores[name, start]
             live = np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)
@@ -127,9 +125,9 @@ def test_augmented_models_see_the_log_their_way(leaf, log, backend, effects):
     model, starts = augment("linear", effects), regular(700, 12)
     batch = LogBatch(log, starts, 2.0, backend=backend)
     ours, plain = batch.predict(model, leaf), batch.predict("linear", leaf)
-    for start, states in zip(starts.tolist(), ours.states, strict=True):
+    for start, states in zip(starts.tolist(), ours, strict=True):
         np.testing.assert_allclose(states, one_by_one(model, leaf, log, start, 2.0), rtol=1e-12, atol=1e-12)
-    assert np.abs(ours.states - plain.states).max() > 1e-3
+    assert np.abs(ours - plain).max() > 1e-3
     # At the start the reading predicted is the reading measured: what corrects a sensor is undone.
     np.testing.assert_allclose(batch.errors(ours)[:, 0], 0.0, atol=1e-9)
 
@@ -137,11 +135,11 @@ def test_augmented_models_see_the_log_their_way(leaf, log, backend, effects):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_blocks_do_not_show(leaf, log, backend, monkeypatch):
     starts = [regular(500, 150), regular(500, 150) + np.arange(150)]
-    whole = [predict_log("linear", leaf, log, s, 1.0, backend=backend).states for s in starts]
+    whole = [predict_log("linear", leaf, log, s, 1.0, backend=backend) for s in starts]
     monkeypatch.setattr(start_grid, "SHARED_BLOCK", 20)
     monkeypatch.setattr(start_grid, "SEPARATE_BLOCK", 500)
     for s, expected in zip(starts, whole, strict=True):
-        states = predict_log("linear", leaf, log, s, 1.0, backend=backend).states
+        states = predict_log("linear", leaf, log, s, 1.0, backend=backend)
         np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -165,14 +163,14 @@ def test_memory_is_that_of_a_block_whatever_the_length(leaf):
 def test_substeps(leaf, log):
     starts = regular(700, 20)
     errors = []
-    exact = predict_log("linear", leaf, log, starts, 1.0, substeps=16).states
+    exact = predict_log("linear", leaf, log, starts, 1.0, substeps=16)
     for count in (1, 2):
         divided = predict_log("linear", leaf, log, starts, 1.0, substeps=count)
-        assert divided.states.shape == (20, 21, 6)
-        errors.append(np.abs(divided.states - exact).max())
+        assert divided.shape == (20, 21, 6)
+        errors.append(np.abs(divided - exact).max())
     assert errors[1] < 0.3 * errors[0]  # inputs from samples are not smooth: not order 4
     expected = one_by_one(MODELS["linear"], leaf, log, int(starts[3]), 1.0, step=0.025)
-    np.testing.assert_allclose(predict_log("linear", leaf, log, starts, 1.0, substeps=2).states[3], expected[::2],
+    np.testing.assert_allclose(predict_log("linear", leaf, log, starts, 1.0, substeps=2)[3], expected[::2],
                                rtol=1e-12, atol=1e-12)
 
 
@@ -184,9 +182,9 @@ def test_a_step_too_long_is_warned_of_or_divided(leaf, monkeypatch):
             wrong = predict_log("linear", bare, slow, starts)
     assert len(caught) == 1
     divided = predict_log("linear", bare, slow, starts, substeps="auto")
-    np.testing.assert_array_equal(divided.states, predict_log("linear", bare, slow, starts, substeps=2).states)
-    fine = predict_log("linear", bare, slow, starts, substeps=16).states
-    assert np.nanmax(np.abs(divided.states - fine)) < 0.1 * np.nanmax(np.abs(wrong.states - fine))
+    np.testing.assert_array_equal(divided, predict_log("linear", bare, slow, starts, substeps=2))
+    fine = predict_log("linear", bare, slow, starts, substeps=16)
+    assert np.nanmax(np.abs(divided - fine)) < 0.1 * np.nanmax(np.abs(wrong - fine))
 
 
 def test_signals_a_model_asks_for(leaf, log):
@@ -201,7 +199,7 @@ def test_signals_a_model_asks_for(leaf, log):
         predict_log(model, leaf, log, starts)
     ours = predict_log(model, leaf, log, starts, 2.0, signals={"more": (time, np.full(len(time), 0.01))})
     shifted = replace(log, road_wheel_angle=log.road_wheel_angle + 0.01)
-    np.testing.assert_allclose(ours.states, predict_log("linear", leaf, shifted, starts, 2.0).states, atol=1e-12)
+    np.testing.assert_allclose(ours, predict_log("linear", leaf, shifted, starts, 2.0), atol=1e-12)
 
 
 @pytest.mark.parametrize(("wrong", "message"), [
@@ -220,7 +218,7 @@ def test_what_cannot_be_is_refused(leaf, log, wrong, message):
 def test_an_empty_log_knows_nothing(leaf):
     nothing, none = np.empty(0), np.empty(0, np.int64)
     empty = DriveLog("empty", none, *[nothing] * 6, none, nothing)
-    states = predict_log("linear", leaf, empty, regular(0, 3), 1.0).states
+    states = predict_log("linear", leaf, empty, regular(0, 3), 1.0)
     assert states.shape == (3, 21, 6) and np.isnan(states).all()
 
 

@@ -34,8 +34,7 @@ def weaving_log(vehicle: VehicleParameters) -> DriveLog:
 def predicted(model, vehicle: VehicleParameters, log: DriveLog) -> tuple[np.ndarray, np.ndarray]:
     """(states at the CG, errors at the INS point) over 5 s."""
     batch = LogBatch(log, STARTS, 5.0, 0.05, backend="numpy")
-    prediction = batch.predict(model, vehicle)
-    return prediction.states, batch.errors(prediction)
+    return batch.predict(model, vehicle), batch.errors(model, vehicle)
 
 
 def folded(model, vehicle: VehicleParameters):

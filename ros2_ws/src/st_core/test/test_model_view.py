@@ -208,5 +208,5 @@ def test_a_whole_log_gives_what_the_live_classes_give(leaf, effects, inputs):
                          evaluator.view("augmented").read_inputs(t + half_steps), 2.0)
                  for t, path in zip(starts, paths, strict=True)]
     for backend in ("numpy", None):
-        batch = predict_log(model, leaf, log, np.array(starts), 2.0, inputs=inputs, backend=backend)
-        np.testing.assert_allclose(batch.states, [path.states for path in paths], rtol=1e-9, atol=1e-9)
+        states = predict_log(model, leaf, log, np.array(starts), 2.0, inputs=inputs, backend=backend)
+        np.testing.assert_allclose(states, [path.states for path in paths], rtol=1e-9, atol=1e-9)

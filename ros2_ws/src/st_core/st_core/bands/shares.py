@@ -54,13 +54,13 @@ def sum_squared_contributions(
         return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
 
     def predict_path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
-        states = make_batch(drive).predict(changed, car).states
+        states = make_batch(drive).predict(changed, car)
         with np.errstate(all="ignore"):
             r = predict_readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([r.x, r.y, r.yaw])
 
     measured = make_batch(signals)
-    errors, base = measured.errors(measured.predict(model, vehicle)), predict_path(signals, model, vehicle)
+    errors, base = measured.errors(model, vehicle), predict_path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
     ends: dict[Cause, list[np.ndarray]] = {}

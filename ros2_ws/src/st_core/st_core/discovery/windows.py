@@ -25,7 +25,7 @@ from ..log_signals import LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_faultless_readings
 from ..sideslip import steady_velocity_y
-from ..start_grid import Block
+from ..start_grid import GridBlock
 from ..timeseries import NANOSECOND, Neighbours, moving_average
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
@@ -86,7 +86,7 @@ class Batch(LogBatch):
         key = model.correction_key
         return _remember(self._recordings, key, self._recordings.pop(key, None) or super().recording(model))
 
-    def _table(self, block: Block, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
+    def _table(self, block: GridBlock, values: list[np.ndarray], model: Any, p: Any) -> np.ndarray:
         # The values are cached as well: their ids are part of the key and must not be reused.
         key = (block.number, model.inputs, model.input_dependencies(p), *map(id, values))
         cached = self._tables.pop(key, None) or (values, super()._table(block, values, model, p))
@@ -212,7 +212,7 @@ class Windows:
     def _predicted_readings(self, model: AugmentedModel, gain: float) -> Measured:
         """Predicted INS readings at the scored points; acceleration and yaw rate are means over 2 STEP, like the
         measurements. The gain applies to the true specific force, before the sensor errors."""
-        states = self._batch.predict(model, self.vehicle).states
+        states = self._batch.predict(model, self.vehicle)
         with np.errstate(all="ignore"):
             readings = predict_faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)

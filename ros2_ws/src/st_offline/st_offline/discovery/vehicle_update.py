@@ -213,7 +213,7 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
         signals = LogSignals(log, maximum_gap=0.1, filter_cutoff=5.0)
         starts, _ = usable_starts(signals, vehicle, regular_starts(log, START_INTERVAL), MIN_SPEED)
         batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
-        errors.append(batch.errors(batch.predict(model, vehicle))[:, -1, :])
+        errors.append(batch.errors(model, vehicle)[:, -1, :])
     return errors
 
 
