@@ -34,7 +34,7 @@ def fitted(leaf, names, scale=None):
 
 def deviation(fit):
     splines = LAW.compute_splines(AT)
-    return np.sqrt(np.einsum("ik,ij,jk->k", splines, fit.covariance(), splines))
+    return np.sqrt(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines))
 
 
 def test_what_hardly_anything_was_driven_of_is_thin():
