@@ -75,7 +75,7 @@ def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, flo
     result = {}
     for number, (name, axle) in enumerate(zip(STIFFNESSES, AXLES, strict=True)):
         slip = found.figure[f"slip_{axle}"]
-        result[name] = -float(np.polyfit(slip, nonlinear_tyre.forces(slip, slip, w, p)[number], 1)[0])
+        result[name] = -float(np.polyfit(slip, nonlinear_tyre.axle_forces(slip, slip, w, p)[number], 1)[0])
     return result
 
 

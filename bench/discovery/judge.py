@@ -82,7 +82,7 @@ def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
         mine = [n for n in names if get_effect(n).kind == part]
         if mine:
             shares[part] = [(judge.position(oracle.without(mine)) - best) / base,
-                            (base - judge.position(oracle.select_effects(mine))) / base]
+                            (base - judge.position(oracle.only(mine))) / base]
     return shares
 
 
