@@ -148,7 +148,7 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
     if not compile_loop(_loop)(state, options, p, slippery, make_road(s), law, body, part.start or 0, delayed, gusts,
-                           *arrays, out[part]):
+                               *arrays, out[part]):
         raise Stopped
 
 

@@ -58,7 +58,7 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## Limits of the decision", _ablation(ablated),
         "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
         format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
-                                           for name, why in rows.items()]),
+                                                  for name, why in rows.items()]),
         "## What failed", *_failure_tables(records),
     ]
     return "\n\n".join(parts) + "\n"
@@ -92,7 +92,7 @@ def _plants(records: Sequence[Record]) -> str:
         names = names or [r["name"] for r in rows]
         columns.append({r["name"]: format_result(r) for r in rows})
     return format_table(("score", "virtual Leaf", "multi-body cars"),
-                 [(n.strip(), *(c.get(n, "no cases") for c in columns)) for n in names])
+                        [(n.strip(), *(c.get(n, "no cases") for c in columns)) for n in names])
 
 
 def _by_effect(records: Sequence[Record]) -> str:

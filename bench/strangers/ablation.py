@@ -3,9 +3,10 @@
     python -m bench.strangers.ablation [--cases NAME ...] [--page]
 
 Development cases only. A case is driven and searched once; numbers that act after the search reuse that search. Numbers
-that act only on suggested drives or on the search for places where the model fails are not included. The functions of
-the discovery are called without the estimates of `st check` for the sensors. One JSON line for each case and variant is
-appended to .st/strangers/ablation.jsonl; --page writes the table of all these lines.
+of the error regions are applied to the errors of the model of the vehicle file. Numbers that act only on suggested
+drives are not included. The functions of the discovery are called without the estimates of `st check` for the sensors.
+One JSON line for each case and variant is appended to .st/strangers/ablation.jsonl; --page writes the table of all
+these lines.
 """
 
 import argparse
@@ -20,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import axles, evidence, fit, loss
+from st_core.discovery import axles, error_regions, evidence, fit, loss
 from st_core.discovery.partitions import make_partitions
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
@@ -44,9 +45,13 @@ LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplai
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
-             **dict.fromkeys(("MIN_RUNS", "SAME_SITE_SHARE", "PLACE_SIZE"), sys.modules[make_partitions.__module__])}
+             "SIGN_DRAWS": evidence, "CONTENDERS": sys.modules[Search.__module__],
+             **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"),
+                             sys.modules[make_partitions.__module__])}
+IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
+                            "CELL_SIZE", "MIN_STRETCH_DURATION"), error_regions)
 CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
-             "DRAWS": axles, "GAIN_SPEED": axles, **IN_SEARCH}
+             "DRAWS": axles, "GAIN_SPEED": axles, "MIN_SAMPLES": axles, **IN_SEARCH, **IN_REGIONS}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
 SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
 """Numbers that act during the search; all others act after it."""
@@ -80,13 +85,19 @@ def count_variants(name: str, numbers: Sequence[str]) -> Iterator[dict[str, Any]
         logs = [read_csv(path, vehicle).log for path in sorted((folder / "drives").glob("*.csv"))]
     analysis = Analysis(logs, vehicle, "nonlinear", (), DiscoverySettings(), None, {}, 1, {})
     searched = _search(analysis)
-    usual = _count(analysis, searched, truth)
-    yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual}
+    usual, regions = _count(analysis, searched, truth), _find_regions(analysis, searched)
+    yield {"case": name, "number": "", "factor": 1.0, "changed": False, **usual, "regions": len(regions)}
     for number in numbers:
         for factor in FACTORS:
             with _multiply(analysis, number, factor) as other:
+                if number in IN_REGIONS:
+                    changed = _find_regions(other, searched)
+                    yield {"case": name, "number": number, "factor": factor, "changed": changed != regions, **usual,
+                           "regions": len(changed)}
+                    continue
                 found = _count(other, _search(other) if number in SEARCHED else searched, truth)
-            yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found}
+            yield {"case": name, "number": number, "factor": factor, "changed": found != usual, **found,
+                   "regions": len(regions)}
 
 
 @contextmanager
@@ -115,6 +126,14 @@ def _search(analysis: Any) -> tuple[Any, ...]:
     parts = make_partitions(analysis.windows)
     search = Search(problem, analysis.limits, parts, analysis.sensors, analysis.settings.seed)
     return problem, analysis._channel_noise(by_column), parts, search, search.run()
+
+
+def _find_regions(analysis: Any, searched: tuple[Any, ...]) -> set[tuple[str, str]]:
+    """(channel, condition) of the regions of large errors of the model of the vehicle file."""
+    noise = {channel: value for channel, value in searched[1].items() if channel != "position_5s"}
+    found = error_regions.find_error_regions(
+        analysis.runs, analysis.space.at(analysis.space.null), analysis.vehicle, analysis.settings, (), noise)
+    return {(region.channel, region.condition) for region in found}
 
 
 def _count(analysis: Any, searched: tuple[Any, ...], truth: Mapping[str, Any]) -> dict[str, int]:
@@ -150,6 +169,7 @@ def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
                      "false statements": f"{total['false']} of {total['statements']}",
                      "values inside": f"{total['inside']} of {total['values']}",
                      "points in the band": f"{total['in band']} of {total['points']}",
+                     "error regions": str(total["regions"]),
                      "cases changed": f"{total['changed']} of {len(mine)}"})
     return format_records(rows)
 

@@ -99,7 +99,7 @@ def running(folder: Path, ncom_rate: int = 100, full_bus: bool = False, drive: D
         vehicle = folder / "leaf.yaml"
         shutil.copy(config("vehicle/leaf.yaml"), vehicle)
         bridges = make_bridge_parameters(vehicle, {"udp_port": port, "bind_address": LOOPBACK},
-                                    {"interface": "udp_multicast", "channel": channel})
+                                         {"interface": "udp_multicast", "channel": channel})
         suite = stack.enter_context(Suite(folder, make_live_parameters(folder, vehicle, bridges), domain))
         for package, executable in NODES:
             suite.start_node(package, executable)

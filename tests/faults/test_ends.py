@@ -27,7 +27,7 @@ IGNORING = ("import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN
             "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])")
 # Prints whether SIGINT is handled after the launch file has been evaluated.
 PRINT_HANDLER = ("import runpy, signal, sys; runpy.run_path(sys.argv[1])['generate_launch_description'](); "
-        "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
+                 "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)")
 
 
 def find_free_port() -> int:

@@ -188,7 +188,7 @@ class LogBatch:
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))
         if has_steering_dynamics(model):
             angle = np.array([predict_wheel_angles(model, log.steering_time_ns, log.road_wheel_angle, *column,
-                                                 signals.maximum_gap)
+                                                   signals.maximum_gap)
                               for column in zip(times.T, angle.T, strict=True)]).T
         extra = [np.broadcast_to(signals.sample(*self.extra_signals[name], times[0]), times.shape)
                  for name in model.signals]

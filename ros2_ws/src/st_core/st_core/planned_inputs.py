@@ -110,7 +110,7 @@ def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int
 
 
 def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput, horizon: float,
-                 vehicle: VehicleParameters) -> str:
+                      vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
 
     state, inputs: measured at the start. Checked, in this order: points, times, age, coverage, feasibility, agreement

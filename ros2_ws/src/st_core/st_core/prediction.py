@@ -248,7 +248,7 @@ class Predictor:
         if ahead is not None:
             steering = self.history.steering
             inputs = apply_steering_dynamics(view.model, ahead, start.time_ns, settings.step, steering.times,
-                                    steering.rows[:, 0], settings.maximum_gap)
+                                             steering.rows[:, 0], settings.maximum_gap)
         if model in self._runners:
             return self._runners[model](state, inputs)
         return predict(view.model, self.vehicle, state, inputs, settings.horizon, settings.step)

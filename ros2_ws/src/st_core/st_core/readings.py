@@ -66,7 +66,7 @@ def has_steering_dynamics(model: Model) -> bool:
 
 
 def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
-                       maximum_gap: float) -> np.ndarray:
+                         maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
     time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, because

@@ -66,7 +66,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
         width = _round_up(len(starts), lanes)
         padded = np.pad(starts, (0, width - len(starts)), mode="edge")
         yield GridBlock(number, slice(first, first + len(starts)), np.arange(len(starts)), starts,
-                    instants_ns[:, None] + padded, np.arange(count) * width, width)
+                        instants_ns[:, None] + padded, np.arange(count) * width, width)
 
 
 class _Piece(NamedTuple):
@@ -128,7 +128,7 @@ def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lan
     selected = np.concatenate([piece.column + f for piece, f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
     return GridBlock(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), selected, starts, np.concatenate(times),
-                 (k % spacing) * indices + k // spacing, columns, spacing)
+                     (k % spacing) * indices + k // spacing, columns, spacing)
 
 
 def _round_up(count: int, lanes: int) -> int:

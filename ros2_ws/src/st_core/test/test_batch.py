@@ -255,3 +255,13 @@ def test_numba_and_casadi_come_only_when_asked_for():
 @pytest.mark.skipif(not has_numba(), reason="numba is not installed")
 def test_lanes_are_the_default():
     assert get_backend().__name__ == "st_core.backends.numba_lanes"
+
+
+def test_sparse_starts_with_long_horizons_are_covered_once():
+    """The common grid between two such starts is longer than a block."""
+    instants_ns = 25 * MS * np.arange(2 * start_grid.SHARED_BLOCK + 2)
+    starts_ns = T0 + 25 * MS * np.array([0, 1, 2 * start_grid.SHARED_BLOCK + 1])
+    for lanes in (1, 4 * start_grid.SHARED_BLOCK):  # the latter permits the shared grid
+        blocks = list(plan_blocks(starts_ns, instants_ns, lanes))
+        assert [block.rows.start for block in blocks] == [0, *(block.rows.stop for block in blocks[:-1])]
+        assert np.array_equal(np.concatenate([block.starts_ns[block.selected] for block in blocks]), starts_ns)

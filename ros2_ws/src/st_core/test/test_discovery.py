@@ -13,6 +13,7 @@ from discovery_drives import linear_problem, recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
 from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.discover import fit_effects
+from st_core.discovery.partitions import MIN_RUNS
 from st_core.discovery.result import Reason
 from st_core.discovery.search import Search, SearchState
 from st_core.discovery.space import Space
@@ -373,13 +374,14 @@ def test_one_bend_is_said(leaf):
     assert not any("turns to one side" in text for text in both.warnings)
 
 
-@pytest.mark.parametrize(("count", "said"), [(1, "one run only"), (2, "two runs only"),
-                                             (3, "")])
-def test_few_runs_are_said(leaf, count, said):
-    found = discover(recorded(leaf, OFFSET, 1)[:count], leaf, settings=FEW)
-    assert any("instead of whole runs" in text for text in found.warnings) == bool(said)
-    assert not said or any(text.startswith(said) for text in found.warnings)
-    assert any("tests have little power" in text for text in found.warnings)
+@pytest.mark.parametrize(("count", "text"), [(1, "one run only"), (2, "2 runs only"), (MIN_RUNS - 1, "4 runs only"),
+                                             (MIN_RUNS, "")])
+def test_few_runs_are_named_in_a_warning(leaf, count, text):
+    runs = [replace(log, name=f"{log.name}, {seed}") for seed in (1, 2) for log in recorded(leaf, OFFSET, seed)]
+    found = discover(runs[:count], leaf, settings=FEW)
+    warnings = [warning for warning in found.warnings if "instead of whole runs" in warning]
+    assert len(warnings) == bool(text) and all(warning.startswith(text) for warning in warnings)
+    assert not text or any("tests have little power" in warning for warning in found.warnings)
     assert len(found.runs) == count and all(r.windows > 0 for r in found.runs)
 
 

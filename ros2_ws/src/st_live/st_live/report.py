@@ -96,7 +96,7 @@ def draw_paths(results: Results, title: str, file: Path) -> None:
                 lower.set_ylabel("mean lateral error, m\n(+ = predicted left)")
         figure.align_ylabels()
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-        figure.savefig(file)
+        figure.savefig(file, bbox_inches="tight")
         plt.close(figure)
 
 

@@ -65,7 +65,7 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
         consistent = outside <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
             compared.append(RunComparison(name, unit, len(rows), reported, mean, interval, between,
-                                       float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
+                                          float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
     return sorted(compared, key=lambda quantity: -quantity.reported)
 
 

@@ -94,7 +94,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     if vehicle is not None:
         findings = try_corrections(findings, log, vehicle)
     return DriveCheck(_sort(findings), channels, tuple(panels),
-                   {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
+                      {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:

@@ -28,7 +28,7 @@ from .result import Combination, ForceCurve
 
 DRAWS = 100  # number of random draws of the values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
-MIN_SAMPLES = 100  # of a run, for the comparison of measured and modelled forces
+MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the file
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
 GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
@@ -49,7 +49,7 @@ class Axles:
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
         logs, additions = [], problem.space.additions
         corrected = self.model.select_effects(e for e in self.model.effects
-                                    if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
+                                              if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
         car, p = corrected.effective_vehicle(vehicle), corrected.parameters(vehicle)
         for run in runs:
             log = correct_log(corrected, run)

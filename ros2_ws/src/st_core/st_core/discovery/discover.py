@@ -23,7 +23,7 @@ from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value
 from .fit import Fit, Problem
 from .loss import Errors, Loss
 from .next_manoeuvre import Curvatures, choose_manoeuvre, list_separabilities, most_informative, simulate_catalogue
-from .partitions import Partition, find_sites, make_partitions
+from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
 from .reference import fit_healthy_car
 from .search import Search, SearchState
 from .settings import DiscoverySettings
@@ -33,8 +33,8 @@ from .windows import MARGIN_NS, Windows, noise_floor
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
-MIN_WINDOWS = 3
-MIN_TURNING_SHARE = 0.05  # of the driving in turns, and of the turns to one side; warns below it
+MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a fit and a test
+MIN_TURNING_SHARE = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and contains it already"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
                   "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
@@ -277,9 +277,9 @@ class _Analysis:
         return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
 
     def _warn_of_low_excitation(self) -> None:
-        if len(self.runs) < 3:
-            self.warnings.append(f"{'two runs' if len(self.runs) == 2 else 'one run'} only: parts of them are "
-                                 "compared with each other instead of whole runs")
+        if len(self.runs) < MIN_RUNS:
+            count = "one run" if len(self.runs) == 1 else f"{len(self.runs)} runs"
+            self.warnings.append(f"{count} only: parts of them are compared with each other instead of whole runs")
         if not find_sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")

@@ -101,7 +101,7 @@ class Scores:
 
 
 def efficient_score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
-          prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+                    prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: loss by block, in all
     parameters. prior_gradient: (p,) half the gradient of the prior; None if it is 0 at the vector of q."""
     new = problem.space.indices(effect)
@@ -131,7 +131,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
             continue
         names = (*fit.names, effect)
         by_effect[effect], information[effect] = efficient_score(q, problem, fit.names, effect,
-                                                       problem.prior_gradient(fit.vector))
+                                                                 problem.prior_gradient(fit.vector))
         indices = problem.free_indices(names)
         part = q.only(indices)
         held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
@@ -258,7 +258,7 @@ def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison
         quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
         if quantity is not None:
             moved.append(FileComparison(quantity.key, quantity.unit, quantity.at(change), quantity.value,
-                                     quantity.deviation, quantity.z_score(change)))
+                                        quantity.deviation, quantity.z_score(change)))
     return max(moved, key=lambda a: a.z_score, default=None)
 
 

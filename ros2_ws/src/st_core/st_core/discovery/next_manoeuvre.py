@@ -114,7 +114,7 @@ def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: st
 
 
 def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
-                 design_effect: float) -> tuple[Separability, ...]:
+                        design_effect: float) -> tuple[Separability, ...]:
     """Separability of every named effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale

@@ -197,7 +197,7 @@ def _fit_slope(samples: AxleSamples) -> Slope:
     slip = samples.slip[samples.used]
     group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
     found, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
-                                                samples.force[samples.used])
+                                                       samples.force[samples.used])
     return Slope(float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
 
 

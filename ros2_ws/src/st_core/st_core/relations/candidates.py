@@ -25,7 +25,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
 """Minimum range of a quantity in the drives for candidates; smaller ranges are mostly noise and road unevenness."""
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
-          "lean": ("acceleration_y", "lagging", 0.15)}
+            "lean": ("acceleration_y", "lagging", 0.15)}
 """Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",

@@ -143,7 +143,7 @@ def _hooks_source(relation: Relation) -> str:
     constants = ""
     if c.term in OPPOSITE_AXLES:
         constants = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
-                  f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
+                     f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
     y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
     return f"{constants}\n    @staticmethod\n    def {signature}:\n        {body.format(y=y)}{_memory_source(c)[1]}"
 

@@ -237,7 +237,7 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 
 
 def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
-                 course: Course | None) -> dict[Mode, FutureInputs]:
+                       course: Course | None) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,

@@ -31,8 +31,8 @@ MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's c
 CHECK_SEARCH = 2.0  # s, search range on both sides of the offset from the CAN time frame
 # Signal of the log -> channel with the plausibility limits that apply to it
 PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_rate", "ins_yaw": "yaw",
-            "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
-            "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
+                         "vehicle_speed": "velocity_x", "wheel_speed_rear_left": "velocity_x",
+                         "wheel_speed_rear_right": "velocity_x", "steering_wheel_angle": "steering_wheel_angle"}
 
 
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
