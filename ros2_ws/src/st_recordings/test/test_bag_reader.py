@@ -347,3 +347,16 @@ def test_a_layout_serialises_as_rosbags_does() -> None:
         "pose.pose.position.y": -0.2 * np.arange(N), "twist.twist.linear.y": 0.01 * np.arange(N),
         "pose.pose.orientation.z": np.sin(yaw / 2), "pose.pose.orientation.w": np.cos(yaw / 2)})
     assert [row.tobytes() for row in rows] == [odometry(k)[1] for k in range(N)]
+
+
+@pytest.mark.parametrize(("names", "path", "reason"), [
+    (("drive.csv",), "drive.csv", "this is not a bag"),
+    (("notes.md",), "", "contains no storage file of a bag"),
+    (("a.mcap", "b.db3"), "", "storage files of both kinds"),
+])
+def test_paths_that_are_no_bag_are_refused_with_the_reason(tmp_path: Path, names: tuple[str, ...], path: str,
+                                                           reason: str) -> None:
+    for name in names:
+        (tmp_path / name).write_text("x")
+    with pytest.raises(RunError, match=reason):
+        read_bag(tmp_path / path)
