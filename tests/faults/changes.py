@@ -220,8 +220,9 @@ class Steering:
     def wrong_checksum(self, data: bytes) -> Sequence[bytes]:
         if identifier(data) != STEERING:
             return (data,)
-        frame, field = frame_data(data), self._spec.checksum.field
-        return (datagram(STEERING, field.with_value(frame, field.read(frame) ^ 1)),)
+        frame, field = bytearray(frame_data(data)), self._spec.checksum.field
+        frame[field.lowest] ^= 1 << field.shift
+        return (datagram(STEERING, bytes(frame)),)
 
     def stuck_counter(self, data: bytes) -> Sequence[bytes]:
         if identifier(data) != STEERING:
