@@ -42,10 +42,9 @@ def listening(process: psutil.Process) -> set[str]:
     return {c.laddr.ip for c in process.net_connections(kind="inet") if c.status == psutil.CONN_LISTEN}
 
 
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL], ids=["hangs", "killed"])
-def test_a_page_that_hangs_or_is_killed_disturbs_no_prediction(tmp_path: Path, number: int) -> None:
+def test_passenger_page_that_hangs_and_then_is_killed_disturbs_no_prediction(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "12", "--output", str(run)]
+    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "15", "--output", str(run)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             start_new_session=True)
     try:
@@ -56,24 +55,27 @@ def test_a_page_that_hangs_or_is_killed_disturbs_no_prediction(tmp_path: Path, n
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/frames", timeout=30) as stream:
             assert stream.readline().startswith(b"data: ")
             time.sleep(3.0)
-            everybody = psutil.Process(demo.pid).children(recursive=True)
-            page.send_signal(number)
+            processes = psutil.Process(demo.pid).children(recursive=True)
+            page.send_signal(signal.SIGSTOP)
             stopped_ns = time.time_ns()
+            time.sleep(4.0)
+            page.send_signal(signal.SIGKILL)
+            killed_ns = time.time_ns()
             text, _ = demo.communicate(timeout=120)
     finally:
         if demo.poll() is None:
             os.kill(demo.pid, signal.SIGINT)
             demo.communicate(timeout=60)
     assert demo.returncode == 0, text
-    assert ("the page ended before the run" in text) == (number == signal.SIGKILL)
+    assert "the page ended before the run" in text
     issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag")["/predictor/linear/prediction"]])
-    before, after = issued[issued < stopped_ns], issued[issued > stopped_ns]
-    rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in (before, after)]
+    parts = np.split(issued, np.searchsorted(issued, [stopped_ns, killed_ns]))
+    rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in parts]
     # As many predictions as before, to the end of the drive.
-    assert rates[1] > 0.9 * rates[0] and len(after) > 30, rates
+    assert min(rates[1:]) > 0.9 * rates[0] and len(parts[2]) > 25, rates
     scored = json.loads((run / "summary.json").read_text())["models"]["linear"]["hindsight"]["n_starts"]
     assert scored > 0.3 * len(issued)
-    assert not [p for p in everybody if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
+    assert not [p for p in processes if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
 
 
 def test_view_of_a_recording_idles_and_cleans_up_after_a_signal(circle, tmp_path: Path) -> None:
