@@ -16,7 +16,7 @@ from st_core.vehicle import VehicleParameters
 from st_live import verification
 from st_live.replaying import describe_omissions
 from st_live.verification import verify
-from st_recordings.mcap import BagWriter, recover
+from st_recordings.mcap import BagWriter
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
 from st_recordings.runs.cdr import load_typestore
 from support import ROOT
@@ -216,7 +216,8 @@ def test_a_truncated_recording_is_reported(live):
     os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
     unread = st_verify(live.folder)
     assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
-    recover(live.folder)
+    recovered = CliRunner().invoke(app, ["recover", str(live.folder)])
+    assert recovered.exit_code == 0, recovered.output
     done = st_verify(live.folder)
     assert f"{live.folder} is truncated" in done.output.replace("\n", "")
     (text,) = describe_omissions(live.folder, ())
