@@ -1,24 +1,26 @@
-"""A drive as columns, CSV, VBO and as a bag of another make, and comparisons with what was read of it."""
+"""A drive as columns, CSV, VBO and a bag of another recorder, and comparisons with the drive read from them."""
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from mcap.writer import Writer as McapWriter
 from raw_drives import LEAF
-from rosbags.typesys import get_types_from_msg
+from ros_messages import definition, header, odometry, serialise, stamp
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs.bag import definitions_folder
-from st_recordings.runs.cdr import load_typestore
+from st_recordings.runs.bag import ODOMETRY, STEERING
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
 NAMES = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "steering_wheel_angle")
-STORE = load_typestore(definitions_folder())
 
 
 def columns(log: DriveLog) -> list[np.ndarray]:
+    """Columns of NAMES in SI units, at the times of the INS."""
     wheel = np.interp(log.ins_time_ns, log.steering_time_ns, log.steering_wheel_angle)
     return [log.ins_time_ns * 1e-9, log.x, log.y, log.yaw, log.velocity_x, log.velocity_y, log.yaw_rate, wheel]
 
@@ -27,30 +29,34 @@ def csv(cells: list[list[str]], header: str = ",".join(NAMES), delimiter: str = 
     return "\n".join([header, *(delimiter.join(row) for row in cells)]) + "\n"
 
 
-def rows(log: DriveLog, form: str = "%.6f") -> list[list[str]]:
-    return [[form % value for value in row] for row in zip(*columns(log), strict=True)]
+def rows(log: DriveLog, number_format: str = "%.6f") -> list[list[str]]:
+    return [[number_format % value for value in row] for row in zip(*columns(log), strict=True)]
 
 
 def clock(seconds: float) -> str:
+    """Time of day as HH:MM:SS.ffffff."""
     return f"{int(seconds // 3600):02d}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
 
 
 def to_degrees(log) -> tuple[np.ndarray, np.ndarray]:
-    """Latitude and longitude of x and y about 52 N, 1.5 W, first order."""
+    """Latitude and longitude [deg] of x and y in a map at 52 N, 1.5 W, first order."""
     a, e2, origin = 6378137.0, 6.69437999014e-3, np.radians(52.0)
     n = a / np.sqrt(1 - e2 * np.sin(origin) ** 2)
     m = n * (1 - e2) / (1 - e2 * np.sin(origin) ** 2)
     return 52.0 + np.degrees(log.y / m), -1.5 + np.degrees(log.x / (n * np.cos(origin)))
 
 
-def vbo(log, start: float = 43200.0, last_wrong: bool = True, seconds_of_day: bool = False) -> str:
+def vbo(log, start: float = 43200.0, late_last_row: bool = True, seconds_of_day: bool = False) -> str:
+    """A VBO file. start: time of day [s]; late_last_row: its last row is 180 s late; seconds_of_day: instead of
+    HHMMSS.
+    """
     latitude, longitude = to_degrees(log)
     speed = np.hypot(log.velocity_x, log.velocity_y) * 3.6
     course = (90 - np.degrees(log.yaw + np.arctan2(log.velocity_y, log.velocity_x))) % 360
     wheel = np.degrees(columns(log)[7])
     lines = []
     for k, elapsed in enumerate((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9):
-        seconds = (start + elapsed) % 86400 + (180 if last_wrong and k == len(log.x) - 1 else 0)
+        seconds = (start + elapsed) % 86400 + (180 if late_last_row and k == len(log.x) - 1 else 0)
         clock = f"{int(seconds // 3600):02d}{int(seconds // 60 % 60):02d}{seconds % 60:05.2f}"
         clock = f"{seconds:.2f}" if seconds_of_day else clock
         lines.append(f"010 {clock} {latitude[k] * 60:+014.8f} {-longitude[k] * 60:+014.8f} {speed[k]:07.3f} "
@@ -60,91 +66,78 @@ def vbo(log, start: float = 43200.0, last_wrong: bool = True, seconds_of_day: bo
             "sats time lat long velocity heading Steer\n\n[data]\n" + "\n".join(lines) + "\n")
 
 
-def odometry(log: DriveLog, k: int, stamp_ns: int) -> bytes:
-    make = STORE.types
-    vector = make["geometry_msgs/msg/Vector3"]
-    header = make["std_msgs/msg/Header"](stamp=time(stamp_ns), frame_id="map")
-    half = log.yaw[k] / 2
-    pose = make["geometry_msgs/msg/Pose"](
-        position=make["geometry_msgs/msg/Point"](x=float(log.x[k]), y=float(log.y[k]), z=0.0),
-        orientation=make["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half))))
-    twist = make["geometry_msgs/msg/Twist"](
-        linear=vector(x=float(log.velocity_x[k]), y=float(log.velocity_y[k]), z=0.0),
-        angular=vector(x=0.0, y=0.0, z=float(log.yaw_rate[k])))
-    zero = np.zeros(36)
-    return bytes(STORE.serialize_cdr(make["nav_msgs/msg/Odometry"](
-        header=header, child_frame_id="ins",
-        pose=make["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=zero),
-        twist=make["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=zero)), "nav_msgs/msg/Odometry"))
+RACK = "own_msgs/msg/Rack"
+RACK_DEFINITION = "builtin_interfaces/Time stamp\nfloat32[2] spare\nfloat64 angle_deg\n"
 
 
-def time(ns: int):
-    return STORE.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+@cache
+def custom_store() -> Typestore:
+    """ROS 2 with a steering message that this project does not define."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(RACK_DEFINITION, RACK))
+    return store
 
 
-OWN = "own_msgs/msg/Rack"
-OWN_TEXT = "builtin_interfaces/Time stamp\nfloat32[2] spare\nfloat64 angle_deg\n"
+def serialise_rack(time_ns: int, steering_wheel_angle: float) -> bytes:
+    """The custom message: degrees, positive to the right. steering_wheel_angle [rad]: positive to the left."""
+    store = custom_store()
+    return bytes(store.serialize_cdr(store.types[RACK](
+        stamp=stamp(time_ns), spare=np.zeros(2, np.float32), angle_deg=-float(np.degrees(steering_wheel_angle))), RACK))
 
 
 def write_bag(file: Path, log: DriveLog, first: int = 0, last: int | None = None, stamps: str = "good",
-              own: bool = False, encoding: str = "cdr", **options) -> Path:
-    store = load_typestore(definitions_folder())
-    types = get_types_from_msg(OWN_TEXT, OWN)
-    if OWN not in store.fielddefs and own:
-        from rosbags.typesys import Stores, get_typestore
-        store = get_typestore(Stores.ROS2_JAZZY)
-        store.register(types)
+              custom_steering: bool = False, encoding: str = "cdr", **options) -> Path:
+    """Writes rows first to last as MCAP. stamps: of the odometry, good, zero, seconds (whole ones) or boot (since
+    boot); encoding: other than "cdr" writes JSON; options: of the MCAP writer.
+    """
     cdr = encoding == "cdr"
+    topics = {"/odom": (ODOMETRY, definition(ODOMETRY)),
+              **({"/rack": (RACK, RACK_DEFINITION)} if custom_steering else
+                 {"/vehicle/steering": (STEERING, definition(STEERING))})}
     with file.open("wb") as stream:
         writer = McapWriter(stream, **options)
         writer.start("ros2", "test")
-        form = "ros2msg" if cdr else "jsonschema"
-        schema = {name: writer.register_schema(name, form, text.encode()) for name, text in (
-            ("nav_msgs/msg/Odometry", store.generate_msgdef("nav_msgs/msg/Odometry", ros_version=2)[0]),
-            (OWN if own else "st_msgs/msg/Steering", OWN_TEXT if own else
-             store.generate_msgdef("st_msgs/msg/Steering", ros_version=2)[0]))}
-        channels = [writer.register_channel(topic, encoding, number) for topic, number in
-                    zip(("/odom", "/rack" if own else "/vehicle/steering"), schema.values(), strict=True)]
+        schemas = [writer.register_schema(name, "ros2msg" if cdr else "jsonschema", text.encode())
+                   for name, text in topics.values()]
+        channels = [writer.register_channel(topic, encoding, number)
+                    for topic, number in zip(topics, schemas, strict=True)]
         wheel = columns(log)[7]
         for k in range(first, len(log.x) if last is None else last):
             ns = int(log.ins_time_ns[k])
-            stamp = {"zero": 0, "seconds": ns // 10**9 * 10**9,
-                     "boot": ns - int(log.ins_time_ns[0]) + 10**9}.get(stamps, ns)
-            if own:
-                message = store.types[OWN](stamp=time(ns), spare=np.zeros(2, np.float32),
-                                           angle_deg=-float(np.degrees(wheel[k])))
-                steering = bytes(store.serialize_cdr(message, OWN))
-            else:
-                header = store.types["std_msgs/msg/Header"](stamp=time(ns), frame_id="")
-                message = store.types["st_msgs/msg/Steering"](
-                    header=header, steering_wheel_angle=float(wheel[k]), valid=True,
-                    road_wheel_angle=float(CAR.road_wheel_angle(wheel[k])))
-                steering = bytes(store.serialize_cdr(message, "st_msgs/msg/Steering"))
-            for channel, data in zip(channels, (odometry(log, k, stamp), steering), strict=True):
+            stamp_ns = {"zero": 0, "seconds": ns // 10**9 * 10**9,
+                        "boot": ns - int(log.ins_time_ns[0]) + 10**9}.get(stamps, ns)
+            pose = odometry(stamp_ns, log.x[k], log.y[k], log.yaw[k], log.velocity_x[k], log.velocity_y[k],
+                            log.yaw_rate[k], child_frame="ins")
+            steering = serialise_rack(ns, wheel[k]) if custom_steering else serialise(
+                STEERING, header=header(ns), steering_wheel_angle=float(wheel[k]), valid=True,
+                road_wheel_angle=float(CAR.road_wheel_angle(wheel[k])))
+            for channel, data in zip(channels, (pose, steering), strict=True):
                 writer.add_message(channel, ns, data if cdr else json.dumps({"k": k}).encode(), ns)
         writer.finish()
     return file
 
 
-def assert_same(log: DriveLog, truth: DriveLog, lost: int, steering: float = 1e-5, turned: bool = False) -> None:
-    """turned: x and y are in another map, turned by the convergence of meridians; only distances are the same."""
-    assert len(truth.x) - len(log.x) <= lost
+def assert_same(log: DriveLog, truth: DriveLog, max_lost: int, steering: float = 1e-5, rotated: bool = False) -> None:
+    """max_lost: INS samples that may be missing; steering: tolerance of the road wheel angle [rad]; rotated: x and y
+    are in another map, rotated by the convergence of the meridians, so only distances are compared.
+    """
+    assert len(truth.x) - len(log.x) <= max_lost
     at = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     expected = (truth.ins_time_ns - truth.ins_time_ns[0]) * 1e-9
     for name in ("velocity_x", "velocity_y", "yaw_rate", "yaw"):
-        there = np.interp(at, expected, np.asarray(getattr(truth, name)))
-        shift = round((getattr(log, name)[0] - there[0]) / (2 * np.pi)) * 2 * np.pi if name == "yaw" else 0.0
-        np.testing.assert_allclose(getattr(log, name) - shift, there, atol=2e-4, err_msg=name)
-    distance = [np.hypot(one.x - one.x[0], one.y - one.y[0]) for one in (log, truth)]
-    np.testing.assert_allclose(distance[0], np.interp(at, expected, distance[1]), atol=0.05 if turned else 1e-3)
-    wheel = np.interp(log.ins_time_ns - log.ins_time_ns[0], log.steering_time_ns - log.ins_time_ns[0],
-                      log.road_wheel_angle)
-    known = np.interp(truth.ins_time_ns - truth.ins_time_ns[0], truth.steering_time_ns - truth.ins_time_ns[0],
-                      truth.road_wheel_angle)
-    np.testing.assert_allclose(wheel, np.interp(at, expected, known), atol=steering)
+        true_values = np.interp(at, expected, np.asarray(getattr(truth, name)))
+        shift = round((getattr(log, name)[0] - true_values[0]) / (2 * np.pi)) * 2 * np.pi if name == "yaw" else 0.0
+        np.testing.assert_allclose(getattr(log, name) - shift, true_values, atol=2e-4, err_msg=name)
+    distance, true_distance = (np.hypot(each.x - each.x[0], each.y - each.y[0]) for each in (log, truth))
+    np.testing.assert_allclose(distance, np.interp(at, expected, true_distance), atol=0.05 if rotated else 1e-3)
+    angle, true_angle = (np.interp(each.ins_time_ns - each.ins_time_ns[0],
+                                   each.steering_time_ns - each.ins_time_ns[0], each.road_wheel_angle)
+                         for each in (log, truth))
+    np.testing.assert_allclose(angle, np.interp(at, expected, true_angle), atol=steering)
 
 
 def assert_warned(warnings, pattern: str) -> None:
+    """A warning matches the pattern; without a pattern there is no warning."""
     if not pattern:
         assert not warnings
     else:

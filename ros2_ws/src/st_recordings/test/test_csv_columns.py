@@ -1,47 +1,47 @@
-"""CSV files as people have them: every name and unit of a column, declared ones, holes, the hand wheel alone."""
+"""Columns of CSV files: every known name and unit, declared ones, missing values, only the steering wheel angle."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drive_kinds import CAR
 from st_core.log import INS_SIGNALS, DriveLog
-from st_core.vehicle import VehicleParameters
-from st_recordings.runs import RunError, columns, find_runs, read
+from st_recordings.runs import LoadedRun, RunError, columns, find_runs, read
 from st_recordings.runs.columns import COLUMNS, UNITS, Layout, find_columns, normalise
 from st_recordings.runs.csv import has_drive_columns, read_csv
 from support import ROOT
 
-LEAF = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
 N = 60
 PLAIN = {"t": "t", "x": "x", "y": "y", "yaw": "yaw", "velocity_x": "vx", "velocity_y": "vy", "yaw_rate": "yaw_rate",
          "acceleration_x": "ax", "acceleration_y": "ay", "road_wheel_angle": "delta"}
 
 
 def values() -> dict[str, np.ndarray]:
-    """A drive in SI, no two channels alike."""
+    """Channels in SI units, no two of them equal."""
     t = 0.02 * np.arange(N)
     wheel = 0.5 * np.sin(3 * t)
     return {"t": t, "x": 7 * t, "y": np.sin(t), "yaw": 3.0 + t, "compass_heading": np.pi / 2 - 3.0 - t,
             "velocity_x": 7 + t, "velocity_y": 0.2 * np.cos(t), "yaw_rate": 0.3 * np.cos(t),
             "acceleration_x": 0.1 + t, "acceleration_y": 2 * np.cos(t), "steering_wheel_angle": wheel,
-            "road_wheel_angle": (wheel - LEAF.steering_wheel_offset) / LEAF.steering_ratio,
+            "road_wheel_angle": CAR.road_wheel_angle(wheel),
             "wheel_speed_front_left": 6.5 + t, "wheel_speed_front_right": 7.1 + t, "wheel_speed_rear_left": 6.8 + t,
             "wheel_speed_rear_right": 7.2 + t, "vehicle_speed": 7.05 + t}
 
 
-def write(file: Path, names: Mapping[str, str], units: Mapping[str, str] | None = None, delimiter: str = ",") -> Path:
-    """Columns (channel -> name), their values in given units, SI where none is given."""
-    data = {c: values()[c] / UNITS[COLUMNS[c].kind][unit][0] if (unit := (units or {}).get(c)) else values()[c]
-            for c in names}
+def write(file: Path, names: Mapping[str, str], units: Mapping[str, str] | None = None, delimiter: str = ",",
+          data: Mapping[str, np.ndarray] | None = None) -> Path:
+    """Writes columns (channel -> name) of data, by default values(), in the given units, otherwise in SI units."""
+    given = data or values()
+    cells = [given[c] / UNITS[COLUMNS[c].kind][unit][0] if (unit := (units or {}).get(c)) else given[c] for c in names]
     lines = [delimiter.join(names.values()), *(delimiter.join(f"{v:.12g}" for v in row)
-                                               for row in zip(*data.values(), strict=True))]
+                                               for row in zip(*cells, strict=True))]
     file.write_text("\n".join(lines) + "\n")
     return file
 
 
-def spoilt(file: Path, cells: Mapping[tuple[int, int], str]) -> Path:
-    """The file with other texts in some cells: (row, column) -> text."""
+def replace_cells(file: Path, cells: Mapping[tuple[int, int], str]) -> Path:
+    """Changes the text of cells of a file: (row, column) -> text."""
     rows = [line.split(",") for line in file.read_text().splitlines()]
     for (row, column), text in cells.items():
         rows[row + 1][column] = text
@@ -49,15 +49,15 @@ def spoilt(file: Path, cells: Mapping[tuple[int, int], str]) -> Path:
     return file
 
 
-def assert_whole(log: DriveLog, but: Sequence[str] = ()) -> None:
+def assert_values(log: DriveLog, excluding: Sequence[str] = ()) -> None:
     expected = values()
     for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", "road_wheel_angle"):
-        if name not in but:
+        if name not in excluding:
             np.testing.assert_allclose(getattr(log, name), expected[name], atol=2e-9, err_msg=name)
     np.testing.assert_allclose((log.ins_time_ns - log.ins_time_ns[0]) * 1e-9, expected["t"], atol=1e-6)
 
 
-def test_no_name_means_two_channels() -> None:
+def test_every_name_denotes_one_channel() -> None:
     names = [normalise(name) for channel in COLUMNS.values() for name in channel.names]
     assert len(names) == len(set(names)) and not columns.AMBIGUOUS & set(names)
 
@@ -66,40 +66,47 @@ DERIVED = {"latitude", "longitude", "course", "velocity_east", "velocity_north",
            *(f"orientation_{axis}" for axis in "xyzw")}
 
 
-@pytest.mark.parametrize("channel", [c for c in COLUMNS if c not in DERIVED])
-def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
-    names = {**PLAIN, **{c: c for c in (*columns_of_wheels(channel), channel)}}
-    names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
-    kind = COLUMNS[channel].kind
-    style = 0
-    for name in COLUMNS[channel].names:
-        written = {**names, channel: name}
-        check(read_csv(write(tmp_path / "d.csv", written), LEAF), channel)
-        for unit, (_, others) in UNITS[kind].items():
-            texts = f"{name}_{unit}", f"{name.upper()} [{others[0] if others else unit}]", f" {name} ({unit}) "
-            # Each name and unit in one of the three ways, in turn.
-            text, style = texts[style % 3], style + 1
-            check(read_csv(write(tmp_path / "d.csv", {**written, channel: text}, {channel: unit}), LEAF), channel)
-    for unit in UNITS[kind]:
-        file = write(tmp_path / "d.csv", {**names, channel: "nameless"}, {channel: unit})
-        check(read_csv(file, LEAF, Layout({channel: "nameless"}, {channel: unit})), channel)
-
-
 REPLACED = (("yaw", "compass_heading"), ("road_wheel_angle", "steering_wheel_angle"))
 
 
-def columns_of_wheels(channel: str) -> tuple[str, ...]:
-    """The wheel on the other side, without which one says nothing."""
+def spell_with_unit(name: str, unit: str, style: int) -> str:
+    """The name of a column with its unit in one of three spellings; style: any number."""
+    _, others = next(units[unit] for units in UNITS.values() if unit in units)
+    return (f"{name}_{unit}", f"{name.upper()} [{others[0] if others else unit}]", f" {name} ({unit}) ")[style % 3]
+
+
+@pytest.mark.parametrize("channel", [c for c in COLUMNS if c not in DERIVED])
+def test_every_name_and_unit_of_a_channel(tmp_path: Path, channel: str) -> None:
+    names = {**PLAIN, **{c: c for c in (*opposite_wheel(channel), channel)}}
+    names = {c: n for c, n in names.items() if c == channel or (c, channel) not in REPLACED}
+    units = UNITS[COLUMNS[channel].kind]
+    at = list(names).index(channel)
+    for k, name in enumerate(COLUMNS[channel].names):
+        assert_channel(read_csv(write(tmp_path / "d.csv", {**names, channel: name}), CAR), channel)
+        for style, unit in enumerate(units, start=k):
+            header = [*names.values()]
+            header[at] = spell_with_unit(name, unit, style).strip()
+            source = find_columns(tmp_path / "d.csv", header, Layout())[channel]
+            assert (source.column, source.unit) == (at, unit), header[at]
+    for style, unit in enumerate(units):
+        text = spell_with_unit(COLUMNS[channel].names[0], unit, style)
+        assert_channel(read_csv(write(tmp_path / "d.csv", {**names, channel: text}, {channel: unit}), CAR), channel)
+        file = write(tmp_path / "d.csv", {**names, channel: "nameless"}, {channel: unit})
+        assert_channel(read_csv(file, CAR, Layout({channel: "nameless"}, {channel: unit})), channel)
+
+
+def opposite_wheel(channel: str) -> tuple[str, ...]:
+    """The wheel on the other side of the axle: the speed of one wheel alone is not used."""
     side = {"left": "right", "right": "left"}.get(channel.rpartition("_")[2])
     return (f"{channel.rpartition('_')[0]}_{side}",) if channel.startswith("wheel_speed") else ()
 
 
-def check(drive, channel: str) -> None:
-    assert_whole(drive.log)
+def assert_channel(drive: LoadedRun, channel: str) -> None:
+    assert_values(drive.log)
     assert drive.warnings == ()
     if "speed" in channel:
-        of = [values()[c] for c in (channel, *columns_of_wheels(channel))]
-        np.testing.assert_allclose(drive.auxiliary.wheel_speed.values, np.mean(of, axis=0), atol=1e-9)
+        speeds = [values()[c] for c in (channel, *opposite_wheel(channel))]
+        np.testing.assert_allclose(drive.auxiliary.wheel_speed.values, np.mean(speeds, axis=0), atol=1e-9)
     else:
         assert channel in drive.provenance["columns"]
 
@@ -114,9 +121,9 @@ def check(drive, channel: str) -> None:
     ({"x": "Easting [ft]", "y": "northing_km", "yaw_rate": '"yaw rate, deg/s"'},
      {"x": "ft", "y": "km", "yaw_rate": "deg/s"}),
 ])
-def test_headers_as_people_write_them(tmp_path: Path, names: dict, units: dict) -> None:
+def test_units_stated_in_usual_headers(tmp_path: Path, names: dict, units: dict) -> None:
     drive = read_csv(write(tmp_path / "d.csv", {**PLAIN, **names}, units))
-    assert_whole(drive.log)
+    assert_values(drive.log)
     assert has_drive_columns(tmp_path / "d.csv")
     for channel, unit in units.items():
         assert drive.provenance["columns"][channel].endswith(f"[{unit}]")
@@ -133,13 +140,11 @@ def gnss_drive(course_is_yaw: bool) -> tuple[dict[str, str], dict[str, np.ndarra
 
 
 @pytest.mark.parametrize("course_is_yaw", [True, False])
-def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, course_is_yaw: bool) -> None:
+def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, course_is_yaw: bool) -> None:
     names, data = gnss_drive(course_is_yaw)
-    monkeypatch.setattr(f"{__name__}.values", lambda: data)
-    drive = read_csv(write(tmp_path / "d.csv", names))
-    monkeypatch.undo()
+    drive = read_csv(write(tmp_path / "d.csv", names, data=data))
     assert has_drive_columns(tmp_path / "d.csv")
-    assert_whole(drive.log, but=("velocity_y", "yaw_rate"))
+    assert_values(drive.log, excluding=("velocity_y", "yaw_rate"))
     expected = np.zeros(N) if course_is_yaw else values()["velocity_y"]
     np.testing.assert_allclose(drive.log.velocity_y, expected, atol=1e-9)
     np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
@@ -149,24 +154,24 @@ def test_course_and_speed_over_ground_of_a_gnss(tmp_path: Path, monkeypatch, cou
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
-def test_a_table_of_a_gnss_with_too_few_rows_is_refused(tmp_path: Path, monkeypatch, rows: int) -> None:
+def test_gnss_table_with_too_few_rows_is_refused(tmp_path: Path, rows: int) -> None:
     names, data = gnss_drive(True)
-    monkeypatch.setattr(f"{__name__}.values", lambda: {channel: column[:rows] for channel, column in data.items()})
+    file = write(tmp_path / "d.csv", names, data={channel: column[:rows] for channel, column in data.items()})
     with pytest.raises(RunError):
-        read_csv(write(tmp_path / "d.csv", names))
+        read_csv(file)
 
 
-def test_a_better_name_goes_first_and_velocity_before_speed(tmp_path: Path) -> None:
+def test_velocity_x_is_preferred_to_speed(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {"vehicle_speed": "speed", **PLAIN})
-    assert_whole(read_csv(file).log)
+    assert_values(read_csv(file).log)
 
 
-def test_a_row_of_units_below_the_header(tmp_path: Path) -> None:
+def test_row_of_units_below_the_header(tmp_path: Path) -> None:
     units = {"yaw": "deg", "velocity_x": "km/h", "t": "ms"}
     lines = write(tmp_path / "d.csv", PLAIN, units).read_text().splitlines()
     (tmp_path / "d.csv").write_text("\n".join([lines[0], "ms,m,m,[deg],km/h,m/s,rad/s,m/s^2,m/s^2,rad", *lines[1:]]))
     drive = read_csv(tmp_path / "d.csv")
-    assert_whole(drive.log)
+    assert_values(drive.log)
     assert drive.provenance["columns"]["velocity_x"] == "vx [km/h]" and not drive.warnings
 
 
@@ -174,113 +179,113 @@ def test_a_row_of_units_below_the_header(tmp_path: Path) -> None:
 def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
     file = write(tmp_path / "d.csv", PLAIN, delimiter=delimiter)
     file.write_text(file.read_text().replace(".", ","))
-    assert_whole(read_csv(file).log)
+    assert_values(read_csv(file).log)
 
 
-def test_words_in_a_column_that_is_not_used_do_no_harm(tmp_path: Path) -> None:
+def test_text_in_an_unused_column_has_no_effect(tmp_path: Path) -> None:
     lines = write(tmp_path / "d.csv", PLAIN).read_text().splitlines()
     lines = [f"{line},{'comment' if k == 0 else 'dry'}" for k, line in enumerate(lines)]
     (tmp_path / "d.csv").write_text("\n".join(lines))
     drive = read_csv(tmp_path / "d.csv")
-    assert_whole(drive.log)
+    assert_values(drive.log)
     assert not drive.warnings
 
 
-def test_the_hand_wheel_alone(tmp_path: Path) -> None:
+def test_steering_wheel_angle_requires_a_vehicle(tmp_path: Path) -> None:
     names = {c: n for c, n in PLAIN.items() if c != "road_wheel_angle"} | {"steering_wheel_angle": "swa_deg"}
     file = write(tmp_path / "d.csv", names, {"steering_wheel_angle": "deg"})
     assert has_drive_columns(file)
     (run,) = find_runs([tmp_path])
-    loaded = read(run, LEAF)
-    assert_whole(loaded.log)
+    loaded = read(run, CAR)
+    assert_values(loaded.log)
     np.testing.assert_allclose(loaded.log.steering_wheel_angle, values()["steering_wheel_angle"], atol=1e-9)
     with pytest.raises(RunError, match=r"d\.csv: it has only the steering wheel angle \(column swa_deg\).* give the "):
         read(run)
 
 
-def test_a_steering_angle_of_neither_wheel_is_asked_for(tmp_path: Path) -> None:
+def test_steering_angle_of_an_unspecified_wheel_is_refused(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {**PLAIN, "road_wheel_angle": "steering_angle_rad"})
     assert has_drive_columns(file)
     with pytest.raises(RunError, match=r"column steering_angle_rad may be the angle of the steering wheel or of the "
                        r"road wheels; .* in a run\.yaml, as columns: \{steering_wheel_angle: steering_angle_rad\} or"):
-        read_csv(file, LEAF)
-    assert_whole(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
+        read_csv(file, CAR)
+    assert_values(read_csv(file, layout=Layout({"road_wheel_angle": "steering_angle_rad"})).log)
 
 
 @pytest.mark.parametrize(("x", "y"), [("x", "y"), ("east", "Northing [km]")])
-def test_exchanged_axes_are_exchanged_back_whatever_their_columns_are_called(tmp_path: Path, x: str, y: str) -> None:
+def test_layout_interchanges_the_axes_for_any_column_names(tmp_path: Path, x: str, y: str) -> None:
     file = write(tmp_path / "d.csv", {**PLAIN, "x": y, "y": x}, {"x": "km"} if "km" in y else None)
-    assert_whole(read_csv(file, layout=Layout({"x": "y", "y": "x"})).log)
+    assert_values(read_csv(file, layout=Layout({"x": "y", "y": "x"})).log)
 
 
-def test_a_unit_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_unit_of_a_missing_channel_is_refused(tmp_path: Path) -> None:
     file = write(tmp_path / "d.csv", {c: n for c, n in PLAIN.items() if c != "yaw"} | {"compass_heading": "heading"})
     with pytest.raises(RunError, match=r"d\.csv has no column for this channel; it has columns for .*compass_heading"):
         read_csv(file, layout=Layout(units={"yaw": "deg"}))
 
 
-BAD = ("", "nan", "n/a", "inf", "-inf", "1e999", "--")
+INVALID = ("", "nan", "n/a", "inf", "-inf", "1e999", "--")
 
 
 @pytest.mark.parametrize("channel", [c for c in PLAIN if c not in ("t", "acceleration_x", "acceleration_y",
                                                                    "road_wheel_angle")])
-def test_a_hole_in_an_ins_channel_costs_ins_samples_only(tmp_path: Path, channel: str) -> None:
+def test_missing_ins_values_remove_only_ins_samples(tmp_path: Path, channel: str) -> None:
     at = list(PLAIN).index(channel)
-    drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(5 + 2 * k, at): text for k, text in enumerate(BAD)}))
-    lost = 5 + 2 * np.arange(len(BAD))
-    left = np.delete(np.arange(N), lost)
-    np.testing.assert_allclose(drive.log.yaw, values()["yaw"][left])
+    cells = {(5 + 2 * k, at): text for k, text in enumerate(INVALID)}
+    drive = read_csv(replace_cells(write(tmp_path / "d.csv", PLAIN), cells))
+    kept = np.delete(np.arange(N), 5 + 2 * np.arange(len(INVALID)))
+    np.testing.assert_allclose(drive.log.yaw, values()["yaw"][kept])
     np.testing.assert_allclose(drive.log.road_wheel_angle, values()["road_wheel_angle"], atol=1e-9)
-    assert drive.auxiliary.missing == {channel: len(BAD)}
+    assert drive.auxiliary.missing == {channel: len(INVALID)}
     assert len(drive.auxiliary.stamps["INS"]) == N
     (warning,) = drive.warnings
-    assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(BAD)} of {N} rows (12 %) have no "
+    assert warning.endswith(f"d.csv: {channel} (column {PLAIN[channel]}): {len(INVALID)} of {N} rows (12 %) have no "
                             "number; these INS samples were left out")
 
 
 @pytest.mark.parametrize("wheel", [False, True])
-def test_a_hole_in_the_steering_costs_steering_samples_only(tmp_path: Path, wheel: bool) -> None:
+def test_missing_steering_values_remove_only_steering_samples(tmp_path: Path, wheel: bool) -> None:
     names = {**PLAIN, "steering_wheel_angle": "swa"} if wheel else PLAIN
-    drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {(7, len(names) - 1): "n/a"}), LEAF)
+    drive = read_csv(replace_cells(write(tmp_path / "d.csv", names), {(7, len(names) - 1): "n/a"}), CAR)
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (N, N - 1)
     assert drive.auxiliary.missing == {"steering_wheel_angle" if wheel else "road_wheel_angle": 1}
 
 
-def test_a_channel_of_a_lower_rate_has_lost_nothing(tmp_path: Path) -> None:
+def test_blank_cells_of_a_lower_rate_are_not_missing_values(tmp_path: Path) -> None:
     names = {**PLAIN, "steering_wheel_angle": "swa"}
     sparse = {(k, len(names) - 1): "" for k in range(N) if k % 2}
-    drive = read_csv(spoilt(write(tmp_path / "d.csv", names), {**sparse, (6, len(names) - 1): ""}), LEAF)
+    drive = read_csv(replace_cells(write(tmp_path / "d.csv", names), {**sparse, (6, len(names) - 1): ""}), CAR)
     assert (len(drive.log.x), len(drive.log.steering_wheel_angle)) == (N, N // 2 - 1)
     assert drive.auxiliary.missing == {"steering_wheel_angle": 1}
     assert "1 of 60 rows (1.7 %) have no number" in drive.warnings[0]
 
 
-def test_a_hole_in_an_acceleration_costs_nothing_else(tmp_path: Path) -> None:
-    drive = read_csv(spoilt(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
+def test_missing_accelerations_become_nan_and_remove_no_samples(tmp_path: Path) -> None:
+    drive = read_csv(replace_cells(write(tmp_path / "d.csv", PLAIN), {(k, 8): "" for k in range(10)}))
     assert np.isnan(drive.log.acceleration_y).sum() == 10
-    assert_whole(drive.log, but=("acceleration_y",))
+    assert_values(drive.log, excluding=("acceleration_y",))
     assert drive.auxiliary.missing == {"acceleration_y": 10}
     assert "10 of 60 rows (17 %) have no number; it is unknown there" in drive.warnings[0]
 
 
-def test_a_channel_that_is_mostly_bad_is_said(tmp_path: Path) -> None:
+def test_channel_with_mostly_missing_values_causes_a_warning(tmp_path: Path) -> None:
     names = {**PLAIN, "steering_wheel_angle": "swa"}
-    file = spoilt(write(tmp_path / "d.csv", names),
+    file = replace_cells(write(tmp_path / "d.csv", names),
                   {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
-    drive = read_csv(file, LEAF)
-    said = "\n".join(drive.warnings)
-    assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these INS samples were" in said
-    assert "acceleration_x (column ax): 40 of 60 rows (67 %) have no number, more than half; it is not used" in said
-    assert "steering_wheel_angle (column swa) has no number in more than half of the rows; the road wheel" in said
+    drive = read_csv(file, CAR)
+    warnings = "\n".join(drive.warnings)
+    assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these INS samples were" in warnings
+    assert "acceleration_x (column ax): 40 of 60 rows (67 %) have no number, more than half; it is not used" in warnings
+    assert "steering_wheel_angle (column swa) has no number in more than half of the rows; the road wheel" in warnings
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
     with pytest.raises(RunError, match="it contains fewer than two usable rows: y has no number in 59 of 60"):
-        read_csv(spoilt(file, {(k, 2): "n/a" for k in range(59)}))
+        read_csv(replace_cells(file, {(k, 2): "n/a" for k in range(59)}))
 
 
-def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path: Path) -> None:
-    file = spoilt(write(tmp_path / "d.csv", PLAIN), {(10, 0): "n/a", (20, 0): "0.38", (30, 0): "0.1", (31, 0): "1e12"})
-    drive = read_csv(file)
+def test_rows_without_a_valid_time_or_out_of_order_are_counted(tmp_path: Path) -> None:
+    times = {10: "n/a", 20: "0.38", 30: "0.1", 31: "1e12"}
+    drive = read_csv(replace_cells(write(tmp_path / "d.csv", PLAIN), {(row, 0): text for row, text in times.items()}))
     assert len(drive.log.x) == len(drive.log.road_wheel_angle) == N - 4
     assert drive.auxiliary.missing == {"time": 2}
     stamps = drive.auxiliary.stamps["INS"]
@@ -289,17 +294,19 @@ def test_rows_without_a_time_and_out_of_order_are_counted_and_handed_on(tmp_path
     assert any("time (column t): 2 of 60 rows (3.3 %) have no number; these rows" in w for w in drive.warnings)
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(10**9, "ns"), (10**6, "us"), (10**3, "ms"), (1, "s")])
-def test_the_unit_of_times_since_1970_follows_from_their_size(tmp_path: Path, factor: int, unit: str) -> None:
+@pytest.mark.parametrize(("factor", "unit", "declared"), [
+    (10**9, "ns", False), (10**6, "us", False), (10**3, "ms", False), (1, "s", False), (10**9, "ns", True)])
+def test_unit_of_times_since_1970_is_inferred_or_declared(tmp_path: Path, factor: int, unit: str,
+                                                          declared: bool) -> None:
     file = write(tmp_path / "d.csv", PLAIN)
     head, *lines = file.read_text().splitlines()
     rows = [f"{(1_700_000_000_000 + 20 * k) * factor / 1000:.{2 if factor == 1 else 0}f},{line.partition(',')[2]}"
             for k, line in enumerate(lines)]
     file.write_text("\n".join([head, *rows]))
-    drive = read_csv(file)
-    assert_whole(drive.log)
+    drive = read_csv(file, layout=Layout(units={"t": unit} if declared else {}))
+    assert_values(drive.log)
     assert drive.log.ins_time_ns[0] == 1_700_000_000_000_000_000
-    assert any(f"read as {unit} since 1970" in warning for warning in drive.warnings) == (factor > 1)
+    assert any(f"read as {unit} since 1970" in w for w in drive.warnings) == (factor > 1 and not declared)
 
 
 @pytest.mark.parametrize(("stamp", "start"), [
@@ -307,7 +314,7 @@ def test_the_unit_of_times_since_1970_follows_from_their_size(tmp_path: Path, fa
     ("04.05.2026 23:59:59.{:03d}", 1_777_939_199), ("2026-05-05T01:59:59.{:03d}+02:00", 1_777_939_199),
     ("23:59:59.{:03d}", 86_399),
 ])
-def test_times_as_text(tmp_path: Path, stamp: str, start: int) -> None:
+def test_times_as_text_over_midnight(tmp_path: Path, stamp: str, start: int) -> None:
     file = write(tmp_path / "d.csv", PLAIN)
     head, *lines = file.read_text().splitlines()
     texts = [stamp.format(20 * k) if k < 50 else
@@ -315,38 +322,26 @@ def test_times_as_text(tmp_path: Path, stamp: str, start: int) -> None:
              .replace("-05-04", "-05-05").replace("04.05", "05.05") for k in range(len(lines))]
     file.write_text("\n".join([head, *(f"{t},{line.partition(',')[2]}" for t, line in zip(texts, lines, strict=True))]))
     drive = read_csv(file)
-    assert_whole(drive.log)
+    assert_values(drive.log)
     assert drive.log.ins_time_ns[0] == start * 10**9 and drive.warnings == ()
 
 
-def test_quaternion_and_velocities_to_the_east_and_north(tmp_path: Path) -> None:
-    plain_drive = write(tmp_path / "d.csv", PLAIN)
-    expected = read_csv(plain_drive).log
+def test_quaternion_and_east_north_velocities_give_yaw_and_body_velocities(tmp_path: Path) -> None:
+    plain_file = write(tmp_path / "d.csv", PLAIN)
+    expected = read_csv(plain_file).log
     yaw, vx, vy = expected.yaw, expected.velocity_x, expected.velocity_y
     c, s = np.cos(yaw), np.sin(yaw)
-    head, *lines = plain_drive.read_text().splitlines()
+    head, *lines = plain_file.read_text().splitlines()
     keep = [k for k, name in enumerate(head.split(",")) if name not in (PLAIN["yaw"], PLAIN["velocity_x"],
                                                                         PLAIN["velocity_y"])]
     rows = np.column_stack([np.array([line.split(",") for line in lines], float)[:, keep], np.sin(yaw / 2),
                             np.cos(yaw / 2), 0 * yaw, 0 * yaw, c * vx - s * vy, s * vx + c * vy])
     names = [*(head.split(",")[k] for k in keep), "qz", "qw", "qx", "qy", "vel_east", "vel_north"]
     np.savetxt(tmp_path / "q.csv", rows, "%.12f", ",", header=",".join(names), comments="")
-    assert_whole(read_csv(tmp_path / "q.csv").log)
+    assert_values(read_csv(tmp_path / "q.csv").log)
 
 
-def test_a_declared_unit_of_time(tmp_path: Path) -> None:
-    file = write(tmp_path / "d.csv", PLAIN)
-    lines = file.read_text().splitlines()
-    rows = [f"{1_700_000_000_000_000_000 + 20_000_000 * k},{line.partition(',')[2]}" for k, line in
-            enumerate(lines[1:])]
-    file.write_text("\n".join([lines[0], *rows]))
-    log = read_csv(file, layout=Layout(units={"t": "ns"})).log
-    assert_whole(log)
-    assert log.ins_time_ns[0] == 1_700_000_000_000_000_000
-
-
-def test_the_table_is_in_the_documentation() -> None:
-    """docs/csv_columns.md has a row for each channel, made of the table."""
+def test_documentation_lists_every_channel_and_unit() -> None:
     text = (ROOT / "docs/csv_columns.md").read_text()
     for name, channel in COLUMNS.items():
         row = f"| `{name}` | {next(iter(UNITS[channel.kind]))} | {channel.meaning} | {', '.join(channel.names)} |"
@@ -359,9 +354,9 @@ def test_the_table_is_in_the_documentation() -> None:
 
 @pytest.mark.parametrize("own_stamps", [False, True])
 def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bool) -> None:
-    """Blanks between their numbers, in the rows of the others or in rows of their own, as in a merged MF4."""
+    """Blank cells between their numbers, in common rows or in rows of their own, as in a merged MF4."""
     data = [{channel: f"{column[k]:.9g}" for channel, column in values().items() if channel in PLAIN} for k in range(N)]
-    slow = {"x": 5, "y": 5, "yaw": 3}
+    slow = {"x": 5, "y": 5, "yaw": 3}  # channel -> rows per sample
     rows = []
     for k, row in enumerate(data):
         rows += [{c: text for c, text in row.items() if own_stamps and c in ("t", *slow) and k % slow.get(c, 1) == 0},
@@ -379,5 +374,5 @@ def test_channels_of_lower_rates_are_interpolated(tmp_path: Path, own_stamps: bo
         np.testing.assert_allclose(getattr(drive.log, channel), expected, atol=2e-3, err_msg=channel)
 
 
-def test_a_driving_direction_is_no_course() -> None:
+def test_driving_direction_is_not_read_as_course() -> None:
     assert not {"course", "velocity_y"} & find_columns(Path("d.csv"), ["t", "v", "yaw", "direction"], Layout()).keys()

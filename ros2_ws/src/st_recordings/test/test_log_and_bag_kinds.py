@@ -1,17 +1,17 @@
-"""One drive in CAN logs and bags that people bring: read the same, with a warning on what is not used, or refused."""
+"""One drive in CAN logs and bags of many programs: read correctly, with a warning on what is not used, or refused."""
 
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import can
 import numpy as np
 import pytest
 from drive_kinds import CAR, NAMES, assert_same, assert_warned, csv, rows, vbo, write_bag
 from mcap.writer import CompressionType, IndexType
-from raw_drives import write_drives
 from st_core.checks import check
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, find_runs, read
@@ -21,20 +21,21 @@ from st_recordings.runs.write import import_run
 from support import shared
 
 
+# Text of CAN logs, made of the lines of run.log.
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DriveLog]:
-    """(folder with run.ncom and run.log, the drive in them)."""
-    folder = write_drives(tmp_path_factory.mktemp("drive"), {}, 0, (("sweep", 26.0),)) / "sweep"
-    return folder, read(find_runs([folder])[0], CAR).log
+def frame_lines(drive_folder: Path) -> list[str]:
+    return (drive_folder / "run.log").read_text().splitlines()
 
 
-# CAN logs: what is made of the lines of run.log.
-def frames_of(folder: Path) -> list[str]:
-    return (folder / "run.log").read_text().splitlines()
+@pytest.fixture
+def ncom_folder(drive_folder: Path, tmp_path: Path) -> Path:
+    """A folder with run.ncom, to which a test adds a CAN log."""
+    (tmp_path / "run.ncom").write_bytes((drive_folder / "run.ncom").read_bytes())
+    return tmp_path
 
 
-def changed(lines: list[str], change: Callable[[str, str], str]) -> str:
-    """change: of (head, data) of the steering frames."""
+def map_steering_frames(lines: list[str], change: Callable[[str, str], str]) -> str:
+    """change(head, data) -> frame, for the steering frames."""
     out = []
     for line in lines:
         head, _, rest = line.partition("#")
@@ -56,14 +57,14 @@ def asc(lines: list[str], date: str = "Wed Sep 3 06:00:00.005 pm 2025", comment:
     return "\n".join(out) + "\nEnd TriggerBlock\n"
 
 
-def trc(lines: list[str], wide: bool) -> str:
+def trc(lines: list[str], eight_digits: bool) -> str:
     begin = float(lines[0].split()[0][1:-1])
     out = [";" + "#" * 74, ";   run.trc", ";", ";    Start time: 03.09.2025 18:00:00.005", ";---+--  ----+---  --+-"]
     for k, line in enumerate(lines, 1):
         stamp, _, rest = line.split()[:3]
         identifier, data = rest.split("#")
         number = int(identifier, 16)
-        out.append(f"{k:6d}) {(float(stamp[1:-1]) - begin) * 1e3:9.1f}  {number:{'08X' if wide else '04X'}}  "
+        out.append(f"{k:6d}) {(float(stamp[1:-1]) - begin) * 1e3:9.1f}  {number:{'08X' if eight_digits else '04X'}}  "
                    f"{len(data) // 2}  {' '.join(data[j : j + 2] for j in range(0, len(data), 2))}")
     return "\r\n".join(out) + "\r\n"
 
@@ -82,58 +83,71 @@ def trc_1_2(lines: list[str]) -> str:
     return "\r\n".join(out) + "\r\n"
 
 
-def spoilt(lines: list[str], every: int) -> str:
+def truncate_lines(lines: list[str], every: int) -> str:
     return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
 
 
-def replaced(lines: list[str], line: str) -> str:
+def replace_line_5000(lines: list[str], line: str) -> str:
     return "\n".join([*lines[:5000], line, *lines[5001:]])
 
 
-def later(line: str, seconds: float = 0.8) -> str:
-    stamp, _, rest = line.partition(" ")
-    return f"({float(stamp[1:-1]) + seconds:.6f}) {rest}"
+def shift_stamp(line: str, seconds: float) -> str:
+    stamp, _, frame = line.partition(" ")
+    return f"({float(stamp[1:-1]) + seconds:.6f}) {frame}"
 
 
-def earlier(lines: list[str]) -> list[str]:
-    """The first third, an hour before: of another drive."""
-    return [later(line, -3600.0) for line in lines[: len(lines) // 3]]
+def earlier_drive(lines: list[str]) -> list[str]:
+    """The first third, an hour earlier."""
+    return [shift_stamp(line, -3600.0) for line in lines[: len(lines) // 3]]
 
 
-LOGS: list[tuple[str, Callable[[list[str]], str], str, str]] = [
-    ("run.log", lambda lines: spoilt(lines, 3000), "utf-8", r"lines \(0\.03\d? %\) cannot be read .* line 3000"),
-    ("run.log", "\n".join, "utf-16", ""),
-    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}#{d}000000"), "utf-8", "bytes are padding"),
-    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(24, '0')}"), "utf-8", "have 12 bytes"),
-    ("run.log", lambda lines: changed(lines, lambda h, d: f"{h}##1{d.ljust(128, 'A')}"), "utf-8", "have 64 bytes"),
-    ("run.log", lambda lines: replaced(lines, lines[5000].split("#")[0] + "#" + "AA" * 70), "utf-8",
-     "frames with more than 64 bytes were skipped: 1"),
-    ("run.log", lambda lines: replaced(lines, "(1e300) " + lines[5000].split(" ", 1)[1]), "utf-8",
-     "frames with an impossible time were skipped: 1"),
-    ("run.asc", lambda lines: asc(lines, comment="// Prüfstand"), "cp1252", ""),
-    ("run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025"), "utf-8", ""),
-    ("run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), "cp1252", ""),
-    ("run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "utf-8", "its date .* cannot be read"),
-    ("run.asc", lambda lines: asc(lines) * 2, "utf-8", r"the 2\d\.\d of 5\d\.\d s \(50 %\) that match"),
-    ("run.log", lambda lines: "\n".join([*lines, *earlier(lines)]), "utf-8", r" of 3\d\.\d s \(75 %\) that match the"),
-    ("run.log", lambda lines: "\n".join([*earlier(lines), *lines]), "utf-8", r" of 3\d\.\d s \(75 %\) that match the"),
-    ("run.log", lambda lines: replaced(lines, later(lines[5001])), "utf-8", ""),
-    ("run.trc", lambda lines: trc(lines, True), "ascii", ""),
-    ("run.trc", lambda lines: trc(lines, False), "ascii", ""),
-    ("run.trc", trc_1_2, "cp1252", ""),
-    ("run.asc", lambda lines: "\n".join(asc(lines).splitlines()[4:]), "utf-8", ""),
-    ("run.txt", "\n".join, "utf-8", "is a candump log with the extension .txt"),
+class Log(NamedTuple):
+    """text: made of the lines of run.log; warning: pattern of an expected warning, empty if none is expected."""
+
+    title: str
+    name: str
+    text: Callable[[list[str]], str]
+    warning: str = ""
+    encoding: str = "utf-8"
+
+
+LOGS = [
+    Log("truncated lines", "run.log", lambda lines: truncate_lines(lines, 3000),
+        r"lines \(0\.03\d? %\) cannot be read .* line 3000"),
+    Log("UTF-16", "run.log", "\n".join, encoding="utf-16"),
+    Log("zeros as padding", "run.log", lambda lines: map_steering_frames(lines, lambda h, d: f"{h}#{d}000000"),
+        "bytes are padding"),
+    Log("FD, 12 bytes", "run.log", lambda lines: map_steering_frames(lines, lambda h, d: f"{h}##1{d.ljust(24, '0')}"),
+        "have 12 bytes"),
+    Log("FD, 64 bytes", "run.log", lambda lines: map_steering_frames(lines, lambda h, d: f"{h}##1{d.ljust(128, 'A')}"),
+        "have 64 bytes"),
+    Log("a frame of 70 bytes", "run.log", lambda lines: replace_line_5000(
+        lines, lines[5000].split("#")[0] + "#" + "AA" * 70), "frames with more than 64 bytes were skipped: 1"),
+    Log("a frame 0.8 s late", "run.log", lambda lines: replace_line_5000(lines, shift_stamp(lines[5001], 0.8))),
+    Log("then an earlier drive", "run.log", lambda lines: "\n".join([*lines, *earlier_drive(lines)]),
+        r" of 3\d\.\d s \(75 %\) that match the"),
+    Log("an earlier drive first", "run.log", lambda lines: "\n".join([*earlier_drive(lines), *lines]),
+        r" of 3\d\.\d s \(75 %\) that match the"),
+    Log("candump as .txt", "run.txt", "\n".join, "is a candump log with the extension .txt"),
+    Log("comment", "run.asc", lambda lines: asc(lines, comment="// Prüfstand"), encoding="cp1252"),
+    Log("24 hours and pm", "run.asc", lambda lines: asc(lines, "Wed Sep 3 18:00:00.005 pm 2025")),
+    Log("German date", "run.asc", lambda lines: asc(lines, "Mi Mär 3 18:00:00.005 2025"), encoding="cp1252"),
+    Log("French date", "run.asc", lambda lines: asc(lines, "mercredi 3 septembre"), "its date .* cannot be read"),
+    Log("without a header", "run.asc", lambda lines: "\n".join(asc(lines).splitlines()[4:])),
+    Log("recorded twice", "run.asc", lambda lines: asc(lines) * 2, r"the 2\d\.\d of 5\d\.\d s \(50 %\) that match"),
+    Log("8 digits", "run.trc", lambda lines: trc(lines, eight_digits=True), encoding="ascii"),
+    Log("4 digits", "run.trc", lambda lines: trc(lines, eight_digits=False), encoding="ascii"),
+    Log("version 1.2", "run.trc", trc_1_2, encoding="cp1252"),
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "encoding", "warning"), LOGS)
-def test_can_logs(tmp_path: Path, drive, name: str, text, encoding: str, warning: str) -> None:
-    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
-    (tmp_path / name).write_bytes(text(frames_of(drive[0])).encode(encoding))
-    (tmp_path / "README").write_text("no data")
-    run = read(find_runs([tmp_path])[0], CAR)
-    assert_same(run.log, drive[1], lost=0, steering=0.003)
-    assert_warned([w for w in run.warnings if "alignment" not in w], warning)
+@pytest.mark.parametrize("log", LOGS, ids=[f"{log.name}: {log.title}" for log in LOGS])
+def test_can_log_gives_the_steering(ncom_folder: Path, drive_log: DriveLog, frame_lines: list[str], log: Log) -> None:
+    (ncom_folder / log.name).write_bytes(log.text(frame_lines).encode(log.encoding))
+    (ncom_folder / "README").write_text("no data")
+    run = read(find_runs([ncom_folder])[0], CAR)
+    assert_same(run.log, drive_log, max_lost=0, steering=0.003)
+    assert_warned([w for w in run.warnings if "alignment" not in w], log.warning)
 
 
 @pytest.mark.parametrize(("change", "error"), [
@@ -141,38 +155,38 @@ def test_can_logs(tmp_path: Path, drive, name: str, text, encoding: str, warning
     (lambda h, d: f"{h}#{d}010203", r"have 8 bytes instead of 5 as in the DBC; 2\d+ frames are not used"),
     (lambda h, d: f"{h.replace(' 002', ' 00000002')}#{d}", "has 11 bits in the DBC, but 29 bits in "),
 ])
-def test_steering_frames_that_do_not_fit_the_dbc_are_named(tmp_path: Path, drive, change, error: str) -> None:
-    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
-    (tmp_path / "run.log").write_text(changed(frames_of(drive[0]), change))
+def test_steering_frames_that_do_not_match_the_dbc_are_refused(ncom_folder: Path, frame_lines: list[str], change,
+                                                               error: str) -> None:
+    (ncom_folder / "run.log").write_text(map_steering_frames(frame_lines, change))
     with pytest.raises(RunError, match=error):
-        read(find_runs([tmp_path])[0], CAR)
+        read(find_runs([ncom_folder])[0], CAR)
 
 
-def test_steering_frames_without_a_usable_value_are_no_gap_of_the_logger(tmp_path: Path, drive) -> None:
-    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
-    lines = frames_of(drive[0])
+def test_steering_frames_without_a_usable_value_are_not_a_time_gap(ncom_folder: Path, frame_lines: list[str]) -> None:
+    lines = [*frame_lines]
     steering = [k for k, line in enumerate(lines) if " 002#" in line]
-    bad, lost = steering[500:600], {*steering[1000:1100]}
-    for k in bad:  # low byte first: the largest angle that the signal can have
+    implausible, lost = steering[500:600], {*steering[1000:1100]}
+    for k in implausible:  # low byte first: the largest angle that the signal can have
         head, _, data = lines[k].partition("#")
         lines[k] = f"{head}#FF7F{data[4:]}"
-    (tmp_path / "run.log").write_text("\n".join(line for k, line in enumerate(lines) if k not in lost))
-    run = read(find_runs([tmp_path])[0], CAR)
-    found = {one.name: one for one in check(run.log, CAR, run.auxiliary).findings}
+    (ncom_folder / "run.log").write_text("\n".join(line for k, line in enumerate(lines) if k not in lost))
+    run = read(find_runs([ncom_folder])[0], CAR)
+    findings = {finding.name: finding for finding in check(run.log, CAR, run.auxiliary).findings}
     assert re.search(r"100 of \d+ frames between .* were received but not used: .*SteeringWheelAngle implausible "
-                     r"\(up to -?3276.7 deg\) in 100", found["values_missing"].text)
-    assert "1 gap of the steering" in found["time_gaps"].text
-    assert found["time_gaps"].value == pytest.approx(1.0, abs=0.1)
+                     r"\(up to -?3276.7 deg\) in 100", findings["values_missing"].text)
+    assert "1 gap of the steering" in findings["time_gaps"].text
+    assert findings["time_gaps"].value == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("name", "warning"), [
     ("run.log", r"\d+\.\d of 2\d\.\d s of the INS \(5\d %\) are not used: no usable sample of the steering"),
     ("run.ncom", r"\d+\.\d of 2\d\.\d s of the steering \(5\d %\) are not used: no usable sample of the INS"),
 ])
-def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, drive, name: str, warning: str) -> None:
-    """Whatever the format, no mark of its own shows that it is cut."""
+def test_file_that_ends_early_causes_a_warning_with_the_unused_time_of_the_other(
+        tmp_path: Path, drive_folder: Path, name: str, warning: str) -> None:
+    """Nothing in the file itself shows that it is truncated."""
     for file in ("run.ncom", "run.log"):
-        content = (drive[0] / file).read_bytes()
+        content = (drive_folder / file).read_bytes()
         (tmp_path / file).write_bytes(content[: content.rindex(b"\n", 0, len(content) * 45 // 100) + 1] if file == name
                                       else content)
     (run,) = find_runs([tmp_path])
@@ -181,53 +195,54 @@ def test_a_file_that_ends_early_costs_the_rest_of_the_other(tmp_path: Path, driv
         assert any(re.search(warning, text) for text in warnings)
 
 
-def test_the_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive) -> None:
-    """Also of one with a steering column, which is a whole drive for other commands."""
-    (tmp_path / "run.vbo").write_text(vbo(drive[1]))
-    aligned = read_pair([tmp_path / "run.vbo", drive[0] / "run.log"], ReadSettings())
-    reference = read_pair([drive[0] / "run.ncom", drive[0] / "run.log"], ReadSettings())
-    moved = int(aligned.ins.time_ns[0]) - int(reference.ins.time_ns[0])
-    assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(moved, abs=10_000_000)
+def test_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive_folder: Path, drive_log: DriveLog) -> None:
+    """Also of a VBO with a steering column, which other commands read as a complete drive."""
+    (tmp_path / "run.vbo").write_text(vbo(drive_log))
+    aligned = read_pair([tmp_path / "run.vbo", drive_folder / "run.log"], ReadSettings())
+    reference = read_pair([drive_folder / "run.ncom", drive_folder / "run.log"], ReadSettings())
+    shift = int(aligned.ins.time_ns[0]) - int(reference.ins.time_ns[0])
+    assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(shift, abs=10_000_000)
 
 
-def test_a_vbo_without_steering_takes_that_of_the_can_log(tmp_path: Path, drive) -> None:
-    head, mark, data = vbo(drive[1]).partition("[data]\n")
+def test_vbo_without_steering_is_paired_with_the_can_log(tmp_path: Path, drive_folder: Path,
+                                                         drive_log: DriveLog) -> None:
+    head, mark, data = vbo(drive_log).partition("[data]\n")
     rows = "\n".join(row.rpartition(" ")[0] for row in data.splitlines())
     (tmp_path / "run.vbo").write_text(head.replace("\nSteer\n", "\n").replace(" Steer\n", "\n") + mark + rows + "\n")
-    (tmp_path / "run.log").write_bytes((drive[0] / "run.log").read_bytes())
+    (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
     for given in ([tmp_path], [tmp_path / "run.vbo", tmp_path / "run.log"]):
         (found,) = find_runs(given)
         run = read(found, CAR)
-        assert len(found.can) == 1 and run.log.duration == pytest.approx(drive[1].duration, abs=0.1)
+        assert len(found.can) == 1 and run.log.duration == pytest.approx(drive_log.duration, abs=0.1)
         assert "acceleration_x" not in run.auxiliary.missing  # it was not recorded
 
 
-def test_a_cut_blf_is_read_up_to_the_cut_with_a_warning(tmp_path: Path, drive) -> None:
-    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
-    blf = tmp_path / "run.blf"
+def test_truncated_blf_is_read_up_to_its_end_with_a_warning(ncom_folder: Path, drive_folder: Path,
+                                                            drive_log: DriveLog) -> None:
+    blf = ncom_folder / "run.blf"
     with can.BLFWriter(str(blf)) as writer:
-        for message in can.LogReader(str(drive[0] / "run.log")):
+        for message in can.LogReader(str(drive_folder / "run.log")):
             message.channel = int(str(message.channel)[-1])
             writer.on_message_received(message)
-    (whole,) = find_runs([tmp_path])
-    assert_same(read(whole, CAR).log, drive[1], lost=0, steering=0.003)
+    (complete,) = find_runs([ncom_folder])
+    assert_same(read(complete, CAR).log, drive_log, max_lost=0, steering=0.003)
     blf.write_bytes(blf.read_bytes()[: blf.stat().st_size // 2])
-    run = read(find_runs([tmp_path])[0], CAR)
+    run = read(find_runs([ncom_folder])[0], CAR)
     assert_warned(run.warnings, r"run\.blf: .*(truncated|header)")
 
 
 @pytest.mark.parametrize("options", [(), ("--no-fd",)], ids=["with FD group", "without FD group"])
-def test_an_mf4_of_firmware_with_virtual_channels(tmp_path: Path, drive, options: tuple[str, ...]) -> None:
+def test_mf4_of_firmware_with_virtual_channels(ncom_folder: Path, drive_folder: Path, drive_log: DriveLog,
+                                               options: tuple[str, ...]) -> None:
     make = shared("failing/canedge_current_firmware_mf4/make.py")
-    (tmp_path / "run.ncom").write_bytes((drive[0] / "run.ncom").read_bytes())
-    subprocess.run([sys.executable, make, drive[0] / "run.log", tmp_path / "run.MF4", *options], check=True)
-    run = read(find_runs([tmp_path])[0], CAR)
-    assert_same(run.log, drive[1], lost=0, steering=0.003)
+    subprocess.run([sys.executable, make, drive_folder / "run.log", ncom_folder / "run.MF4", *options], check=True)
+    run = read(find_runs([ncom_folder])[0], CAR)
+    assert_same(run.log, drive_log, max_lost=0, steering=0.003)
     assert not [w for w in run.warnings if "alignment" not in w]
 
 
 # Bags.
-def splits(folder: Path, log: DriveLog) -> Path:
+def write_splits(folder: Path, log: DriveLog) -> Path:
     edges = np.linspace(0, len(log.x), 13).astype(int)
     for k in range(12):
         write_bag(folder / f"drive_{k}.mcap", log, edges[k], edges[k + 1])
@@ -249,22 +264,23 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
      r"stamps \(9\d %\) of /odom repeat the previous one; the times of reception are used"),
     ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
      "do not overlap in time; the times of reception are used for both"),
-    ("twelve splits", splits, ReadSettings(), ""),
-    ("own type, degrees, right positive", lambda folder, log: write_bag(folder / "a.mcap", log, own=True),
+    ("twelve splits", write_splits, ReadSettings(), ""),
+    ("custom type, degrees, right positive", lambda folder, log: write_bag(
+        folder / "a.mcap", log, custom_steering=True),
      ReadSettings(steering=SteeringField("/rack", "angle_deg", "wheel", "deg", -1), odometry="/odom"), ""),
 ]
 
 
-@pytest.mark.parametrize(("make", "settings", "warning"), [row[1:] for row in BAGS], ids=[row[0] for row in BAGS])
-def test_bags(tmp_path: Path, drive, make, settings: ReadSettings, warning: str) -> None:
-    (source,) = find_runs([make(tmp_path, drive[1])])
+@pytest.mark.parametrize(("write", "settings", "warning"), [row[1:] for row in BAGS], ids=[row[0] for row in BAGS])
+def test_bag_gives_the_drive(tmp_path: Path, drive_log: DriveLog, write, settings: ReadSettings, warning: str) -> None:
+    (source,) = find_runs([write(tmp_path, drive_log)])
     run = read(source, CAR, settings)
-    assert_same(run.log, drive[1], lost=0)
+    assert_same(run.log, drive_log, max_lost=0)
     assert_warned(run.warnings, warning)
 
 
-def test_a_missing_file_of_a_bag_is_named(tmp_path: Path, drive) -> None:
-    splits(tmp_path, drive[1])
+def test_missing_split_of_a_bag_causes_a_warning(tmp_path: Path, drive_log: DriveLog) -> None:
+    write_splits(tmp_path, drive_log)
     for k in (4, 5):
         (tmp_path / f"drive_{k}.mcap").unlink()
     first, second = (read(source, CAR) for source in find_runs([tmp_path]))
@@ -272,8 +288,8 @@ def test_a_missing_file_of_a_bag_is_named(tmp_path: Path, drive) -> None:
     assert_warned(second.warnings, "2 files between drive_3.mcap and this one are missing, so these two are")
 
 
-def test_bags_named_by_the_time_of_day_lack_no_file(tmp_path: Path, drive) -> None:
-    splits(tmp_path, drive[1])
+def test_time_of_day_in_names_of_bags_is_not_a_split_number(tmp_path: Path, drive_log: DriveLog) -> None:
+    write_splits(tmp_path, drive_log)
     for file in tmp_path.glob("drive_*.mcap"):
         if name := {"drive_0": "drive_101500", "drive_2": "drive_104500"}.get(file.stem):
             file.rename(tmp_path / f"{name}.mcap")
@@ -283,28 +299,27 @@ def test_bags_named_by_the_time_of_day_lack_no_file(tmp_path: Path, drive) -> No
         assert not [warning for warning in read(source, CAR).warnings if "missing" in warning]
 
 
-def test_a_text_export_of_a_recording_in_its_folder_is_no_run(tmp_path: Path, drive) -> None:
-    (tmp_path / "a.csv").write_text(csv(rows(drive[1])))
-    (tmp_path / "a.txt").write_text(csv([row[:-1] for row in rows(drive[1])], "\t".join(NAMES[:-1]), "\t"))
+def test_text_export_next_to_its_recording_is_not_a_run(tmp_path: Path, drive_log: DriveLog) -> None:
+    (tmp_path / "a.csv").write_text(csv(rows(drive_log)))
+    (tmp_path / "a.txt").write_text(csv([row[:-1] for row in rows(drive_log)], "\t".join(NAMES[:-1]), "\t"))
     assert [run.files for run in find_runs([tmp_path])] == [(tmp_path / "a.csv",)]
 
 
-
-def test_a_bag_of_another_encoding_is_named(tmp_path: Path, drive) -> None:
-    file = write_bag(tmp_path / "json.mcap", drive[1], 0, 5, encoding="json")
+def test_bag_with_another_encoding_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    file = write_bag(tmp_path / "json.mcap", drive_log, 0, 5, encoding="json")
     with pytest.raises(RunError, match="its messages are encoded as json, but only CDR, the encoding of ROS 2"):
         read(find_runs([file])[0], CAR)
 
 
-def test_another_definition_of_a_known_type_is_named(tmp_path: Path, drive) -> None:
-    file = write_bag(tmp_path / "a.mcap", drive[1], 0, 5, compression=CompressionType.NONE, enable_crcs=False)
+def test_bag_with_another_definition_of_a_known_type_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    file = write_bag(tmp_path / "a.mcap", drive_log, 0, 5, compression=CompressionType.NONE, enable_crcs=False)
     file.write_bytes(file.read_bytes().replace(b"Vector3 linear", b"Vector3 planar"))
     with pytest.raises(RunError, match=r"nav_msgs/msg/Odometry differs from the ROS 2 definition.*linear"):
         read(find_runs([file])[0], CAR)
 
 
-def test_a_changed_byte_in_a_bag_is_named(tmp_path: Path, drive) -> None:
-    file = write_bag(tmp_path / "a.mcap", drive[1], compression=CompressionType.NONE)
+def test_bag_with_a_damaged_chunk_is_refused(tmp_path: Path, drive_log: DriveLog) -> None:
+    file = write_bag(tmp_path / "a.mcap", drive_log, compression=CompressionType.NONE)
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(content)
@@ -313,15 +328,15 @@ def test_a_changed_byte_in_a_bag_is_named(tmp_path: Path, drive) -> None:
 
 
 @pytest.mark.parametrize("kind", ["csv", "bag"])
-def test_an_ins_of_another_make_with_a_can_log_is_one_run(tmp_path: Path, drive, kind: str) -> None:
-    folder, log = drive
-    (tmp_path / "run.log").write_bytes((folder / "run.log").read_bytes())
+def test_csv_or_bag_of_an_ins_is_paired_with_a_can_log(tmp_path: Path, drive_folder: Path, drive_log: DriveLog,
+                                                       kind: str) -> None:
+    (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
     if kind == "csv":
-        (tmp_path / "run.csv").write_text(csv([row[:7] for row in rows(log)], ",".join(NAMES[:7])))
+        (tmp_path / "run.csv").write_text(csv([row[:7] for row in rows(drive_log)], ",".join(NAMES[:7])))
     else:
-        write_bag(tmp_path / "run.mcap", log, own=True)
+        write_bag(tmp_path / "run.mcap", drive_log, custom_steering=True)
     (source,) = find_runs([tmp_path])
     assert len(source.can) == 1 and source.problem is None
     run = read(source, CAR)
-    assert_same(run.log, log, lost=0, steering=0.003)
+    assert_same(run.log, drive_log, max_lost=0, steering=0.003)
     assert run.provenance["reader"] == f"{kind} and CAN log"

@@ -1,12 +1,13 @@
-"""Another INS is one reader: its recordings are found, paired with CAN logs, named in a run.yaml and read like NCOM."""
+"""A registered reader of another INS: its recordings are found, paired with CAN logs, named in a run.yaml and read."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from raw_drives import LEAF, write_drives
-from st_core.vehicle import VehicleParameters
+from drive_kinds import CAR
+from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
 from st_recordings.runs.ncom import read_ncom
 from st_recordings.runs.raw import read_raw_run
@@ -23,29 +24,24 @@ def another_ins() -> Iterator[Reader]:
     del READERS["another"]
 
 
-def test_a_drive_of_another_ins(tmp_path: Path, another_ins: Reader) -> None:
-    folder = write_drives(tmp_path, {}, 0, (("sweep", 26.0),)) / "sweep"
-    leaf = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
-    (known,) = find_runs([folder])
-    (folder / "run.ncom").rename(folder / "run.other")
-    (found,) = find_runs([folder])
-    assert (known.kind, found.kind) == ("ncom", "another") and found.can == known.can
-    (folder / "run.other").rename(folder / "run.ncom")
-    expected = read(known, leaf)
-    (folder / "run.ncom").rename(folder / "run.other")
-    got = read(found, leaf)
-    assert got.provenance["reader"] == "another and CAN log"
-    assert np.array_equal(got.log.x, expected.log.x) and np.array_equal(got.log.yaw_rate, expected.log.yaw_rate)
-    (folder / "run.yaml").write_text("ins: run.other\ncan: run.log\n")
-    (named,) = find_runs([folder / "run.yaml"])
+def test_recording_of_another_ins_is_read(tmp_path: Path, drive_folder: Path, drive_log: DriveLog,
+                                          another_ins: Reader) -> None:
+    shutil.copy(drive_folder / "run.ncom", tmp_path / "run.other")
+    shutil.copy(drive_folder / "run.log", tmp_path)
+    (found,) = find_runs([tmp_path])
+    assert (found.kind, found.can) == ("another", (tmp_path / "run.log",))
+    run = read(found, CAR)
+    assert run.provenance["reader"] == "another and CAN log"
+    assert np.array_equal(run.log.x, drive_log.x) and np.array_equal(run.log.yaw_rate, drive_log.yaw_rate)
+    (tmp_path / "run.yaml").write_text("ins: run.other\ncan: run.log\n")
+    (named,) = find_runs([tmp_path / "run.yaml"])
     assert named.kind == "another" and named.problem is None
 
 
-def test_import_says_what_it_is_for(tmp_path: Path, another_ins: Reader) -> None:
-    leaf = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
+def test_import_of_another_ins_is_refused(tmp_path: Path, another_ins: Reader) -> None:
     source = RunSource("drive", "another", (tmp_path / "run.other",))
     with pytest.raises(RunError, match=r"import converts NCOM packets.*this run is another.*read it directly"):
-        import_run(source, leaf, tmp_path / "bag", ReadSettings(), lambda drive: ())
+        import_run(source, CAR, tmp_path / "bag", ReadSettings(), lambda drive: ())
 
 
 def test_two_readers_of_one_name_are_refused(another_ins: Reader) -> None:

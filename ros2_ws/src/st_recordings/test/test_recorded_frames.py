@@ -1,31 +1,24 @@
-"""Raw CAN frames of a recording as columns: what a serialiser of its own wrote, and what is damaged."""
+"""Raw CAN frames of a recording as columns: as serialised by rosbags, and damaged."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from st_recordings.paths import project_root
-from st_recordings.runs.cdr import load_typestore
+from ros_messages import header, make, serialise, stamp
 from st_recordings.runs.frames import ERROR, EXTENDED, FD, REMOTE, read_frames
 
-STORE = load_typestore(project_root() / "ros2_ws" / "src" / "st_msgs" / "msg")
 START = 1_756_900_800_123_456_789
 
 
 def message(frames: list[tuple[int, int, bytes, int]], bus: str) -> bytes:
     """st_msgs/CanFrames by rosbags. frames: (time [ns], id with EXTENDED, data, flags)."""
-    kinds = STORE.types
-    time = kinds["builtin_interfaces/msg/Time"]
-    made = [kinds["st_msgs/msg/CanFrame"](
-        stamp=time(*divmod(at, 10**9)), id=identifier & ~EXTENDED, is_extended=bool(identifier & EXTENDED),
-        is_error=bool(flags & ERROR), is_remote=bool(flags & REMOTE), is_fd=bool(flags & FD),
-        data=np.frombuffer(data, np.uint8)) for at, identifier, data, flags in frames]
-    header = kinds["std_msgs/msg/Header"](stamp=time(0, 0), frame_id=bus)
-    kind = "st_msgs/msg/CanFrames"
-    return bytes(STORE.serialize_cdr(kinds[kind](header=header, frames=made), kind))
+    return serialise("st_msgs/msg/CanFrames", header=header(0, bus), frames=[make(
+        "st_msgs/msg/CanFrame", stamp=stamp(time_ns), id=identifier & ~EXTENDED,
+        is_extended=bool(identifier & EXTENDED), is_error=bool(flags & ERROR), is_remote=bool(flags & REMOTE),
+        is_fd=bool(flags & FD), data=np.frombuffer(data, np.uint8)) for time_ns, identifier, data, flags in frames])
 
 
-def some(count: int, longest: int, seed: int) -> list[tuple[int, int, bytes, int]]:
+def random_frames(count: int, longest: int, seed: int) -> list[tuple[int, int, bytes, int]]:
     rng = np.random.default_rng(seed)
     return [(START + 1000 * k, int(rng.integers(0x800)) | (EXTENDED if k % 7 == 0 else 0),
              rng.bytes(int(rng.integers(longest + 1))), int(rng.choice([0, ERROR, REMOTE, FD])))
@@ -34,10 +27,10 @@ def some(count: int, longest: int, seed: int) -> list[tuple[int, int, bytes, int
 
 @pytest.mark.parametrize("longest", [8, 64])
 @pytest.mark.parametrize("bus", ["socketcan:can0", "a:bcd", "udp_multicast:239.74.163.2:43113"])
-def test_frames_come_back_as_they_were(longest: int, bus: str) -> None:
-    frames = some(200, longest, 3)
-    cuts = [0, 1, 1, 90, 143, 200]  # one message without a frame
-    found = read_frames([message(frames[a:b], bus) for a, b in pairwise(cuts)])
+def test_frames_equal_those_serialised(longest: int, bus: str) -> None:
+    frames = random_frames(200, longest, 3)
+    bounds = [0, 1, 1, 90, 143, 200]  # one message without a frame
+    found = read_frames([message(frames[a:b], bus) for a, b in pairwise(bounds)])
     assert found.time_ns.tolist() == [frame[0] for frame in frames]
     assert found.id.tolist() == [frame[1] for frame in frames]
     assert found.flags.tolist() == [frame[3] for frame in frames]
@@ -46,18 +39,18 @@ def test_frames_come_back_as_they_were(longest: int, bus: str) -> None:
         assert row.tobytes() == data + bytes(longest - len(data)) and length == len(data)
 
 
-def test_nothing_is_no_frames() -> None:
+def test_no_messages_give_no_frames() -> None:
     assert len(read_frames([])) == len(read_frames([message([], "x")])) == 0
 
 
-@pytest.mark.parametrize("cut", [3, 15, 20, 40, 60, 250])
-def test_a_message_that_was_cut_is_refused(cut: int) -> None:
-    whole = message(some(10, 8, 4), "socketcan:can0")
+@pytest.mark.parametrize("length", [3, 15, 20, 40, 60, 250])
+def test_truncated_message_is_refused(length: int) -> None:
+    complete = message(random_frames(10, 8, 4), "socketcan:can0")
     with pytest.raises(ValueError, match="message"):
-        read_frames([whole, whole[:cut]])
+        read_frames([complete, complete[:length]])
 
 
-def test_a_length_that_cannot_be_is_refused() -> None:
+def test_impossible_payload_length_is_refused() -> None:
     damaged = bytearray(message([(START, 2, bytes(8), 0)], "can0"))
     damaged[-12] = 65
     with pytest.raises(ValueError, match="beyond"):

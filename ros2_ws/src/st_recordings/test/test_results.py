@@ -1,100 +1,78 @@
-"""What a run left behind: means against the arrays they come from, and the segments that are drawn."""
+"""Results of a recorded run: means against the arrays they are computed from, and the segments that are drawn."""
 
 import resource
 import signal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from ros_messages import STORE, definition, header, odometry, serialise
 from st_recordings.mcap import BagWriter
 from st_recordings.results import DRAWN_STARTS, read_results, summarise, write_summary
-from st_recordings.runs.bag import definitions_folder
-from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.errors import RunError
 
-STORE = load_typestore(definitions_folder())
 ERROR, STATUS, ODOMETRY = "st_msgs/msg/PredictionError", "st_msgs/msg/PredictorStatus", "nav_msgs/msg/Odometry"
 T0 = 1_756_900_800_000_000_000
 HORIZON = np.linspace(0.0, 5.0, 101)
 STARTS = 40
-LOST = 7  # start that one model did not complete
+INCOMPLETE = 7  # start that one model did not complete
 
 
-def message(name: str, **values: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(STORE.types[name](**values), name))
-
-
-def header(time_ns: int) -> Any:
-    sec, nanosec = divmod(time_ns, 10**9)
-    return STORE.types["std_msgs/msg/Header"](STORE.types["builtin_interfaces/msg/Time"](sec, nanosec), "map")
-
-
-def odometry(time_ns: int, x: float, yaw: float) -> bytes:
-    t = {n: STORE.types[f"geometry_msgs/msg/{n}"] for n in (
-        "Point", "Quaternion", "Pose", "PoseWithCovariance", "Vector3", "Twist", "TwistWithCovariance")}
-    pose = t["Pose"](t["Point"](x, 2.0, 0.0), t["Quaternion"](0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
-    zero = t["Vector3"](0.0, 0.0, 0.0)
-    return message(ODOMETRY, header=header(time_ns), child_frame_id="ins_link",
-                   pose=t["PoseWithCovariance"](pose, np.zeros(36)),
-                   twist=t["TwistWithCovariance"](t["Twist"](zero, zero), np.zeros(36)))
-
-
-def errors_of(model: str, mode: str, k: int) -> np.ndarray:
-    """(points, 3): longitudinal, lateral, yaw of the k-th start; NaN at the end of the lost one."""
+def make_errors(model: str, mode: str, k: int) -> np.ndarray:
+    """(points, 3): longitudinal and lateral error [m] and yaw error [rad] of the k-th start."""
     scale = {"kinematic": 1.0, "linear": 0.25}[model] * {"forecast": -1.0, "hindsight": 1.0}[mode]
     values = scale * (1 + k) * HORIZON[:, None] * [0.1, -0.03, 0.002]
-    if (model, k) == ("linear", LOST):
+    if (model, k) == ("linear", INCOMPLETE):
         values[90:] = np.nan
     return values
 
 
-def score(model: str, mode: str, k: int) -> bytes:
-    errors = errors_of(model, mode, k)
+def error_message(model: str, mode: str, k: int) -> bytes:
+    errors = make_errors(model, mode, k)
     complete = bool(np.isfinite(errors).all())
     means = errors.mean(axis=0) if complete else np.full(3, np.nan)
     names = ("longitudinal", "lateral", "yaw")
-    return message(ERROR, header=header(T0 + k * 10**8), model=model, mode=mode, complete=complete,
-                   incomplete_reason="" if complete else f"INS: no sample at {k * 0.1:.3f} s", horizon=HORIZON,
-                   **dict(zip(names, errors.T.copy(), strict=True)),
-                   **{f"{n}_mean": m for n, m in zip(names, means.tolist(), strict=True)}, configuration_hash="cafe")
+    return serialise(ERROR, header=header(T0 + k * 10**8), model=model, mode=mode, complete=complete,
+                     incomplete_reason="" if complete else f"INS: no sample at {k * 0.1:.3f} s", horizon=HORIZON,
+                     **dict(zip(names, errors.T.copy(), strict=True)),
+                     **{f"{n}_mean": m for n, m in zip(names, means.tolist(), strict=True)}, configuration_hash="cafe")
 
 
 @pytest.fixture
 def run_folder(tmp_path: Path) -> Path:
-    """A car turning on the spot of the INS point at 0.1 rad/s while it slides east at 3 m/s."""
+    """The INS moves east at 3 m/s while the car yaws about it at 0.1 rad/s."""
     def writer(name: str, topics: dict[str, str]) -> tuple[BagWriter, list[int]]:
         bag = BagWriter(tmp_path / name)
-        return bag, [bag.add_topic(topic, t, definition=STORE.generate_msgdef(t, ros_version=2)[0],
+        return bag, [bag.add_topic(topic, t, definition=definition(t),
                                    type_hash=STORE.hash_rihs01(t)) for topic, t in topics.items()]
 
     bag, (ins, status) = writer("bag", {"/ins/odometry": ODOMETRY, "/predictor/status": STATUS})
     for k in range(1000):
-        bag.write(ins, odometry(T0 + k * 10**7, 0.03 * k, 0.001 * k), T0 + k * 10**7)
+        bag.write(ins, odometry(T0 + k * 10**7, 0.03 * k, 2.0, 0.001 * k), T0 + k * 10**7)
     for k in (1, 2):
-        bag.write(status, message(STATUS, header=header(T0), due=50 * k, predicted=45 * k, skipped_stale=2 * k,
-                                  skipped_overrun=k, skipped_slow=2 * k, reason="below 0.5 m/s", state_age=0.01,
-                                  state_age_max=0.02), T0 + k)
+        bag.write(status, serialise(STATUS, header=header(T0), due=50 * k, predicted=45 * k, skipped_stale=2 * k,
+                                    skipped_overrun=k, skipped_slow=2 * k, reason="below 0.5 m/s", state_age=0.01,
+                                    state_age_max=0.02), T0 + k)
     bag.close()
-    errors, (scores,) = writer("errors", {"/evaluator/errors": ERROR})
+    errors, (topic,) = writer("errors", {"/evaluator/errors": ERROR})
     for k in reversed(range(STARTS)):
         for model in ("kinematic", "linear"):
             for mode in ("forecast", "hindsight"):
-                errors.write(scores, score(model, mode, k), T0 + k * 10**8)
+                errors.write(topic, error_message(model, mode, k), T0 + k * 10**8)
     errors.close()
     return tmp_path
 
 
-def test_summary_is_that_of_the_arrays(run_folder: Path) -> None:
+def test_summary_equals_the_statistics_of_the_arrays(run_folder: Path) -> None:
     summary = summarise(read_results(run_folder), {"what": "test"})
     assert list(summary["models"]) == ["kinematic", "linear"]
     assert summary["configuration_hash"] == "cafe"
     assert summary["ticks"] == {"due": 100, "predicted": 90, "skipped": 10,
                                 "skipped_by_reason": {"stale": 4, "overrun": 2, "slow": 4}}
     for model, modes in summary["models"].items():
-        complete = [k for k in range(STARTS) if (model, k) != ("linear", LOST)]
+        complete = [k for k in range(STARTS) if (model, k) != ("linear", INCOMPLETE)]
         for mode, row in modes.items():
-            means = np.array([errors_of(model, mode, k).mean(axis=0) for k in complete])
+            means = np.array([make_errors(model, mode, k).mean(axis=0) for k in complete])
             assert (row["n_starts"], row["n_incomplete"]) == (len(complete), STARTS - len(complete))
             for column, axis in enumerate(("longitudinal", "lateral", "yaw")):
                 assert row[axis]["mean"] == pytest.approx(means[:, column].mean(), rel=1e-12)
@@ -102,36 +80,36 @@ def test_summary_is_that_of_the_arrays(run_folder: Path) -> None:
                 assert row[axis]["rmse"] == pytest.approx(np.sqrt((means[:, column] ** 2).mean()), rel=1e-12)
 
 
-def test_segments_are_those_of_starts_every_model_completed(run_folder: Path) -> None:
+def test_segments_start_where_every_model_completed(run_folder: Path) -> None:
     results = read_results(run_folder)
     starts = results.starts_drawn()
     assert len(starts) == DRAWN_STARTS
     assert starts[0] == T0
     assert starts[-1] == T0 + (STARTS - 1) * 10**8
-    assert T0 + LOST * 10**8 not in starts
+    assert T0 + INCOMPLETE * 10**8 not in starts
     assert set(results.segments) == {(model, s) for model in ("kinematic", "linear") for s in starts}
     for (model, start_ns), segment in results.segments.items():
-        expected = errors_of(model, "hindsight", (start_ns - T0) // 10**8)
+        expected = make_errors(model, "hindsight", (start_ns - T0) // 10**8)
         np.testing.assert_array_equal(segment.longitudinal, expected[:, 0])
         np.testing.assert_array_equal(segment.lateral, expected[:, 1])
         np.testing.assert_allclose(segment.time_ns - start_ns, HORIZON * 1e9, atol=300.0)  # float64 of a UTC time
 
 
-def test_track(run_folder: Path) -> None:
+def test_track_is_that_of_the_ins(run_folder: Path) -> None:
     track = read_results(run_folder).track
     np.testing.assert_array_equal(track.time_ns, T0 + np.arange(1000) * 10**7)
     np.testing.assert_allclose(track.x, 0.03 * np.arange(1000))
     np.testing.assert_allclose(track.yaw, 0.001 * np.arange(1000), atol=1e-12)
 
 
-def test_recording_that_was_cut_is_named(run_folder: Path) -> None:
+def test_truncated_recording_is_refused(run_folder: Path) -> None:
     file = run_folder / "errors" / "errors_0.mcap"
     file.write_bytes(file.read_bytes()[:-400])
     with pytest.raises(RunError, match=r"errors_0\.mcap: .*st recover"):
         read_results(run_folder)
 
 
-def test_a_summary_that_cannot_be_written_whole_is_none(tmp_path: Path) -> None:
+def test_failed_write_leaves_the_previous_summary(tmp_path: Path) -> None:
     file = tmp_path / "summary.json"
     write_summary(file, {"ticks": 1})
     before = file.read_text()
