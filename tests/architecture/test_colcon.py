@@ -1,4 +1,4 @@
-"""colcon test runs real tests in every package: a run of zero tests is a failure."""
+"""`colcon test` runs the tests of the packages; a run of zero tests is a failure."""
 
 import os
 import re
@@ -12,8 +12,8 @@ pytest.importorskip("colcon_core", reason="colcon is not installed")
 PACKAGES = ("st_ros", "oxts_bridge")
 
 
-def test_colcon_test_counts(tmp_path) -> None:
-    """In two packages, without the tests of live nodes: those run in the whole suite."""
+def test_colcon_test_runs_more_than_ten_tests_per_package(tmp_path) -> None:
+    """Two packages, without the tests of live nodes, which the whole suite runs."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     workspace = os.environ["ST_WORKSPACE"]
     run = subprocess.run(

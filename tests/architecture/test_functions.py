@@ -1,4 +1,4 @@
-"""No long function without a reason beside it."""
+"""Long functions give a reason for their length in a comment."""
 
 import ast
 import tokenize
@@ -7,16 +7,16 @@ from pathlib import Path
 from support import ROOT
 
 SOURCES = ROOT / "ros2_ws" / "src"
-LONGEST = 40  # lines of code in the body: docstring, comments and empty lines apart, as is the table of arguments
+MAX_LINES = 40  # lines of code in the body, without signature, docstring, comments and empty lines
 REASON = "# long: "
-NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
+NON_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
 def long_functions(path: Path) -> list[str]:
-    """name:line (lines of its body) of each function longer than LONGEST that gives no reason on that line or above."""
+    """name:line (lines of the body) of each function longer than MAX_LINES without a reason on that line or above."""
     text = path.read_text()
     with path.open("rb") as file:
-        code = {line for token in tokenize.tokenize(file.readline) if token.type not in NO_CODE
+        code = {line for token in tokenize.tokenize(file.readline) if token.type not in NON_CODE
                 for line in range(token.start[0], token.end[0] + 1)}
     found = []
     for function in ast.walk(ast.parse(text, str(path))):
@@ -25,12 +25,12 @@ def long_functions(path: Path) -> list[str]:
         body = function.body[ast.get_docstring(function) is not None:]
         length = len(code.intersection(range(body[0].lineno, body[-1].end_lineno + 1))) if body else 0
         before = text.splitlines()[max(function.lineno - 2, 0):function.lineno]
-        if length > LONGEST and not any(REASON in line for line in before):
+        if length > MAX_LINES and not any(REASON in line for line in before):
             found.append(f"{function.name}:{function.lineno} ({length})")
     return found
 
 
-def test_long_functions_say_why():
+def test_long_functions_give_a_reason():
     files = [path for setup in SOURCES.glob("*/setup.py")
              for path in sorted((setup.parent / setup.parent.name).rglob("*.py"))]
     assert len(files) > 150
@@ -38,12 +38,12 @@ def test_long_functions_say_why():
     assert found == []
 
 
-def test_a_long_function_is_found(tmp_path):
+def test_a_long_function_without_a_reason_is_reported(tmp_path):
     def found(statements: int, reason: str = "") -> list[str]:
         body = "\n\n".join(f"    x = {n}  # {n}" for n in range(statements))
         (tmp_path / "f.py").write_text(f'{reason}\ndef f():\n    """One.\n\n    Two.\n    """\n{body}\n')
         return long_functions(tmp_path / "f.py")
 
-    assert found(LONGEST) == []
-    assert found(LONGEST + 1) == [f"f:2 ({LONGEST + 1})"]
-    assert found(LONGEST + 1, f"{REASON}a table") == []
+    assert found(MAX_LINES) == []
+    assert found(MAX_LINES + 1) == [f"f:2 ({MAX_LINES + 1})"]
+    assert found(MAX_LINES + 1, f"{REASON}a table") == []

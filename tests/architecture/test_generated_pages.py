@@ -1,4 +1,4 @@
-"""Pages made from the code are up to date, and say what the code says."""
+"""Pages generated from the code are up to date, and the commands shown on pages exist."""
 
 import re
 
@@ -18,11 +18,11 @@ pytestmark = pytest.mark.ros
 DOCS = ROOT / "docs"
 
 
-def test_the_reference_is_what_the_code_says() -> None:
+def test_reference_page_is_up_to_date() -> None:
     assert (DOCS / "reference.md").read_text() == reference.reference_page(commands()), "run ./st docs"
 
 
-def test_the_reference_holds_every_parameter_and_every_field() -> None:
+def test_reference_lists_every_parameter_and_message_field() -> None:
     page = reference.reference_page(commands())
     for parameter in params.PREDICTOR + params.RECORDER:
         assert f"| `{parameter.name}` |" in page
@@ -33,41 +33,34 @@ def test_the_reference_holds_every_parameter_and_every_field() -> None:
     assert "| `longitudinal` | float64[] | m, NaN where not scored |" in page
 
 
-def test_every_node_of_the_parameter_file_is_in_the_reference() -> None:
+def test_reference_covers_every_node_of_the_parameter_file() -> None:
     assert reference.NODES.keys() == yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text()).keys()
 
 
-def test_a_cell_keeps_its_bars_and_a_line_that_is_no_field_is_refused(tmp_path) -> None:
+def test_bars_in_table_cells_are_escaped_and_an_invalid_message_line_is_refused(tmp_path) -> None:
     assert reference.table(("a",), [("x|y",)]) == "| a |\n| --- |\n| x\\|y |\n"
     (tmp_path / "Odd.msg").write_text("float64 = x\n")
     with pytest.raises(ValueError, match=r"Odd\.msg: float64 = x"):
         list(reference.describe_messages(tmp_path))
 
 
-def test_every_picture_and_page_that_is_linked_is_there() -> None:
-    for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
-        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.name}: {target}"
-
-
-def test_the_gallery_shows_each_command_with_its_picture() -> None:
+def test_gallery_page_is_up_to_date_and_shows_every_command() -> None:
     text = (DOCS / "gallery.md").read_text()
     assert text == gallery.gallery_page(), "run ./st docs"
-    for command in (c for e in gallery.EXHIBITS for c in (*e.before, e.command)):
+    for command in (c for exhibit in gallery.EXHIBITS for c in (*exhibit.before, exhibit.command)):
         assert f"$ {command.replace('{}', 'runs/gallery')}" in text
 
 
-def test_commands_that_are_shown_have_the_options_they_are_shown_with() -> None:
-    """Every `./st VERB --option` in README and docs/ exists."""
+def test_every_verb_and_option_shown_in_readme_and_docs_exists() -> None:
     verbs = commands().commands
-    seen = 0
+    checked = 0
     for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
         for verb, rest in re.findall(r"\./st (\w+)([^`|\n]*)", page.read_text()):
-            if page.name == "reference.md" or verb in ("shell", "test", "bench"):  # these hand options on
+            if page.name == "reference.md" or verb in ("shell", "test", "bench"):  # these pass options on
                 continue
             assert verb in verbs, f"{page.name}: ./st {verb}"
             known = {name for p in verbs[verb].params for name in (*p.opts, *p.secondary_opts)}
             for option in re.findall(r"(?<![\w-])--[a-z][\w-]*", rest.partition("#")[0]):
-                seen += 1
+                checked += 1
                 assert option in known, f"{page.name}: ./st {verb} {option}"
-    assert seen > 20
+    assert checked > 20

@@ -1,4 +1,4 @@
-"""Imports point one way, and ROS stays in the shells. Read from the syntax trees: no file is run, no ROS needed."""
+"""Imports point one way, and only the shells import ROS. Read from the syntax trees: runs no file, needs no ROS."""
 
 import ast
 import os
@@ -16,7 +16,7 @@ from tools import structure
 
 SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(p.parent.name for p in SOURCES.glob("*/setup.py"))
-# Which of our packages a package may import besides itself.
+# Packages of this project that a package may import in addition to itself.
 ALLOWED = {
     "st_core": set(),
     "st_ros": set(),
@@ -32,7 +32,7 @@ ALLOWED = {
 CORE_LIBRARIES = {"numpy", "scipy", "yaml"}
 ROS = ("rclpy", "launch", "launch_ros", "builtin_interfaces", "tf2_ros", "rosidl_runtime_py", "rosidl_parser",
        "ament_index_python", "rcl_interfaces")
-# These run without ROS, so nothing they import may need it either; st_ros, for one, does.
+# Packages that run without ROS, so nothing they import may need it; st_ros does.
 ROS_FREE = ("st_core", "st_recordings", "st_sim")
 
 
@@ -42,7 +42,7 @@ class Refuse:
     def find_spec(self, name, path=None, target=None):
         top = name.partition(".")[0]
         if top in ("rclpy", "launch", "builtin_interfaces") or top.endswith("_msgs"):
-            raise ImportError(f"{name}: no ROS here")
+            raise ImportError(f"{name}: ROS is blocked")
 sys.meta_path.insert(0, Refuse())
 for module in sys.argv[1:]:
     importlib.import_module(module)
@@ -63,14 +63,14 @@ def may_use_ros(path: Path) -> bool:
 
 
 def python_files() -> list[Path]:
-    """All sources but tests, relative to ros2_ws/src."""
+    """Sources without tests, relative to ros2_ws/src."""
     files = (p.relative_to(SOURCES) for package in PACKAGES for p in (SOURCES / package).rglob("*.py"))
     return sorted(p for p in files if p.parts[1] != "test" and p.name != "setup.py")
 
 
 @cache
 def imports(path: Path) -> tuple[tuple[int, str], ...]:
-    """(line, full module name) of every import in a file, also those inside functions; relative ones resolved."""
+    """(line, full module name) of every import in a file, including those inside functions; relative ones resolved."""
     tree = ast.parse((SOURCES / path).read_text(), str(path))
     return tuple(found for node in ast.walk(tree) for found in _names(node, path))
 
@@ -82,36 +82,36 @@ def _names(node: ast.AST, path: Path) -> Iterator[tuple[int, str]]:
         package = path.with_suffix("").parts[1:]  # ros2_ws/src/<package>/<package>/...
         base = ".".join(package[:len(package) - node.level]) if node.level else ""
         module = ".".join(filter(None, (base, node.module)))
-        # The name imported may be a module itself: `from . import node`.
+        # The imported name may be a module itself: `from . import node`.
         yield from ((node.lineno, f"{module}.{alias.name}") for alias in node.names)
 
 
-def offences(allowed) -> list[str]:
-    """file:line imports name, for every import that `allowed(path, module)` refuses."""
+def forbidden_imports(allowed) -> list[str]:
+    """FILE:LINE and imported name of every import for which `allowed(path, module)` is false."""
     return [f"{path}:{line} imports {module}" for path in python_files()
             for line, module in imports(path) if not allowed(path, module)]
 
 
-def test_every_package_is_looked_at():
+def test_every_package_is_checked():
     assert set(PACKAGES) == set(ALLOWED)
     assert {p.parts[0] for p in python_files()} == set(ALLOWED)
-    # The walk sees what it should: a relative import resolved, and a node that imports ROS.
+    # A relative import is resolved, and an import of ROS is found.
     assert "st_core.types.VehicleState" in [m for _, m in imports(Path("st_core/st_core/prediction.py"))]
     assert any(is_ros(m) for _, m in imports(Path("st_ros/st_ros/spin.py")))
 
 
-def test_the_figure_of_the_structure_shows_these_imports():
-    """What `st docs` draws, what the picture in the repository holds, and what this walk sees are the same arrows."""
+def test_figure_of_the_structure_shows_the_actual_imports():
+    """`st docs`, the picture in the repository and the imports found here have the same arrows."""
     known = set(structure.list_packages(SOURCES))
-    seen = {(path.parts[0], top) for path in python_files() for _, module in imports(path)
-            if (top := module.partition(".")[0]) in known - {path.parts[0]}}
+    found = {(path.parts[0], top) for path in python_files() for _, module in imports(path)
+             if (top := module.partition(".")[0]) in known - {path.parts[0]}}
     assert known == {*PACKAGES, "st_msgs"}
-    assert structure.find_edges(SOURCES) == seen
-    assert structure.read_edges(Image.open(ROOT / "docs" / structure.FIGURE).text) == seen, "run ./st docs"
+    assert structure.find_edges(SOURCES) == found
+    assert structure.read_edges(Image.open(ROOT / "docs" / structure.FIGURE).text) == found, "run ./st docs"
     assert f"]({structure.FIGURE})" in (ROOT / "docs" / "architecture.md").read_text()
 
 
-def test_layers_and_implied_arrows_of_a_structure():
+def test_structure_is_sorted_into_layers_and_cycles_are_refused():
     arrows = {("a", "b"), ("b", "c"), ("a", "c")}
     assert structure.sort_into_layers(["a", "b", "c", "d"], arrows) == [["c", "d"], ["b"], ["a"]]
     assert structure.find_implied(arrows) == {("a", "c")}
@@ -124,69 +124,72 @@ def test_packages_import_in_one_direction():
         top = module.partition(".")[0]
         return top not in ALLOWED or top == path.parts[0] or top in ALLOWED[path.parts[0]]
 
-    assert offences(allowed) == []
+    assert forbidden_imports(allowed) == []
 
 
 def graph() -> dict[str, set[str]]:
-    """Module -> modules of ours that it imports, also inside functions."""
+    """Module -> modules of this project that it imports, also inside functions."""
     modules = {".".join(p.with_suffix("").parts[1:]).removesuffix(".__init__"): p for p in python_files()}
-    def named(name: str) -> str:
+    def module_of(name: str) -> str:
         return name if name in modules else name.rpartition(".")[0]
 
-    return {module: {named(name) for _, name in imports(path)} & modules.keys() - {module}
+    return {module: {module_of(name) for _, name in imports(path)} & modules.keys() - {module}
             for module, path in modules.items()}
 
 
-def circles(edges: dict[str, set[str]]) -> list[str]:
-    """Modules that are reached again from themselves: what is left when leaves are taken away, from both ends."""
-    left = {module: set(targets) for module, targets in edges.items()}
+def import_cycles(edges: dict[str, set[str]]) -> list[str]:
+    """Modules in import cycles: the rest after modules without imports or importers are removed repeatedly."""
+    rest = {module: set(targets) for module, targets in edges.items()}
     while True:
-        imported = set().union(*left.values())
-        going = {module for module, targets in left.items() if not targets or module not in imported}
-        if not going:
-            return sorted(left)
-        left = {module: targets - going for module, targets in left.items() if module not in going}
+        imported = set().union(*rest.values())
+        removable = {module for module, targets in rest.items() if not targets or module not in imported}
+        if not removable:
+            return sorted(rest)
+        rest = {module: targets - removable for module, targets in rest.items() if module not in removable}
 
 
-def test_no_file_imports_itself_by_way_of_others():
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == ["b", "c"]
+def test_there_are_no_import_cycles():
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == ["b", "c"]
     edges = graph()
     assert "st_offline.evaluation.work" in edges["st_offline.evaluation.evaluation_command"]
-    assert circles(edges) == []
+    assert import_cycles(edges) == []
+
+
+def forbidden_imports_of_virtual_car(packages: tuple[str, ...], shared: tuple[str, ...]) -> list[str]:
+    return forbidden_imports(lambda path, module: path.parts[0] != "st_sim" or not module.startswith(packages)
+                             or module.startswith(shared))
 
 
 def test_virtual_car_shares_no_equations_with_the_models():
-    """The drives and the reading of YAML are shared; how a car moves is written down twice: no error hides in both."""
-    shared = ("st_core.manoeuvres", "st_core.yaml_text", "st_core.errors")
-    assert offences(lambda path, module: path.parts[0] != "st_sim" or module.partition(".")[0] != "st_core"
-                    or module.startswith(shared)) == []
+    """They share manoeuvres and the YAML reader; the equations of motion are written twice, so that errors show."""
+    assert forbidden_imports_of_virtual_car(
+        ("st_core",), ("st_core.manoeuvres", "st_core.yaml_text", "st_core.errors")) == []
 
 
-def test_virtual_car_takes_only_the_wire_from_the_bridges():
-    wire = ("oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.packet_time", "canedge_bridge.decode",
-            "canedge_bridge.transport")
-    assert offences(lambda path, module: path.parts[0] != "st_sim" or not module.startswith(("oxts_b", "canedge_b"))
-                    or module.startswith(wire)) == []
+def test_virtual_car_uses_only_codecs_and_transport_of_the_bridges():
+    assert forbidden_imports_of_virtual_car(("oxts_bridge", "canedge_bridge"), (
+        "oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.packet_time", "canedge_bridge.decode",
+        "canedge_bridge.transport")) == []
 
 
-def test_ros_stays_in_nodes_converters_and_launch_files():
-    assert offences(lambda path, module: may_use_ros(path) or not is_ros(module)) == []
+def test_only_nodes_converters_and_launch_files_import_ros():
+    assert forbidden_imports(lambda path, module: may_use_ros(path) or not is_ros(module)) == []
 
 
-def test_nothing_imports_a_node():
+def test_no_module_imports_a_node():
     nodes = {".".join(p.with_suffix("").parts[1:]) for p in python_files() if is_node(p) and not p.name.startswith("_")}
 
     def allowed(path, module):
         imports_node = module in nodes or module.rpartition(".")[0] in nodes
-        # The command runs its own monitor node inside its own process.
+        # The command runs its monitor node in its own process.
         return not imports_node or (path.parts[0] == "st_live" and module.startswith("st_live.node."))
 
     assert len(nodes) >= 5
-    assert offences(allowed) == []
+    assert forbidden_imports(allowed) == []
 
 
 @pytest.mark.parametrize("package", ROS_FREE)
-def test_core_recordings_and_simulated_car_run_where_there_is_no_ros(package):
+def test_ros_free_packages_import_without_ros(package):
     modules = [".".join(p.with_suffix("").parts[1:]) for p in python_files() if p.parts[0] == package]
     modules = [m.removesuffix(".__init__") for m in modules if not m.endswith("__main__")]
     run = subprocess.run([sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, check=False,
@@ -195,7 +198,7 @@ def test_core_recordings_and_simulated_car_run_where_there_is_no_ros(package):
     assert len(modules) > 5
 
 
-# Compilers are optional and have a folder of their own, whose cache of compiled code needs files and their age.
+# Compilers are optional and have their own folder; their cache of compiled code needs files and modification times.
 BACKENDS = "st_core/st_core/backends"
 
 
@@ -203,22 +206,19 @@ def is_core(path):
     return path.parts[0] == "st_core" and not path.as_posix().startswith(BACKENDS)
 
 
-def test_the_core_needs_numpy_scipy_and_yaml_only():
+def test_core_imports_only_numpy_scipy_and_yaml():
     known = CORE_LIBRARIES | {"st_core"} | set(sys.stdlib_module_names)
-    assert offences(lambda path, module: not is_core(path) or module.partition(".")[0] in known) == []
+    assert forbidden_imports(lambda path, module: not is_core(path) or module.partition(".")[0] in known) == []
 
 
-@pytest.mark.parametrize("forbidden", ["time", "datetime", "pathlib", "io", "os", "socket", "subprocess"])
-def test_the_core_has_no_clock_and_no_files(forbidden):
-    def allowed(path, module):
-        return not is_core(path) or module.partition(".")[0] != forbidden
-
-    assert offences(allowed) == []
+def test_core_uses_no_clock_and_no_files():
+    forbidden = {"time", "datetime", "pathlib", "io", "os", "socket", "subprocess"}
+    assert forbidden_imports(lambda path, module: not is_core(path) or module.partition(".")[0] not in forbidden) == []
 
 
 @cache
 def defined_in(file: Path) -> frozenset[str]:
-    """Names at the top level of a module, in its conditions too, and its submodules."""
+    """Names that a module or package provides: definitions, imports, assignments and submodules."""
     names = {child.stem if child.suffix == ".py" else child.name for child in file.parent.iterdir()
              } if file.name == "__init__.py" else set()
     for node in ast.walk(ast.parse(file.read_text())):
@@ -232,8 +232,8 @@ def defined_in(file: Path) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("folder", ["bench", "examples", "tests", "tools"])
-def test_what_other_code_imports_of_the_packages_exists(folder):
-    """Types are checked in the packages only; a benchmark or an example would fail when it is started."""
+def test_names_imported_from_the_packages_exist(folder):
+    """mypy checks the packages only; a benchmark or an example would fail at its start."""
     missing = []
     for path in sorted((ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
