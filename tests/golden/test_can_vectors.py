@@ -1,7 +1,8 @@
-"""CAN vectors: a made-up drive and a real CANedge2 file, both as MF4, against what other programs read from them.
+"""CAN vectors: a synthetic drive and a real CANedge2 file, both as MF4, against the values read by other programs.
 
-Two sets (tests/support.py): "kept" in tests/golden/data, "whole" beside the checkout. Of the drive, every hundredth
-value of a signal is kept, not every tenth; of the real file the first 262 frames of 5588, two of them with id 0x002.
+Two sets (tests/support.py): an excerpt ("kept") in tests/golden/data, and the complete set ("whole"). The excerpt has
+every hundredth value of a signal of the drive, not every tenth, and the first 262 of 5588 frames of the real file, two
+of them with id 0x002.
 """
 
 import csv
@@ -21,10 +22,10 @@ asammdf = pytest.importorskip("asammdf", reason="asammdf is an offline requireme
 DBC = ROOT / "config" / "can" / "leaf_ze0.dbc"
 TABLE = ROOT / "config" / "can" / "leaf_ze0.yaml"
 REAL = "canedge2_2F6913DB_00000004_00000001"
-EVERY = {"kept": 100, "whole": 10}  # of how many values of the drive the vector has one
+EVERY = {"kept": 100, "whole": 10}  # the vector has one of this number of values of the drive
 
 
-def frames_of(path: Path) -> dict[str, np.ndarray]:
+def read_frames(path: Path) -> dict[str, np.ndarray]:
     """All data frames of an MF4 file, merged by time: time, and the CAN_DataFrame members without their prefix."""
     parts = defaultdict(list)
     with asammdf.MDF(path) as file:
@@ -46,12 +47,17 @@ def which(request):
 
 @pytest.fixture(scope="module")
 def drive(which):
-    return frames_of(vectors(which, "can/synthetic_leaf_rt.mf4"))
+    return read_frames(vectors(which, "can/synthetic_leaf_rt.mf4"))
+
+
+@pytest.fixture(scope="module")
+def real(which):
+    return read_frames(vectors(which, f"can/{REAL}.MF4"))
 
 
 @pytest.fixture(scope="module")
 def samples(which):
-    """signal -> [(seconds, value)], one of EVERY[which] of the drive"""
+    """signal -> [(seconds, value)], one of EVERY[which] values of the drive"""
     with vectors(which, "can/synthetic_leaf_rt.decoded.csv").open() as file:
         table = defaultdict(list)
         for row in csv.DictReader(file):
@@ -68,18 +74,18 @@ def assert_sampled(times, values, expected, every):
     assert np.abs(values[::every] - expected_values).max() < 1e-9
 
 
-def test_whole_log_decoder_on_the_drive(which, drive, samples):
-    found = {}
+def test_log_decoder_reads_the_values_of_the_vector(which, drive, samples):
+    decoded = {}
     for message in load_dbc(DBC).messages:
         rows = drive["ID"] == message.frame_id
         data = stack_bytes(drive["DataBytes"][rows], message.length)
-        found |= {s.name: (rows, Extractor.of(message, s).extract(data)) for s in message.signals}
+        decoded |= {s.name: (rows, Extractor.of(message, s).extract(data)) for s in message.signals}
     for name, expected in samples.items():
-        rows, values = found[name]
+        rows, values = decoded[name]
         assert_sampled(drive["time"][rows], values, expected, EVERY[which])
 
 
-# Our name, its source message, what one unit of the DBC is in SI (sign included), and the DBC signal of the vector.
+# Message, canonical signal, SI value (with sign) of one unit of the DBC, DBC signal of the vector.
 LIVE = [
     ("Leaf_Steering", "steering_wheel_angle", np.pi / 180, "SteeringWheelAngle"),
     ("Leaf_WheelSpeedFront", "vehicle_speed", 1 / 3.6, "VehicleSpeedABS"),
@@ -90,8 +96,8 @@ LIVE = [
 ]
 
 
-def test_live_decoder_on_the_drive(which, drive, samples):
-    """Every frame of the drive through the decoder of the node: all good, none lost, and the values of the vector."""
+def test_live_decoder_reads_the_values_of_the_vector(which, drive, samples):
+    """All frames of the drive are valid and none is unknown."""
     decoder = Decoder(DBC, TABLE)
     decoded = defaultdict(list)
     for time, identifier, data, length in zip(drive["time"], drive["ID"], drive["DataBytes"], drive["DataLength"],
@@ -110,8 +116,8 @@ def test_live_decoder_on_the_drive(which, drive, samples):
     assert np.abs((error + 180) % 360 - 180).max() < 1e-9
 
 
-def test_both_axes_conventions_say_the_same(drive):
-    """604 is right-positive, 607 clockwise from north: in our axes they must equal 634 and 633 within rounding."""
+def test_messages_in_both_axes_conventions_give_equal_yaw(drive):
+    """Message 0x607 is clockwise from north; converted to ENU it equals 0x633 within rounding."""
     decoder = Decoder(DBC, TABLE)
     yaws = defaultdict(list)
     for identifier, data, length in zip(drive["ID"], drive["DataBytes"], drive["DataLength"], strict=True):
@@ -122,26 +128,24 @@ def test_both_axes_conventions_say_the_same(drive):
     assert np.abs((difference + 180) % 360 - 180).max() < 0.011
 
 
-def test_real_canedge2_file_frame_by_frame(which):
-    read = frames_of(vectors(which, f"can/{REAL}.MF4"))
+def test_frames_of_a_real_canedge2_file_equal_the_vector(which, real):
     with vectors(which, f"can/{REAL}.frames.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(read["time"]) == len(rows) == {"kept": 262, "whole": 5588}[which]
-    assert np.abs(read["time"] - [float(r["t_rel_s"]) for r in rows]).max() < 1e-6
+    assert len(real["time"]) == len(rows) == {"kept": 262, "whole": 5588}[which]
+    assert np.abs(real["time"] - [float(r["t_rel_s"]) for r in rows]).max() < 1e-6
     for name, column, base in (("BusChannel", "bus", 10), ("Dir", "dir_tx", 10), ("IDE", "ide", 10),
                                ("ID", "id_hex", 16), ("DLC", "dlc", 10), ("DataLength", "len", 10)):
-        assert (read[name] == [int(r[column], base) for r in rows]).all(), name
-    for data, length, row in zip(read["DataBytes"], read["DataLength"], rows, strict=True):
+        assert (real[name] == [int(r[column], base) for r in rows]).all(), name
+    for data, length, row in zip(real["DataBytes"], real["DataLength"], rows, strict=True):
         assert bytes(data[:length]).hex().upper() == row["data_hex"]
 
 
-def test_nothing_of_the_real_file_is_taken_for_a_leaf_message(which):
-    """Its GNSS frames share the identifier 0x002 with the steering angle; their length tells them apart."""
-    read = frames_of(vectors(which, f"can/{REAL}.MF4"))
+def test_no_frame_of_the_real_file_is_decoded_as_a_leaf_message(which, real):
+    """Its GNSS frames have the identifier 0x002 of the steering angle, but another length."""
     decoder = Decoder(DBC, TABLE)
-    for identifier, extended, data, length in zip(read["ID"], read["IDE"], read["DataBytes"], read["DataLength"],
+    for identifier, extended, data, length in zip(real["ID"], real["IDE"], real["DataBytes"], real["DataLength"],
                                                   strict=True):
         frame = can.Message(arbitration_id=int(identifier), is_extended_id=bool(extended), data=bytes(data[:length]))
         assert decoder.decode(frame, 0) is None
-    foreign = {"kept": 2, "whole": 44}[which]
-    assert decoder.statistics("Leaf_Steering").wrong_length == (read["ID"] == 0x002).sum() == foreign
+    gnss = {"kept": 2, "whole": 44}[which]
+    assert decoder.statistics("Leaf_Steering").wrong_length == (real["ID"] == 0x002).sum() == gnss

@@ -1,9 +1,9 @@
 """NCOM codec against the public vectors: values of the vendor's decoder, values of the manual, byte identity.
 
-Two sets (tests/support.py): "kept" in tests/golden/data, "whole" beside the checkout. A case that is kept in part ends
-behind one of its packets; stream, packet rows and status rows end there alike, so every check holds for both.
-Tolerance: relative 1e-9; `time` and `tow` 1e-6 s (README of the vectors). What may differ is listed in the `allow_*`
-functions, one habit of the vendor's decoder each, no wider than the habit.
+Two sets (tests/support.py): an excerpt ("kept") in tests/golden/data, and the complete set ("whole"). A shortened case
+ends after one of its packets; stream, packet rows and status rows end there as well, so every check applies to both.
+Tolerance: relative 1e-9; `time` and `tow` 1e-6 s (README of the vectors). Each `allow_*` function describes one
+property of the vendor's decoder by which the results may differ.
 """
 
 import csv
@@ -49,13 +49,14 @@ ABSOLUTE = {
 }
 
 
+@cache
 def rows(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
-def same(name, expected, got):
-    """Equal text, or both numbers within the tolerance; empty only equals empty."""
+def agree(name, expected, got):
+    """Whether the texts are equal or both numbers agree within the tolerance; empty equals only empty."""
     if expected == got:
         return True
     try:
@@ -67,7 +68,7 @@ def same(name, expected, got):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Set -> folder with every case of it through write_csv, as `st ncom` does it."""
+    """Set -> folder of CSV files of its cases, as `st ncom` writes them."""
 
     @cache
     def write(which):
@@ -79,9 +80,8 @@ def written(tmp_path_factory):
     return write
 
 
-def allow_minute_at_once(name, packet, expected, first_timed):
-    """The vendor applies the first channel 0 only to the packet after the one that carries it; we stamp that one
-    too."""
+def allow_time_of_first_channel_0(name, packet, expected, first_timed):
+    """The vendor applies the first channel 0 from the next packet on; this decoder stamps its own packet too."""
     return (
         name in ("time", "week", "tow")
         and expected[packet][name] == ""
@@ -102,52 +102,52 @@ def allow_first_angular_acceleration(name, packet, expected, first_timed):
 
 
 @every_case
-def test_every_packet_as_the_vendor_reads_it(which, case, written):
+def test_packets_equal_those_of_the_vendor(which, case, written):
     expected, got = rows(vectors(which, f"ncom/{case}.expected.csv")), rows(written(which) / f"{case}.csv")
     assert len(got) == len(expected) > 0
     assert set(expected[0]) <= set(got[0])
     first_timed = next(i for i, row in enumerate(got) if row["time"])
     different = [
-        (i, name, want[name], got[i][name])
-        for i, want in enumerate(expected)
-        for name in want
-        if not same(name, want[name], got[i][name])
-        and not allow_minute_at_once(name, i, expected, first_timed)
+        (i, name, row[name], got[i][name])
+        for i, row in enumerate(expected)
+        for name in row
+        if not agree(name, row[name], got[i][name])
+        and not allow_time_of_first_channel_0(name, i, expected, first_timed)
         and not allow_first_angular_acceleration(name, i, expected, first_timed)
     ]
     assert different == []
-    allowed = sum(allow_minute_at_once("time", i, expected, first_timed) for i in range(len(expected)))
+    allowed = sum(allow_time_of_first_channel_0("time", i, expected, first_timed) for i in range(len(expected)))
     assert allowed <= 1
 
 
 def changes(table):
-    """(packet, field) -> (channel, valid, value), without rows that repeat what the field already was."""
-    result, known = {}, {}
+    """(packet, field) -> (channel, valid, value), without rows that repeat the state of the field."""
+    result, current = {}, {}
     for row in table:
         state = (row["valid"], row["value"])
-        # The vector tool printed a row again when hidden bytes behind a text, or the age of an innovation, had changed.
-        if known.get(row["field"]) != state:
-            known[row["field"]] = state
+        # The vector tool repeats a row when unused bytes after a text, or the age of an innovation, have changed.
+        if current.get(row["field"]) != state:
+            current[row["field"]] = state
             result[int(row["pkt"]), row["field"]] = (row["channel"], *state)
     return result
 
 
-def allow_wheel_wrap(field, want, got):
-    """The vendor subtracts 32-bit counts without wrap: a large negative frequency once, ours is the right one."""
-    return field == "WSpeedFreq" and abs(float(want[2])) > 1e7 and 0 <= float(got[2]) < 1e9
+def allow_wheel_wrap(field, expected, got):
+    """The vendor subtracts 32-bit counts without wrap: once a large negative frequency, where this one is correct."""
+    return field == "WSpeedFreq" and abs(float(expected[2])) > 1e7 and 0 <= float(got[2]) < 1e9
 
 
 @every_case
-def test_every_status_change_as_the_vendor_reads_it(which, case, written):
+def test_status_changes_equal_those_of_the_vendor(which, case, written):
     expected = changes(rows(vectors(which, f"ncom/{case}.status.csv")))
     got = changes(rows(written(which) / f"{case}.status.csv"))
     assert expected
     different = [
-        (key, want, got.get(key))
-        for key, want in expected.items()
+        (key, state, got.get(key))
+        for key, state in expected.items()
         if key not in got
-        or want[:2] != got[key][:2]
-        or (not same(key[1], want[2], got[key][2]) and not allow_wheel_wrap(key[1], want, got[key]))
+        or state[:2] != got[key][:2]
+        or (not agree(key[1], state[2], got[key][2]) and not allow_wheel_wrap(key[1], state, got[key]))
     ]
     assert different == []
     tables = [rows(vectors(which, f"ncom/{name}.status.csv")) for name in CASES[which]]
@@ -155,78 +155,78 @@ def test_every_status_change_as_the_vendor_reads_it(which, case, written):
     assert [key for key in got if key not in expected and key[1] in vendor_fields] == []
 
 
-def test_every_field_of_the_manual(tmp_path):
+def test_fields_have_the_values_of_the_manual(tmp_path):
     file = KEPT / "ncom/manual_channels.ncom"
     columns = decode_file(file)
     table = rows(KEPT / "ncom/manual_channels.manual.csv")
     assert len(table) > 400
     write_csv(file, tmp_path / "packets.csv", tmp_path / "status.csv")
-    shown = changes(rows(tmp_path / "status.csv"))
-    missing = {row["field"] for row in table if row["valid"] == "1"} - {field for _, field in shown}
+    status = changes(rows(tmp_path / "status.csv"))
+    missing = {row["field"] for row in table if row["valid"] == "1"} - {field for _, field in status}
     assert missing == set()
     times = {"Trig3Time": 79, "Trig4Time": 80, "DigitalOut2Time": 81}
     different = []
     for row in table:
         packet = int(row["pkt"])
         assert columns.channel[packet] == int(row["channel"])
-        if row["field"] in times:  # put together from four raw fields: only in the status CSV
-            got = shown.get((packet, row["field"]))
-            ok = got is not None and same(row["field"], row["value"], got[2])
+        if row["field"] in times:  # combined from four raw fields: only in the status CSV
+            got = status.get((packet, row["field"]))
+            ok = got is not None and agree(row["field"], row["value"], got[2])
         else:
-            value = decode_channel(int(row["channel"]), columns.batch_s[:, packet].tobytes())[row["field"]]
-            ok = (value is not None) == (row["valid"] == "1") and (value is None or same("", row["value"], repr(value)))
+            got = decode_channel(int(row["channel"]), columns.batch_s[:, packet].tobytes())[row["field"]]
+            ok = (got is not None) == (row["valid"] == "1") and (got is None or agree("", row["value"], repr(got)))
         if not ok:
             different.append(row)
     assert different == []
 
 
 @every_case
-def test_encode_gives_every_packet_back_byte_for_byte(which, case):
-    """Structure B is private to the vendor. Inner checksums that were sent wrong (case inner_checksums) come back
-    right."""
+def test_encoding_of_a_decoded_packet_gives_the_same_bytes(which, case):
+    """Except structure B, private to the vendor, and wrong inner checksums (case inner_checksums), which are corrected.
+    """
     columns = decode_file(vectors(which, f"ncom/{case}.ncom"))
     checked = 0
     for row in columns.raw:
         data = row.tobytes()
         if data[21] == ncom.STRUCTURE_B:
             continue
-        again = ncom.encode(ncom.decode(data))
+        encoded = ncom.encode(ncom.decode(data))
         if ncom.inner_checksums_match(data):
-            assert again == data
+            assert encoded == data
         else:
             assert case == "inner_checksums"
-            assert {i for i in range(72) if again[i] != data[i]} <= {22, 61, 71}
+            assert {i for i in range(72) if encoded[i] != data[i]} <= {22, 61, 71}
         checked += 1
     assert checked >= 30
 
 
-@pytest.mark.parametrize("portion", [1, 37, 72, 1472, 10**6])
+@pytest.mark.parametrize("size", [1, 37, 72, 1472, 10**6])
 @every_case
-def test_stream_and_file_decoder_agree_for_any_portions(which, case, portion):
+def test_stream_and_file_decoder_agree_for_all_chunk_sizes(which, case, size):
     data = vectors(which, f"ncom/{case}.ncom").read_bytes()
     columns = decode_file(data)
     parser = NcomParser()
-    received = [packet for at in range(0, len(data), portion) for packet in parser.feed(data[at : at + portion])]
-    kept = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
-    assert [packet.offset for packet in received] == columns.offset[kept].tolist()
-    assert [packet.kind for packet in received] == [KINDS[kind] for kind in columns.kind[kept]]
-    assert [packet.order for packet in received] == columns.order[kept].tolist()
+    received = [packet for at in range(0, len(data), size) for packet in parser.feed(data[at : at + size])]
+    decoded = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
+    assert [packet.offset for packet in received] == columns.offset[decoded].tolist()
+    assert [packet.kind for packet in received] == [KINDS[kind] for kind in columns.kind[decoded]]
+    assert [packet.order for packet in received] == columns.order[decoded].tolist()
     for name in ("gps_ns", "utc_ns"):
         times = [UNKNOWN_TIME if getattr(p, name) is None else getattr(p, name) for p in received]
-        assert times == getattr(columns, name)[kept].tolist()
+        assert times == getattr(columns, name)[decoded].tolist()
     assert parser.counters == columns.counters
     assert parser.clock.jumps == columns.time_jumps
 
 
 @pytest.mark.parametrize("which", SETS)
-def test_accepted_and_skipped_bytes_are_those_of_the_summary(which):
+def test_numbers_of_packets_and_skipped_bytes_equal_the_summary(which):
     table = rows(vectors(which, "ncom/summary.csv"))
     assert [row["case"] for row in table] == list(CASES[which])
     for row in table:
         file = vectors(which, f"ncom/{row['case']}.ncom")
         columns = decode_file(file)
         assert len(columns) == int(row["packets"])
-        # The summary leaves out what lies before the first and after the last packet.
+        # The summary excludes bytes before the first and after the last packet.
         inside = int(columns.offset[-1]) - int(columns.offset[0]) + 72
         assert inside - 72 * len(columns) == int(row["skipped_bytes"])
         total = file.stat().st_size
