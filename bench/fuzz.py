@@ -17,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import numpy as np
-from fuzz.harness import fuzz, processor_seconds, save, smaller
+from fuzz.harness import fuzz, minimise, processor_seconds, save
 from fuzz.targets import TARGETS
 from fuzz.wires import Pipeline, packets, with_checksums
 from oxts_bridge.file_decoder import decode_file
@@ -72,9 +72,9 @@ def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
     for share in (1.0, 0.5, 0.25):
         hit = rows[rng.random(BLOCK) < share]
         data[hit, rng.integers(1, PACKET_SIZE, len(hit))] = rng.integers(256, size=len(hit))
-    right = rows[rng.random(BLOCK) < 0.75]
+    with_checksum = rows[rng.random(BLOCK) < 0.75]
     for end in (22, 61, 71):
-        data[right, end] = data[right, 1:end].sum(axis=1, dtype=np.uint32) & 0xFF
+        data[with_checksum, end] = data[with_checksum, 1:end].sum(axis=1, dtype=np.uint32) & 0xFF
     stream = bytearray(data.tobytes())
     for at in rng.integers(len(stream) - 100, size=5).tolist():
         del stream[at:at + at % 97]
@@ -120,7 +120,7 @@ def run() -> dict:
         for finding in tally.findings:
             print(finding, file=sys.stderr)
             if os.environ.get("ST_FUZZ_KEEP"):
-                print("kept as", save(TARGETS[name], smaller(TARGETS[name], finding)), file=sys.stderr)
+                print("kept as", save(TARGETS[name], minimise(TARGETS[name], finding)), file=sys.stderr)
     return results
 
 

@@ -1,1 +1,1 @@
-"""Hostile bytes at every reader; a package, so that bench/fuzz.py can use it under its own name."""
+"""Malformed input for every reader; a package, so that bench/fuzz.py can import it under its own name."""

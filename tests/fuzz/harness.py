@@ -1,4 +1,4 @@
-"""Feeds changed inputs to a reader. A finding is any error but the documented one, a hang, or memory without bound."""
+"""Feeds mutated inputs to a reader. Findings are undocumented errors, hangs and excessive memory use."""
 
 import contextlib
 import faulthandler
@@ -20,22 +20,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 CORPUS = Path(__file__).parent / "corpus"
-MOST_SECONDS = 10.0  # for one input, on a machine that does other things as well
-MOST_MEMORY = 256 << 20  # more than before, for one input
-ADDRESS_SPACE = 2 << 30  # the same, enforced: beyond it the system answers with MemoryError
+MAX_SECONDS = 10.0  # for one input, with a margin for a busy machine
+MAX_MEMORY = 256 << 20  # bytes, growth of the resident memory by one input
+ADDRESS_SPACE = 2 << 30  # bytes, growth of the address space beyond which allocations fail with MemoryError
 NUMBERS = (b"0", b"-1", b"1", b"65", b"4294967296", b"99999999999", b"9" * 400, b"1e999", b"-1e999", b"nan", b".nan",
            b".inf", b"0.0", b"-0", b"1_0", b"0x1F", b"1.0e-320", b"1.0e+300", b"")
 
 
 class Hang(BaseException):
-    """One input took too long. Not an Exception, so that no reader takes it for one of its own."""
+    """One input exceeded the time limit. Not an Exception, so that no reader catches it."""
 
 
 class Finding(Exception):
-    """What a reader must never do. Its text says what and where; `data` is the input; two of one `place` are one."""
+    """A failure of a reader. data: the input; place: identifies the failure, to count it once."""
 
-    def __init__(self, what: str, data: bytes, place: str):
-        super().__init__(what)
+    def __init__(self, description: str, data: bytes, place: str):
+        super().__init__(description)
         self.data = data
         self.place = place
 
@@ -44,44 +44,44 @@ class Finding(Exception):
 class Target:
     """A reader and valid inputs to start from.
 
-    run(data, folder): feeds one input and returns in a few words what came of it; must only return. Errors that the
-    reader documents are caught in there, anything else that leaves it is a finding. folder: empty, for files.
-    words: fragments worth putting in. repair: makes checksums right again, so that changes get past them. fragile: each
-    input in a process of its own.
+    run(data, folder): feeds one input and returns a short description of the outcome. It catches the documented errors
+    of the reader; any other exception is a finding. folder: empty, for files.
+    fragments: of the format, for insertion. repair: corrects checksums, so that mutations pass them. fragile: runs each
+    input in its own process.
     """
 
     name: str
     seeds: Callable[[], Sequence[bytes]]
     run: Callable[[bytes, Path], str]
-    words: tuple[bytes, ...] = ()
+    fragments: tuple[bytes, ...] = ()
     text: bool = False
     repair: Callable[[bytes], bytes] | None = None
     fragile: bool = False
 
     @property
     def corpus(self) -> list[Path]:
-        """Inputs that once were findings."""
+        """Inputs of earlier findings."""
         return sorted((CORPUS / self.name).glob("*")) if (CORPUS / self.name).is_dir() else []
 
 
 def check(target: Target, data: bytes) -> str:
-    """What came of one input. Raises Finding."""
-    return _in_a_child(target, data) if target.fragile else _here(target, data)
+    """Outcome of one input. Raises Finding."""
+    return _run_in_child(target, data) if target.fragile else _run(target, data)
 
 
-def _in_a_child(target: Target, data: bytes) -> str:
-    """A library in C may take the whole process with it."""
+def _run_in_child(target: Target, data: bytes) -> str:
+    """In a child process, because a library in C may crash."""
     sys.stdout.flush()
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
-        faulthandler.disable()  # the end is told by the exit status
+        faulthandler.disable()  # the exit status reports the crash
         try:
-            answer = {"outcome": _here(target, data)}
+            answer = {"outcome": _run(target, data)}
         except Finding as finding:
-            answer = {"what": str(finding), "place": finding.place}
+            answer = {"description": str(finding), "place": finding.place}
         except BaseException as error:
-            answer = {"what": repr(error), "place": "harness"}
+            answer = {"description": repr(error), "place": "harness"}
         with contextlib.suppress(BaseException), os.fdopen(writing, "w") as stream:
             json.dump(answer, stream)
         os._exit(0)
@@ -90,17 +90,17 @@ def _in_a_child(target: Target, data: bytes) -> str:
         text = stream.read()
     _, status = os.waitpid(child, 0)
     if not text:
-        end = os.waitstatus_to_exitcode(status)
-        raise Finding(f"{target.name}: the process ended with {end} (a signal, if negative)", data, f"end {end}")
+        code = os.waitstatus_to_exitcode(status)
+        raise Finding(f"{target.name}: the process ended with {code} (negative: a signal)", data, f"exit {code}")
     answer = json.loads(text)
     if "outcome" not in answer:
-        raise Finding(answer["what"], data, answer["place"])
+        raise Finding(answer["description"], data, answer["place"])
     return answer["outcome"]
 
 
-def _here(target: Target, data: bytes) -> str:
+def _run(target: Target, data: bytes) -> str:
     with tempfile.TemporaryDirectory(prefix="st-fuzz-", dir=_scratch()) as folder:
-        before = _peak_memory(reset=True)
+        initial_memory = _peak_memory(reset=True)
         try:
             with _limits():
                 outcome = target.run(data, Path(folder)).replace(folder, "")
@@ -108,25 +108,25 @@ def _here(target: Target, data: bytes) -> str:
             calls = "".join(traceback.format_tb(error.__traceback__, limit=-8))
             frame = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{type(error).__name__} {frame.filename}:{frame.name} {_pattern(str(error))}"
-            # On a busy machine it may be the memory that took the time: both are told.
-            text = "; ".join([f"{type(error).__name__}: {str(error)[:300]}", *_waste(before)])
+            # Memory use may cause a time-out on a busy machine, so both are reported.
+            text = "; ".join([f"{type(error).__name__}: {str(error)[:300]}", *_excessive_memory(initial_memory)])
             raise Finding(f"{target.name}: {text}\n{calls}", data, place) from None
-        for waste in _waste(before):
-            raise Finding(f"{target.name}: {len(data)} bytes {waste} ({outcome})", data, "memory")
+        for excess in _excessive_memory(initial_memory):
+            raise Finding(f"{target.name}: {len(data)} bytes {excess} ({outcome})", data, "memory")
         return outcome
 
 
-def _waste(before: int) -> list[str]:
-    """What to say of the memory taken since it was at most `before` [bytes]; nothing where it was little."""
-    grown = _peak_memory() - before
-    return [f"took {grown >> 20} MB of memory"] if grown > MOST_MEMORY else []
+def _excessive_memory(initial: int) -> list[str]:
+    """Message about growth above MAX_MEMORY since the peak was `initial` [bytes]; empty below it."""
+    growth = _peak_memory() - initial
+    return [f"took {growth >> 20} MB of memory"] if growth > MAX_MEMORY else []
 
 
 def one_line(error: Exception, data: bytes) -> str:
-    """The text of a documented error as an outcome: one line for a terminal, of bearable length for what was given."""
+    """Message of a documented error; checks that it is one printable line, not much longer than the input."""
     text = str(error)
-    assert text.isprintable(), f"not a line for a terminal: {text[:300]!r}"
-    assert 0 < len(text) < 2000 + len(data), f"{len(text)} characters about {len(data)} bytes: {text[:300]!r}"
+    assert text.isprintable(), f"not one printable line: {text[:300]!r}"
+    assert 0 < len(text) < 2000 + len(data), f"{len(text)} characters for {len(data)} bytes: {text[:300]!r}"
     return text
 
 
@@ -138,23 +138,23 @@ def _scratch() -> str | None:
 def _limits() -> Iterator[None]:
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before = signal.signal(signal.SIGALRM, _hang)
-    signal.setitimer(signal.ITIMER_REAL, MOST_SECONDS)
+    previous = signal.signal(signal.SIGALRM, _hang)
+    signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS)
     resource.setrlimit(resource.RLIMIT_AS, (size + ADDRESS_SPACE, hard))
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous)
 
 
 def _hang(*_: object) -> None:
-    raise Hang(f"more than {MOST_SECONDS:g} s")
+    raise Hang(f"more than {MAX_SECONDS:g} s")
 
 
 def _peak_memory(reset: bool = False) -> int:
-    """Highest resident size so far [bytes]; reset: start anew from the present one."""
+    """Peak resident memory [bytes]; reset: restart from the current value."""
     if reset:
         Path("/proc/self/clear_refs").write_text("5")
     status = Path("/proc/self/status").read_text()
@@ -162,18 +162,18 @@ def _peak_memory(reset: bool = False) -> int:
 
 
 class Mutator:
-    """Changes inputs at random: bytes, spans, whole lines, numbers, known words, pieces of other inputs."""
+    """Changes inputs at random: bytes, spans, lines, numbers, fragments of the format, parts of other inputs."""
 
     def __init__(self, rng: random.Random, target: Target):
         self._rng = rng
         self._target = target
-        self._ways = [self._flip, self._set, self._delete, self._repeat, self._move, self._insert, self._cut]
-        self._ways += [self._number, self._lines, self._lines] if target.text else [self._integer, self._integer]
+        self._mutations = [self._flip, self._set, self._delete, self._repeat, self._move, self._insert, self._cut]
+        self._mutations += [self._number, self._lines, self._lines] if target.text else [self._integer, self._integer]
 
-    def change(self, data: bytes, others: Sequence[bytes]) -> bytes:
+    def mutate(self, data: bytes, others: Sequence[bytes]) -> bytes:
         rng = self._rng
         for _ in range(1 + min(int(rng.expovariate(0.6)), 12)):
-            data = rng.choice(self._ways)(data)
+            data = rng.choice(self._mutations)(data)
         if rng.random() < 0.1:
             data = self._splice(data, rng.choice(others))
         if self._target.repair and rng.random() < 0.7:
@@ -214,8 +214,9 @@ class Mutator:
 
     def _insert(self, data: bytes) -> bytes:
         place = self._place(data)
-        word = self._rng.choice(self._target.words) if self._target.words else self._rng.randbytes(8)
-        return data[:place] + word + data[place:]
+        fragments = self._target.fragments
+        inserted = self._rng.choice(fragments) if fragments else self._rng.randbytes(8)
+        return data[:place] + inserted + data[place:]
 
     def _cut(self, data: bytes) -> bytes:
         return data[:self._place(data)] if self._rng.random() < 0.2 else data
@@ -235,19 +236,19 @@ class Mutator:
         numbers = list(re.finditer(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?", data))
         if not numbers:
             return data
-        found = self._rng.choice(numbers)
+        old = self._rng.choice(numbers)
         new = self._rng.choice((*NUMBERS, str(self._rng.randrange(-300, 300)).encode()))
-        return data[:found.start()] + new + data[found.end():]
+        return data[:old.start()] + new + data[old.end():]
 
     def _lines(self, data: bytes) -> bytes:
         lines = data.split(b"\n")
         place, other = self._rng.randrange(len(lines)), self._rng.randrange(len(lines))
-        way = self._rng.randrange(4)
-        if way == 0:
+        operation = self._rng.randrange(4)
+        if operation == 0:
             del lines[place]
-        elif way == 1:
+        elif operation == 1:
             lines.insert(other, lines[place])
-        elif way == 2:
+        elif operation == 2:
             lines[place], lines[other] = lines[other], lines[place]
         else:
             indent = self._rng.choice((b"  ", b"\t", b"- ", b"? ", b"    "))
@@ -257,8 +258,7 @@ class Mutator:
 
 @dataclass
 class Tally:
-    """What a run has seen. seconds: of processor time. outcomes: words -> how often, numbers and quoted parts taken
-    out."""
+    """Result of a fuzz run. seconds: processor time. outcomes: description without numbers and quotes -> count."""
 
     inputs: int = 0
     seconds: float = 0.0
@@ -266,20 +266,19 @@ class Tally:
     findings: list[Finding] = field(default_factory=list)
 
 
-def fuzz(target: Target, seed: int, seconds: float, most: int = 10**12, keep: int = 5) -> Tally:
-    """Until so many seconds of processor time (ten times as many on the clock), `most` inputs, or `keep` different
-    findings.
+def fuzz(target: Target, seed: int, seconds: float, max_inputs: int = 10**12, max_findings: int = 5) -> Tally:
+    """Runs until `seconds` of processor time (ten times as long in real time), max_inputs or max_findings are reached.
 
-    An input whose outcome is new joins those that are changed further: a cheap guide to where new code is reached.
+    An input with a new outcome is mutated further: an inexpensive guide to inputs that reach new code.
     """
     rng, tally = random.Random(seed), Tally()
     mutator = Mutator(rng, target)
     seeds = list(target.seeds())
     pool = [*seeds, *(path.read_bytes() for path in target.corpus)]
-    started, latest, places = processor_seconds(), time.monotonic() + 10.0 * seconds, set()
-    while tally.inputs < most and (elapsed := processor_seconds() - started) < seconds and time.monotonic() < latest:
-        # Half of them one step from a valid input, where most of the code is reached.
-        data = mutator.change(rng.choice(seeds if rng.random() < 0.5 else pool), pool)
+    started, end, places = processor_seconds(), time.monotonic() + 10.0 * seconds, set()
+    while tally.inputs < max_inputs and (elapsed := processor_seconds() - started) < seconds and time.monotonic() < end:
+        # Half of the mutations start from valid inputs, which reach most of the code.
+        data = mutator.mutate(rng.choice(seeds if rng.random() < 0.5 else pool), pool)
         tally.inputs += 1
         tally.seconds = elapsed
         try:
@@ -288,7 +287,7 @@ def fuzz(target: Target, seed: int, seconds: float, most: int = 10**12, keep: in
             if finding.place not in places:
                 places.add(finding.place)
                 tally.findings.append(finding)
-                if len(tally.findings) >= keep:
+                if len(tally.findings) >= max_findings:
                     break
             continue
         if outcome not in tally.outcomes and len(pool) < 300 and len(data) < 4 * max(map(len, seeds)):
@@ -299,17 +298,17 @@ def fuzz(target: Target, seed: int, seconds: float, most: int = 10**12, keep: in
 
 
 def processor_seconds() -> float:
-    """Of this process and its children: on a machine with other work the clock on the wall says little."""
+    """Processor time of this process and its children [s]; independent of the load of the machine."""
     return sum(os.times()[:4])
 
 
 def _pattern(text: str) -> str:
-    """Texts that begin alike, but for numbers and quoted parts, are one outcome."""
+    """First 70 characters with numbers and quoted parts replaced, so that similar outcomes count as one."""
     return re.sub(r"'[^']*'|\"[^\"]*\"|0x[0-9a-fA-F]+|[-+]?\d[\d.e+-]*", "#", text)[:70]
 
 
 def save(target: Target, data: bytes) -> Path:
-    """Keep a finding as a regression input."""
+    """Writes the input of a finding to the corpus, as a regression test."""
     folder = CORPUS / target.name
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / hashlib.sha256(data).hexdigest()[:12]
@@ -317,8 +316,8 @@ def save(target: Target, data: bytes) -> Path:
     return path
 
 
-def smaller(target: Target, finding: Finding, seconds: float = 30.0) -> bytes:
-    """A smaller input with the same finding: spans are left out as long as that goes well."""
+def minimise(target: Target, finding: Finding, seconds: float = 30.0) -> bytes:
+    """A smaller input with the same finding: spans are removed as long as the finding remains."""
     data, end = finding.data, time.monotonic() + seconds
     size = len(data) // 2
     while size and time.monotonic() < end:

@@ -1,4 +1,4 @@
-"""Fuzz targets: recordings from other machines. Bags to repair and to read, CAN logs, CSV drives, VBOX files."""
+"""Fuzz targets for recordings: recovery and reading of bags, CAN logs, CSV drives, VBOX files."""
 
 import tempfile
 from collections.abc import Callable
@@ -32,14 +32,14 @@ CAN = ROOT / "config" / "can"
 START_NS = 1_790_000_000_000_000_000
 
 
-def _written(write: Callable[[Path], object], name: str) -> bytes:
+def _bytes_of(write: Callable[[Path], object], name: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / name
         write(file)
         return file.read_bytes()
 
 
-def _our_bag(folder: Path) -> Path:
+def _own_bag(folder: Path) -> Path:
     bag = BagWriter(folder / "bag", {"configuration": {"hash": "0123"}})
     a = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
     for k in range(12):
@@ -51,11 +51,11 @@ def _our_bag(folder: Path) -> Path:
 
 
 def _other_bag(folder: Path, compression: CompressionType, chunked: bool = True) -> Path:
-    """Of the mcap library's writer; without compression changes get to the messages themselves."""
+    """A bag of the mcap library; without compression, mutations reach the messages."""
     file = folder / "other_0.mcap"
     with file.open("wb") as stream:
         writer = Writer(stream, chunk_size=200, compression=compression, use_chunking=chunked, enable_crcs=False)
-        writer.start("ros2", "another recorder")
+        writer.start("ros2", "other recorder")
         schema = writer.register_schema(TYPE, "ros2msg", DEFINITION.encode())
         channel = writer.register_channel("/a", "cdr", schema, {"offered_qos_profiles": "", "x": "y"})
         for k in range(8):
@@ -69,14 +69,14 @@ def _other_bag(folder: Path, compression: CompressionType, chunked: bool = True)
 def _bags() -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        ours = _our_bag(folder).read_bytes()
+        own = _own_bag(folder).read_bytes()
         others = [_other_bag(folder, *options).read_bytes() for options in (
             (CompressionType.NONE,), (CompressionType.NONE, False), (CompressionType.LZ4,), (CompressionType.ZSTD,))]
-    return [ours, ours[:len(ours) // 2], *others, others[0][:-40]]
+    return [own, own[:len(own) // 2], *others, others[0][:-40]]
 
 
 def _recover(data: bytes, folder: Path) -> str:
-    """What comes back is a bag, nothing that was there is gone, and a second time changes nothing."""
+    """The result is a valid bag, the original is preserved, and a second recovery changes nothing."""
     bag = folder / "bag"
     bag.mkdir()
     file = bag / "bag_0.mcap"
@@ -87,19 +87,19 @@ def _recover(data: bytes, folder: Path) -> str:
         assert [path.name for path in bag.iterdir()] == ["bag_0.mcap"] and file.read_bytes() == data
         return one_line(error, data)
     originals = [file, *bag.glob("*.cut*")]
-    assert any(path.read_bytes() == data for path in originals), "the original is gone"
+    assert any(path.read_bytes() == data for path in originals), "the original is lost"
     assert all(line.isprintable() for line in str(report).splitlines())
     repaired = file.read_bytes()
     assert not recover(bag).changed and file.read_bytes() == repaired
     with file.open("rb") as stream:
         last = [record.opcode for record in read_records(stream, len(repaired))][-1:]
     assert last == [Opcode.FOOTER]
-    changed = "left" if file.read_bytes() == data else "repaired"
-    return f"{changed}, damaged {min(report.files[0].damaged_records, 3)}, {_read_back(bag)}"
+    changed = "unchanged" if file.read_bytes() == data else "repaired"
+    return f"{changed}, damaged {min(report.files[0].damaged_records, 3)}, {_read_with_rosbags(bag)}"
 
 
-def _read_back(bag: Path) -> str:
-    """rosbags refuses some bags that hold what no recorder writes; it says so."""
+def _read_with_rosbags(bag: Path) -> str:
+    """Outcome of rosbags, which refuses some contents that no recorder writes."""
     try:
         return f"{len(read_numbers(bag))} topics"
     except ReaderError as error:
@@ -109,19 +109,19 @@ def _read_back(bag: Path) -> str:
 
 
 def _make(name: str, **values: object) -> object:
-    """A message, 0 where nothing is given."""
+    """A message; fields without a value are zero."""
     store = load_typestore(definitions_folder())
-    made = {}
+    fields = {}
     for field, (kind, detail) in store.get_msgdef(name).fields:
         if field in values:
-            made[field] = values[field]
+            fields[field] = values[field]
         elif kind.name == "NAME":
-            made[field] = _make(detail)
+            fields[field] = _make(detail)
         elif kind.name == "BASE":
-            made[field] = "" if detail[0] == "string" else detail[0] == "bool" or 0
+            fields[field] = "" if detail[0] == "string" else detail[0] == "bool" or 0
         else:
-            made[field] = np.zeros(detail[1])
-    return store.types[name](**made)
+            fields[field] = np.zeros(detail[1])
+    return store.types[name](**fields)
 
 
 def _drive_bag(folder: Path) -> Path:
@@ -141,8 +141,8 @@ def _drive_bag(folder: Path) -> Path:
 
 def _drive_bags() -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
-        ours = _drive_bag(Path(name)).read_bytes()
-    return [ours, ours[:-300]]
+        bag = _drive_bag(Path(name)).read_bytes()
+    return [bag, bag[:-300]]
 
 
 def _read_bag(data: bytes, folder: Path) -> str:
@@ -166,12 +166,12 @@ def _log(writer: type, name: str) -> bytes:
                 log(can.Message(timestamp=1.79e9 + k / 100, arbitration_id=(2, 0x284, 0x18FEF100)[k % 3], channel=0,
                                 is_extended_id=k % 3 == 2, data=bytes([k] * (5, 8, 8)[k % 3])))
 
-    return _written(write, name)
+    return _bytes_of(write, name)
 
 
 def _mf4() -> bytes:
     frames = [LogFrame(k * 10_000, 1 + k % 2, (2, 0x284)[k % 2], bytes([k] * (5, 8)[k % 2])) for k in range(12)]
-    return _written(lambda file: write_layout_2(file, START_NS, frames), "log.mf4")
+    return _bytes_of(lambda file: write_layout_2(file, START_NS, frames), "log.mf4")
 
 
 def _can_log(suffix: str) -> Callable[[bytes, Path], str]:
@@ -200,7 +200,7 @@ def _csv(data: bytes, folder: Path) -> str:
 
 
 def _csv_seed() -> list[bytes]:
-    return [_written(lambda file: write_drive(file, weave(1.0)), "drive.csv").replace(b"\n", b"\r\n", 3)]
+    return [_bytes_of(lambda file: write_drive(file, weave(1.0)), "drive.csv").replace(b"\n", b"\r\n", 3)]
 
 
 def _vbo(data: bytes, folder: Path) -> str:
@@ -235,20 +235,21 @@ sats time lat long velocity heading steering_wheel_angle
               for k in range(20))
 
 
-MCAP_WORDS = (b"\x89MCAP0\r\n", b"\x06" + b"\xff" * 8, b"\x0f\x0d\0\0\0\0\0\0\0", b"zstd", b"lz4", b"\x04", b"\x03")
-MF4_WORDS = (b"##DG", b"##CG", b"##CN", b"##DT", b"##DZ", b"##DL", b"##HL", b"##SD", b"##CC", b"MDF     ", b"UnFinMF ")
-LOG_WORDS = (b"(1.0) can0 002#1D000007B0\n", b"##", b"#R", b" R", b"date Mon Sep 30 15:06:13.191 2022\n", b"CANFD",
-             b"nan", b"base hex  timestamps absolute", b";$FILEVERSION=2.1\n", b";$COLUMNS=N,O,T,I,d,l,D\n",
-             b"ErrorFrame", b"\xff", b"\0", b"1e400", b"-1")
+MCAP_FRAGMENTS = (b"\x89MCAP0\r\n", b"\x06" + b"\xff" * 8, b"\x0f\x0d\0\0\0\0\0\0\0", b"zstd", b"lz4", b"\x04", b"\x03")
+MF4_FRAGMENTS = (b"##DG", b"##CG", b"##CN", b"##DT", b"##DZ", b"##DL", b"##HL", b"##SD", b"##CC", b"MDF     ",
+                 b"UnFinMF ")
+LOG_FRAGMENTS = (b"(1.0) can0 002#1D000007B0\n", b"##", b"#R", b" R", b"date Mon Sep 30 15:06:13.191 2022\n", b"CANFD",
+                 b"nan", b"base hex  timestamps absolute", b";$FILEVERSION=2.1\n", b";$COLUMNS=N,O,T,I,d,l,D\n",
+                 b"ErrorFrame", b"\xff", b"\0", b"1e400", b"-1")
 
 
 TARGETS = (
-    Target("mcap_recover", _bags, _recover, MCAP_WORDS),
-    Target("bag_read", _drive_bags, _read_bag, MCAP_WORDS),
-    Target("mf4", lambda: [_mf4()], _can_log(".mf4"), MF4_WORDS, fragile=True),
-    Target("log_candump", lambda: [_log(CanutilsLogWriter, "x.log")], _can_log(".log"), LOG_WORDS, text=True),
-    Target("log_asc", lambda: [_log(ASCWriter, "x.asc")], _can_log(".asc"), LOG_WORDS, text=True),
-    Target("log_trc", lambda: [_log(TRCWriter, "x.trc")], _can_log(".trc"), LOG_WORDS, text=True),
+    Target("mcap_recover", _bags, _recover, MCAP_FRAGMENTS),
+    Target("bag_read", _drive_bags, _read_bag, MCAP_FRAGMENTS),
+    Target("mf4", lambda: [_mf4()], _can_log(".mf4"), MF4_FRAGMENTS, fragile=True),
+    Target("log_candump", lambda: [_log(CanutilsLogWriter, "x.log")], _can_log(".log"), LOG_FRAGMENTS, text=True),
+    Target("log_asc", lambda: [_log(ASCWriter, "x.asc")], _can_log(".asc"), LOG_FRAGMENTS, text=True),
+    Target("log_trc", lambda: [_log(TRCWriter, "x.trc")], _can_log(".trc"), LOG_FRAGMENTS, text=True),
     Target("log_blf", lambda: [_log(BLFWriter, "x.blf")], _can_log(".blf"), (b"LOBJ", b"LOGG")),
     Target("csv", _csv_seed, _csv, (b"nan", b"inf", b"1e400", b"\xef\xbb\xbf", b";", b"\t", b'"', b"\0"), text=True),
     Target("vbo", lambda: [VBO, VBO.replace(b"\n", b"\r\n")], _vbo,

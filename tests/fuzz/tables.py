@@ -1,4 +1,4 @@
-"""Fuzz targets: the files a person writes or is sent. DBC, signal table, vehicle, model, run.yaml, node parameters."""
+"""Fuzz targets for configuration files: DBC, signal table, vehicle, model, run.yaml, settings of the virtual car."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,14 +21,14 @@ from .harness import Target, one_line
 CAN = ROOT / "config" / "can"
 VEHICLES = ROOT / "config" / "vehicle"
 ROADS = ROOT / "config" / "manoeuvres"
-# Nine references of nine references of nine ...: a few hundred bytes that mean billions.
+# Nine references to nine references to nine ...: a few hundred bytes that expand to billions.
 NINES = [b"&a%d [%s]" % (k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 10)]
 BOMB = b"[&a0 [x, x], " + b", ".join(NINES) + b"]"
-YAML_WORDS = (b"\0", b"\xff\xfe", b"\xc3\x28", b"\t", b"\r", b"[" * 50, b"{a: " * 50, BOMB, *br"""
+YAML_FRAGMENTS = (b"\0", b"\xff\xfe", b"\xc3\x28", b"\t", b"\r", b"[" * 50, b"{a: " * 50, BOMB, *br"""
 &a|*a|<<: *a|!!int abc|!!timestamp 2001-99-99|!!python/object/apply:os.system [id]|!!binary a|!!set {a}|!!float ''
 ? [a, b] : c|~|.nan|.inf|0x|1e400|>-|---|...|{}|[]|2001-01-01|2001-99-99|1:60:60|on|off|: |- |#|'|"|\|"\e[2J": |"a\nb":
 """.replace(b"\n", b"|").split(b"|"), b"%YAML 9.9\n---")
-DBC_WORDS = (b"\0", b"\xb0", b"|", *br"""
+DBC_FRAGMENTS = (b"\0", b"\xb0", b"|", *br"""
 BO_ 2 Leaf_Steering: 5 SAS~SG_ A : 0\64@1+ (1,0) [0\1] "" V~ m0 ~ M ~ m0M ~NS_ :~VERSION ""~VAL_ 2 A 1 "x" ;~CM_ "
 BO_ 3 A: 8 V~BA_DEF_ BO_ "x" INT 0 1;~BA_ "x" BO_ 2 1;~VAL_TABLE_ t 1 "x" ;~SG_MUL_VAL_ 2 A B 0-1;~SIG_GROUP_ 2 g 1 : A;
 BO_TX_BU_ 2 : V;~EV_ e: 0 [0\1] "" 0 0 DUMMY_NODE_VECTOR0 V;~BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 X
@@ -41,12 +41,12 @@ def _bytes(*paths: Path) -> list[bytes]:
     return [path.read_bytes() for path in paths]
 
 
-def _use(decoder: Decoder) -> str:
-    """A table that was taken has to decode whatever is on the bus."""
+def _decode_frames(decoder: Decoder) -> str:
+    """An accepted table must decode any frame."""
     for number, extended in decoder.keys:
         for data in (bytes([byte] * size) for size in (0, 5, 8) for byte in (0x00, 0x7F, 0x80, 0xFF)):
             decoder.decode(can.Message(arbitration_id=number, is_extended_id=extended, data=data), 10**18)
-    return f"taken: {len(decoder.keys)} messages"
+    return f"accepted: {len(decoder.keys)} messages"
 
 
 def _dbc(data: bytes, folder: Path) -> str:
@@ -56,7 +56,7 @@ def _dbc(data: bytes, folder: Path) -> str:
         decoder = Decoder(file, CAN / "leaf_ze0.yaml")
     except TableError as error:
         return one_line(error, data)
-    return _use(decoder)
+    return _decode_frames(decoder)
 
 
 def _signal_table(data: bytes, folder: Path) -> str:
@@ -66,7 +66,7 @@ def _signal_table(data: bytes, folder: Path) -> str:
         decoder = Decoder(CAN / "leaf_ze0.dbc", file)
     except TableError as error:
         return one_line(error, data)
-    return _use(decoder)
+    return _decode_frames(decoder)
 
 
 def _vehicle(data: bytes, folder: Path) -> str:
@@ -75,7 +75,7 @@ def _vehicle(data: bytes, folder: Path) -> str:
     except StCoreError as error:
         return one_line(error, data)
     assert VehicleParameters.from_yaml(vehicle.to_yaml()).hash == vehicle.hash
-    return "taken"
+    return "accepted"
 
 
 def _model(data: bytes, folder: Path) -> str:
@@ -84,7 +84,7 @@ def _model(data: bytes, folder: Path) -> str:
     except StCoreError as error:
         return one_line(error, data)
     assert ModelFile.from_yaml(model.to_yaml()).hash == model.hash
-    return "taken"
+    return "accepted"
 
 
 def _run_file(data: bytes, folder: Path) -> str:
@@ -100,7 +100,7 @@ def _run_file(data: bytes, folder: Path) -> str:
 
 def _read(run: RunSource, data: bytes) -> str:
     if run.kind != "csv":
-        return "taken"
+        return "accepted"
     try:
         return f"read, {len(read(run).warnings)} warnings"
     except RunError as error:
@@ -108,16 +108,16 @@ def _read(run: RunSource, data: bytes) -> str:
 
 
 def _simulated(read: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
-    """The files of the virtual car; what was taken has to be drivable."""
+    """Files of the virtual car; an accepted road must be drivable."""
 
     def run(data: bytes, folder: Path) -> str:
-        file = folder / "given.yaml"
+        file = folder / "input.yaml"
         file.write_bytes(data)
         try:
             read(file)
         except SimulationError as error:
             return one_line(error, data)
-        return "taken"
+        return "accepted"
 
     return run
 
@@ -157,13 +157,14 @@ leave_out: [[0.1, 0.3]]
 """
 
 TARGETS = (
-    Target("dbc", lambda: _bytes(CAN / "leaf_ze0.dbc"), _dbc, DBC_WORDS, text=True),
-    Target("signal_table", lambda: _bytes(CAN / "leaf_ze0.yaml"), _signal_table, YAML_WORDS, text=True),
-    Target("vehicle", lambda: _bytes(*sorted(VEHICLES.glob("*.yaml"))), _vehicle, YAML_WORDS, text=True),
-    Target("model", lambda: [MODEL], _model, YAML_WORDS, text=True),
+    Target("dbc", lambda: _bytes(CAN / "leaf_ze0.dbc"), _dbc, DBC_FRAGMENTS, text=True),
+    Target("signal_table", lambda: _bytes(CAN / "leaf_ze0.yaml"), _signal_table, YAML_FRAGMENTS, text=True),
+    Target("vehicle", lambda: _bytes(*sorted(VEHICLES.glob("*.yaml"))), _vehicle, YAML_FRAGMENTS, text=True),
+    Target("model", lambda: [MODEL], _model, YAML_FRAGMENTS, text=True),
     Target("run_file", lambda: [RUN, RUN_OF_COLUMNS, b"bag: drive.log\n",
-                               b"each: drive.csv\ncolumns: {yaw: yaw}\n"], _run_file, YAML_WORDS, text=True),
-    Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_car), YAML_WORDS, text=True),
-    Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve_settings(str(file))), YAML_WORDS, text=True),
-    Target("sim_road", lambda: _bytes(*sorted(ROADS.glob("*.yaml"))), _simulated(_road), YAML_WORDS, text=True),
+                               b"each: drive.csv\ncolumns: {yaw: yaw}\n"], _run_file, YAML_FRAGMENTS, text=True),
+    Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_car), YAML_FRAGMENTS, text=True),
+    Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve_settings(str(file))), YAML_FRAGMENTS,
+           text=True),
+    Target("sim_road", lambda: _bytes(*sorted(ROADS.glob("*.yaml"))), _simulated(_road), YAML_FRAGMENTS, text=True),
 )

@@ -1,4 +1,4 @@
-"""Hostile bytes at every reader, for seconds here and for as long as one likes with `./st bench fuzz`."""
+"""Malformed input for every reader: a short run; `./st bench fuzz` runs longer."""
 
 import os
 import signal
@@ -10,35 +10,34 @@ from fuzz import harness
 from fuzz.harness import Finding, Target, check
 from fuzz.targets import TARGETS
 
-MOST_EACH, SECONDS_EACH = 40, 5.0
+MAX_INPUTS, MAX_SECONDS = 40, 5.0  # per target
 
-# Findings that are known and not put right yet: input in corpus/ -> what is wrong.
+# Known findings that are not corrected yet: input in corpus/ -> description.
 OPEN: dict[str, str] = {}
-SOUND = sorted(set(TARGETS) - {name.partition("/")[0] for name in OPEN})
+WITHOUT_OPEN_FINDINGS = sorted(set(TARGETS) - {name.partition("/")[0] for name in OPEN})
 
 
-def _kept() -> list:
-    found = [(target, path) for target in TARGETS.values() for path in target.corpus]
-    marks = {name: pytest.mark.xfail(reason=why, raises=Finding) for name, why in OPEN.items()}
-    names = [f"{target.name}/{path.name}" for target, path in found]
-    return [pytest.param(*each, id=name, marks=marks.get(name, ())) for each, name in zip(found, names, strict=True)]
+def _corpus() -> list:
+    marks = {name: pytest.mark.xfail(reason=reason, raises=Finding) for name, reason in OPEN.items()}
+    names = {f"{target.name}/{path.name}": (target, path) for target in TARGETS.values() for path in target.corpus}
+    return [pytest.param(*each, id=name, marks=marks.get(name, ())) for name, each in names.items()]
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_valid_inputs_are_taken(name, capfd):
+def test_valid_inputs_are_accepted(name, capfd):
     for seed in TARGETS[name].seeds():
         check(TARGETS[name], seed)
 
 
-@pytest.mark.parametrize(("target", "path"), _kept())
-def test_what_once_was_a_finding(target, path):
+@pytest.mark.parametrize(("target", "path"), _corpus())
+def test_input_of_an_earlier_finding_passes(target, path):
     check(target, path.read_bytes())
 
 
-@pytest.mark.parametrize("name", SOUND)
-def test_a_short_run(name):
-    """Always the same inputs: what is new is found by the long run."""
-    tally = harness.fuzz(TARGETS[name], 1, SECONDS_EACH, MOST_EACH)
+@pytest.mark.parametrize("name", WITHOUT_OPEN_FINDINGS)
+def test_mutated_inputs_give_no_finding(name):
+    """The inputs are the same in every run."""
+    tally = harness.fuzz(TARGETS[name], 1, MAX_SECONDS, MAX_INPUTS)
     assert not tally.findings, tally.findings[0]
     assert tally.inputs
 
@@ -48,7 +47,7 @@ def _failing(run) -> Target:
 
 
 def _hang(data: bytes, folder: Path) -> str:
-    signal.alarm(1)  # as if the time were over
+    signal.alarm(1)  # stands in for the time limit
     while True:
         pass
 
@@ -57,26 +56,26 @@ def _raise(data: bytes, folder: Path) -> str:
     raise KeyError(data)
 
 
-def _waste(data: bytes, folder: Path) -> str:
-    held = b"x" * (harness.MOST_MEMORY + (64 << 20))  # written to, or the system would not hand it out
-    return f"fine, {len(held)}"
+def _allocate(data: bytes, folder: Path) -> str:
+    memory = b"x" * (harness.MAX_MEMORY + (64 << 20))  # not zero: the system allocates zeros only when written
+    return f"fine, {len(memory)}"
 
 
-def _waste_slowly(data: bytes, folder: Path) -> str:
-    held = _waste(data, folder)
+def _allocate_and_hang(data: bytes, folder: Path) -> str:
+    outcome = _allocate(data, folder)
     _hang(data, folder)
-    return held
+    return outcome
 
 
 @pytest.mark.parametrize(("run", "message"), [
-    (_hang, "Hang"), (_raise, "KeyError"), (_waste, "MB of memory"), (_waste_slowly, "Hang.*MB of memory"),
+    (_hang, "Hang"), (_raise, "KeyError"), (_allocate, "MB of memory"), (_allocate_and_hang, "Hang.*MB of memory"),
 ])
-def test_the_harness_sees(run, message):
+def test_harness_reports_hangs_errors_and_memory(run, message):
     with pytest.raises(Finding, match=message):
         check(_failing(run), b"x")
 
 
-def test_the_harness_survives_a_crash():
+def test_harness_reports_a_crash_of_a_fragile_target():
     def crash(data: bytes, folder: Path) -> str:
         os.kill(os.getpid(), signal.SIGSEGV)
         return "not reached"
@@ -85,24 +84,24 @@ def test_the_harness_survives_a_crash():
         check(Target("crash", lambda: [b""], crash, fragile=True), b"x")
 
 
-def test_a_finding_is_made_smaller():
+def test_input_of_a_finding_is_minimised():
     def refuse(data: bytes, folder: Path) -> str:
         assert b"\x7f" not in data
         return "fine"
 
     target = _failing(refuse)
-    with pytest.raises(Finding) as found:
+    with pytest.raises(Finding) as finding:
         check(target, bytes(range(256)))
-    assert harness.smaller(target, found.value) == b"\x7f"
+    assert harness.minimise(target, finding.value) == b"\x7f"
 
 
-def test_findings_are_found_and_told_apart():
+def test_different_findings_are_counted_separately():
     def run(data: bytes, folder: Path) -> str:
         if len(data) > 8:
             raise ValueError("too long")
         assert data[:1] != b"\xff"
         return "fine"
 
-    tally = harness.fuzz(_failing(run), 1, 60.0, most=800)
+    tally = harness.fuzz(_failing(run), 1, 60.0, max_inputs=800)
     assert {finding.place.split()[0] for finding in tally.findings} == {"ValueError", "AssertionError"}
     assert tally.outcomes["fine"] > 100

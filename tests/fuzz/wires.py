@@ -1,4 +1,4 @@
-"""Fuzz targets: what comes over the wires. NCOM packets, CAN frames, datagrams of the simulated bus."""
+"""Fuzz targets for received data: NCOM packets, CAN frames, datagrams of the simulated bus."""
 
 import math
 import os
@@ -24,13 +24,11 @@ from support import ROOT
 from .harness import Target, one_line
 
 CAN = ROOT / "config" / "can"
-# Of a float's range; what a packet holds is at most a distance on earth or an instrument's limit.
-LARGEST = 1e9
 LAST_STAMP_NS = 2**31 * 10**9
 
 
 class Pipeline:
-    """What the node does with the bytes of a port, up to its messages, with its promises checked at every packet."""
+    """Processes the bytes of a port as the node does, up to its messages; checks invariants at every packet."""
 
     def __init__(self) -> None:
         self.parser, self.status, self.events = NcomParser(), StatusTracker(), EventLog()
@@ -38,17 +36,17 @@ class Pipeline:
         self.fed = 0
 
     def feed(self, data: bytes, received_ns: int) -> int:
-        """Number of packets in it."""
+        """Number of packets completed by the data."""
         self.fed += len(data)
         packets = self.parser.feed(data, received_ns)
         counters = self.parser.counters
         waiting = self.fed - PACKET_SIZE * counters.packets - counters.skipped_bytes
         assert 0 <= waiting < PACKET_SIZE, f"{waiting} bytes are neither packet nor skipped"
         for received in packets:
-            self._take(received, received_ns)
+            self._process(received, received_ns)
         return len(packets)
 
-    def _take(self, received, now_ns: int) -> None:
+    def _process(self, received, now_ns: int) -> None:
         packet = received.packet
         assert received.utc_ns is None or 0 < received.utc_ns < LAST_STAMP_NS, received.utc_ns
         if received.rule.has_status:
@@ -76,7 +74,7 @@ class Pipeline:
 
 
 def with_checksums(data: bytes) -> bytes:
-    """Every 72 bytes that begin with the sync byte, back to back from the start on, get their three checksums."""
+    """Corrects the three checksums of every 72 bytes from the start that begin with the sync byte."""
     out = bytearray(data)
     for at in range(0, len(out) - PACKET_SIZE + 1, PACKET_SIZE):
         if out[at] == SYNC:
@@ -89,7 +87,7 @@ def with_checksums(data: bytes) -> bytes:
 
 
 def packets() -> list[bytes]:
-    """A valid packet of every status channel and navigation status, as a unit on the road sends them."""
+    """A valid packet of every status channel and navigation status."""
     base = dict(milliseconds=2_630, acceleration=(0.1, -0.2, -9.8), angular_rate=(0.001, 0.002, 0.1), latitude=0.9,
                 longitude=-0.02, altitude=100.0, velocity_ned=(10.0, 5.0, -0.1), heading=0.5, pitch=0.01, roll=-0.02)
     minutes = encode_channel(0, {"GpsMinutes": 23_702_000, "GpsNumObs": 12, "GpsPosMode": 6, "GpsVelMode": 6,
@@ -105,17 +103,17 @@ def packets() -> list[bytes]:
 
 
 def _streams() -> list[bytes]:
-    """Some packets each, the first with the time."""
-    every = packets()
-    return [b"".join([every[0], *every[k:k + 8]]) for k in range(0, len(every), 8)]
+    """Streams of nine packets, the first with the time."""
+    valid = packets()
+    return [b"".join([valid[0], *valid[k:k + 8]]) for k in range(0, len(valid), 8)]
 
 
 def _ncom_stream(data: bytes, folder: Path) -> str:
-    """In portions that depend on the content; byte by byte the same packets come out."""
-    portion = 1 + (data[0] if data else 0) % 200
+    """In chunks whose size depends on the content; a single chunk gives the same number of packets."""
+    size = 1 + (data[0] if data else 0) % 200
     pipeline, found = Pipeline(), 0
-    for k, at in enumerate(range(0, len(data), portion)):
-        found += pipeline.feed(data[at:at + portion], 10**18 + k * 10_000_000)
+    for k, at in enumerate(range(0, len(data), size)):
+        found += pipeline.feed(data[at:at + size], 10**18 + k * 10_000_000)
     pipeline.finish()
     whole = NcomParser()
     assert len(whole.feed(data)) == found
@@ -123,7 +121,7 @@ def _ncom_stream(data: bytes, folder: Path) -> str:
 
 
 def _ncom_file(data: bytes, folder: Path) -> str:
-    """The decoder of whole files finds what the one of streams finds."""
+    """The file decoder finds the same packets as the stream decoder."""
     parser = NcomParser()
     received = parser.feed(data)
     try:
@@ -132,7 +130,7 @@ def _ncom_file(data: bytes, folder: Path) -> str:
         assert not parser.counters.packets
         return one_line(error, data)
     offsets = [r.offset for r in received]
-    # The stream drops the vendor's private packets, the file keeps their places.
+    # The stream omits the vendor's private packets, the file includes their offsets.
     assert offsets == [o for o, s in zip(columns.offset.tolist(), columns.raw[:, 21].tolist(), strict=True) if s != 11]
     assert vars(columns.counters) == vars(parser.counters)
     return f"{len(columns)} packets"
@@ -145,7 +143,7 @@ _table = cache(lambda: Decoder(CAN / "leaf_ze0.dbc", CAN / "leaf_ze0.yaml"))
 
 
 def _decoder() -> Decoder:
-    """A fresh one, without reading the files again."""
+    """A decoder in its initial state, without reading the files again."""
     decoder = copy(_table())
     decoder._states = {spec.key: _make_state(spec) for spec in decoder.table.messages.values()}
     decoder.frames = FrameStatistics()
@@ -162,7 +160,7 @@ def _frames() -> list[bytes]:
 
 
 def _can_frames(data: bytes, folder: Path) -> str:
-    """A row of frames through decoder and receiver's error handling; a frame is none, good, or has its reason."""
+    """Frames through decoder and error handling of the receiver; every frame is counted once."""
     decoder = _decoder()
     count = at = decoded = 0
     while at + _FRAME.size <= len(data):
@@ -209,14 +207,14 @@ def _loopback() -> tuple[LoopbackMulticastBus, socket.socket]:
 
 
 def _can_datagram(data: bytes, folder: Path) -> str:
-    """One datagram through bus, receiver and decoder: none of them may raise, or the bus would be opened anew."""
+    """One datagram through bus, receiver and decoder; an exception in one of them would reopen the bus."""
     bus, sender = _loopback()
     decoder = _decoder()
     seen: list[can.Message] = []
     receiver = Receiver(lambda: bus, lambda frame, time_ns: seen.append(frame) or decoder.decode(frame, time_ns))
     malformed = bus.malformed
     sender.send(data[:4096])
-    sender.send(pack_message(MARKER))  # so that nothing has to be waited for where the input is no frame
+    sender.send(pack_message(MARKER))  # avoids a time-out where the input is not a frame
     while not seen or seen[-1].data != MARKER.data:
         receiver._receive(bus)
     status = receiver.status()
@@ -225,16 +223,16 @@ def _can_datagram(data: bytes, folder: Path) -> str:
     return "not a frame" if bus.malformed > malformed else f"a frame; {status.last_error}"
 
 
-NCOM_WORDS = (bytes([SYNC]), bytes([SYNC]) * 72, b"\x80\0\0", b"\xff\xff\x7f", struct.pack("<d", math.nan),
+NCOM_FRAGMENTS = (bytes([SYNC]), bytes([SYNC]) * 72, b"\x80\0\0", b"\xff\xff\x7f", struct.pack("<d", math.nan),
               struct.pack("<d", math.inf), struct.pack("<d", 1e300), struct.pack("<i", 30_525_000), b"\x0b")
-CAN_WORDS = tuple(struct.pack("<I", i) for i in (0x002, 0x284, 0x285, 0x600, 0x604, 0x630, 0x20000040, 0x40000002))
+CAN_FRAGMENTS = tuple(struct.pack("<I", i) for i in (0x002, 0x284, 0x285, 0x600, 0x604, 0x630, 0x20000040, 0x40000002))
 DATAGRAM_WORDS = (b"\xc0", b"\xc3", b"\x90", b"\x80", b"\xca\x7f\xc0\0\0", b"\xcb\x40\0\0\0\0\0\0\0", b"\xa1a",
                   b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\x91" * 600, b"\xc7\x10\xff",
                   b"\xcf" + b"\xff" * 8)
 
 TARGETS = (
-    Target("ncom_stream", _streams, _ncom_stream, NCOM_WORDS, repair=with_checksums),
-    Target("ncom_file", _streams, _ncom_file, NCOM_WORDS, repair=with_checksums),
-    Target("can_frames", _frames, _can_frames, CAN_WORDS),
+    Target("ncom_stream", _streams, _ncom_stream, NCOM_FRAGMENTS, repair=with_checksums),
+    Target("ncom_file", _streams, _ncom_file, NCOM_FRAGMENTS, repair=with_checksums),
+    Target("can_frames", _frames, _can_frames, CAN_FRAGMENTS),
     Target("can_datagram", _datagrams, _can_datagram, DATAGRAM_WORDS),
 )
