@@ -42,7 +42,7 @@ DIVERSE_CASES = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio",
                  "bmw_320i_gyro_bias", "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
 LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
-IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "MAX_SCALED": fit, "DIVERGED": fit, "MIN_CURVATURE": evidence,
+IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "RMS_CLIP_LIMIT": fit, "DIVERGED_ERROR": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
              "SIGN_DRAWS": evidence, "CONTENDERS": sys.modules[Search.__module__],

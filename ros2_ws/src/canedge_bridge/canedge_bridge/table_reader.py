@@ -37,7 +37,7 @@ class Entry:
         self.origin = origin
         self.path = path
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise TableError(f"{origin}: {path or 'the document'}: expected a mapping of names")
+            raise TableError(f"{origin}: {path or 'the document'}: expected a mapping with names as keys")
         self._value = value
 
     def error(self, key: str, problem: str) -> TableError:

@@ -66,7 +66,7 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
      "samples[0].data: not hexadecimal bytes"),
     (put("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
     (put("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
-    (put("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping of names"),
+    (put("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with names as keys"),
 ])
 def test_refused_with_one_line(edit, message, dbc_file, changed_table):
     path = changed_table(edit)

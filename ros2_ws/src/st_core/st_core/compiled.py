@@ -41,7 +41,7 @@ class CompiledModel:
             raise ConfigurationError("numba cannot compile the model")
 
     def __call__(self, state: VehicleState, inputs: ControlInput | InputSequence) -> Trajectory:
-        """The trajectory from a state, as `prediction.predict` with one step at a time.
+        """The trajectory from a state, as `prediction.predict` with substeps = 1.
 
         inputs: constant, or 2 * steps + 1 values on the half-step grid; no further signals. NaN inputs give NaN states.
         """

@@ -26,7 +26,7 @@ SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
 ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
 CORRECTION_RESIDUAL = 0.05  # largest residual after `correct`, as a fraction of the change by `observe`
-GROWTH_RATE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
+MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
@@ -81,7 +81,7 @@ def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
                 model = start.with_values({effect.name: {p.name: value}})
                 for speed in STANDSTILL_SPEEDS:
                     if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
-                        return f"{p.name} = {value:g}, {base.name}: not finite from {speed:g} m/s"
+                        return f"{p.name} = {value:g}, {base.name}: not finite when started at {speed:g} m/s"
                 parameters = model.parameters(vehicle)
                 w = model.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(model).values()))
                 rates = model.rhs(model.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
@@ -133,7 +133,7 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
     for speed in speeds:
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))
-            if not after <= max(before, 0.0) + GROWTH_RATE:
+            if not after <= max(before, 0.0) + MAX_GROWTH_RATE_INCREASE:
                 return (f"a lateral mode grows at {after:.2g} 1/s at {speed:.3g} m/s, without the effect at "
                         f"{before:.2g} 1/s")
         factor = growth_factor(model, vehicle, speed, STEP)

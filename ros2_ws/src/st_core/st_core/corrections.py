@@ -62,7 +62,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     road wheel angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
-    Raises StCoreError for invalid corrections (`check_corrections`), and if no sample remains.
+    Raises StCoreError for invalid corrections (`check_corrections`), and if the time shifts leave no sample.
     """
     check_corrections(corrections)
     seconds = (log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND

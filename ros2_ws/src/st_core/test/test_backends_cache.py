@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import st_core
-from st_core.backends import has_numba, structure
+from st_core.backends import call_graph, has_numba
 
 pytestmark = pytest.mark.skipif(not has_numba(), reason="numba is not installed")
 
@@ -197,9 +197,9 @@ def test_a_function_is_more_than_its_file():
     def square(x):
         return x * x
 
-    prints = [structure.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
+    prints = [call_graph.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
     assert len(set(prints)) == 3
-    assert structure.fingerprint(make(1.0, double)) == prints[0]
-    assert [f.__name__ for f in structure.find_reachable(make(1.0, double))] == ["double", "outer"]
-    with pytest.raises(structure.UnhashableError):
-        structure.fingerprint(make(object(), double))
+    assert call_graph.fingerprint(make(1.0, double)) == prints[0]
+    assert [f.__name__ for f in call_graph.find_reachable(make(1.0, double))] == ["double", "outer"]
+    with pytest.raises(call_graph.UnhashableError):
+        call_graph.fingerprint(make(object(), double))

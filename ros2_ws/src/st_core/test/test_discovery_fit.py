@@ -12,7 +12,7 @@ from st_core.channels import CHANNEL_OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Sensitivities, minimise_bounded
 from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
-from st_core.discovery.space import GAIN, Space
+from st_core.discovery.space import ACCELEROMETER_GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
 from st_core.log import INS_SIGNALS
 from st_core.log_signals import LogSignals
@@ -218,7 +218,7 @@ def test_fit_recovers_what_was_put_in():
     fit = fitted(problem, FEW)
     off = (fit.vector - problem.errors.truth) / problem.space.scale
     assert np.abs(off).max() < 0.01
-    assert set(problem.space.effect_of[fit.indices]) == {*FEW, GAIN}
+    assert set(problem.space.effect_of[fit.indices]) == {*FEW, ACCELEROMETER_GAIN}
 
 
 def test_fit_is_the_minimum_scipy_finds():
@@ -251,7 +251,7 @@ def test_only_effects_of_the_set_move_without_a_prior():
     problem = linear_problem(FEW, {"mass": 1.0, "yaw_inertia": 1.0}, 11)
     fit = fitted(problem, ("mass",))
     moved = np.flatnonzero(fit.vector != problem.start)
-    assert set(problem.space.effect_of[moved]) <= {"mass", GAIN}
+    assert set(problem.space.effect_of[moved]) <= {"mass", ACCELEROMETER_GAIN}
     more = problem.fit(("yaw_inertia",), fit.sensitivities)  # what is not of the set goes back to the start
     assert (more.vector[problem.space.indices("mass")] == problem.start[problem.space.indices("mass")]).all()
 

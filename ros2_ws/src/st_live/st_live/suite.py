@@ -24,8 +24,8 @@ from st_core.errors import ConfigurationError
 from st_recordings.paths import config
 
 STOP_TIMEOUT = 20.0  # s until a child that ignores SIGINT is killed
-LAST_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral range
-LARGEST_DOMAIN = 232  # higher domains have no valid port
+LARGEST_SAFE_DOMAIN = 101  # the ports of higher domains are in the system's ephemeral range
+LARGEST_VALID_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
 VIEW_NICE = 5  # a third of the CPU share of bridges and predictor under contention
@@ -207,8 +207,8 @@ def read_domain_id() -> int | None:
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None
-    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
-        raise SuiteError(f"ROS_DOMAIN_ID: {text!r} is not a whole number from 0 to {LARGEST_DOMAIN}")
+    if not text.isdecimal() or int(text) > LARGEST_VALID_DOMAIN:
+        raise SuiteError(f"ROS_DOMAIN_ID: {text!r} is not a whole number from 0 to {LARGEST_VALID_DOMAIN}")
     return int(text)
 
 
@@ -235,7 +235,7 @@ def claim_domain(requested: int | None = None) -> Iterator[int]:
     if requested is not None:
         yield requested
         return
-    for domain in range(LAST_DOMAIN, 0, -1):
+    for domain in range(LARGEST_SAFE_DOMAIN, 0, -1):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as claim:
             try:
                 claim.bind(("", 7400 + 250 * domain + 10))

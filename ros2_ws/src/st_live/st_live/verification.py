@@ -41,7 +41,7 @@ class Comparison:
 
     model: str
     n_starts: int = 0  # forecasts compared
-    start_difference: float = 0.0  # at the start position [m], which depends only on the state estimate
+    start_difference: float = 0.0  # of the start positions [m], which depend only on the state estimates
     path_difference: float = 0.0  # between positions at any point [m]
     yaw_difference: float = 0.0  # between yaw angles at any point [rad]
     worst_start_ns: int = 0  # start of the forecast with the largest path difference
@@ -50,7 +50,7 @@ class Comparison:
     n_cut: int = 0  # scores that are incomplete only because the nodes stopped
     n_disagree: int = 0  # scores complete on one side only, without n_cut and position jumps
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
-    n_planned: int = 0  # predictions with inputs of a plan or course compared
+    n_planned: int = 0  # compared predictions with the inputs of a plan or course
     planned_difference: float = 0.0  # between their positions at any point [m]
 
     @property
@@ -61,7 +61,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether all predictions used this vehicle and these settings."""
+    """Comparisons of all models. same_configuration: whether its vehicle and settings are those of all predictions."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -108,8 +108,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
         planned = {mode: by_model[name] for mode, by_model in planned_by_mode.items() if name in by_model}
         comparisons.append(
             _compare(model, car, signals, forecasts, planned, model_scores, settings.filter_cutoff, progress))
-    expected = configuration_hash(car, settings)
-    same = all(recorded.hashes == {expected} for recorded in predictions.values())
+    same = all(recorded.hashes == {configuration_hash(car, settings)} for recorded in predictions.values())
     return Verification(comparisons, f"{car.name}, from {source}", same, tuple(warnings))
 
 
@@ -192,8 +191,8 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
                    console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
-    0: no difference exceeds `tolerance` [m], and no score is complete on one side only without a known reason; 1: any
-    other result; 2: nothing to compare. replayed: play the recording through the nodes and compare their output.
+    0: no difference exceeds `tolerance` [m], and the reason is known for every score that is complete on one side only;
+    1: any other result; 2: nothing to compare. replayed: play the recording through the nodes and compare their output.
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
@@ -204,18 +203,20 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
         console.print(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
         outcome, _ = replay_bag(find_recordings(bag)[0], folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
-            failure = f"a node ended with an error: {outcome.statuses}; see {folder / 'logs'}"
-            raise SuiteError(outcome.problem or failure)
+            raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")
         result = _verify_with_progress(folder, vehicle, console, ReadSettings())
-    if result is None or not result.n_starts:
-        settling = sum(c.n_settling for c in result.comparisons) if result else 0
-        reason = (f"all {settling} predictions start too soon after the first sample received" if settling
-                  else "the nodes made no prediction from this recording")
+    if result is None:
+        console.print("nothing to compare: the nodes made no prediction from this recording")
+        return 2
+    for warning in result.warnings:
+        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+    if not result.n_starts:
+        n_settling = sum(c.n_settling for c in result.comparisons)
+        reason = (f"all {n_settling} predictions start too soon after the first sample received" if n_settling
+                  else "no recorded prediction can be recomputed")
         console.print(f"nothing to compare: {reason}")
         return 2
     console.print(_make_table(result))
-    for warning in result.warnings:
-        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
     if not result.same_configuration:
         console.print("[yellow]the predictions were made with another vehicle or other settings[/yellow]")
     return _print_conclusion(result, tolerance, console)
@@ -235,7 +236,7 @@ def _make_table(result: Verification) -> Table:
     table = Table(title=f"Live against library ({result.vehicle}): largest differences", title_justify="left",
                   title_style="bold", box=None, collapse_padding=True, pad_edge=False)
     table.add_column("model")
-    for heading in ("starts", "start\nstate\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
+    for heading in ("starts", "start\npoint\nmm", "path\nmm", "hindsight\nscores\nnumber, mm",
                     "forecast\nscores\nnumber, mm", "only on\none side"):
         table.add_column(heading, justify="right", no_wrap=True)
     for c in result.comparisons:

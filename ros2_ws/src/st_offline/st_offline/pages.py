@@ -1,4 +1,4 @@
-"""Renders the self-contained report pages, in which all names are escaped."""
+"""Loads the templates of the self-contained report pages; all inserted text is escaped."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
 @dataclass(frozen=True)
 class Table:
-    """A collapsible table of a page. rows: a text for each column. about: text next to the title."""
+    """A collapsible table of a page. about: text next to the title. note: paragraph above. rows: a text per column."""
 
     title: str
     note: str

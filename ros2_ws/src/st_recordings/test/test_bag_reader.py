@@ -16,7 +16,7 @@ from ros_messages import STORE, definition, header, odometry, serialise
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag, find_runs, read
-from st_recordings.runs.bag import ODOMETRY, STEERING, read_bag
+from st_recordings.runs.bag import ODOMETRY, STEERING, has_odometry, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
 from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout
 from st_recordings.runs.errors import RunError
@@ -139,7 +139,13 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     assert len(drive.log.steering_time_ns) == N - 51
     assert any(f"50 of {N} steering messages (10 %) have no usable value" in w for w in drive.warnings)
     assert drive.auxiliary.missing == {"road_wheel_angle": 50} and len(drive.auxiliary.stamps["steering"]) == N
-    assert any("steering messages (0.22 %) are not later" in w for w in drive.warnings)
+    assert any("steering messages (0.22 %) have no later time" in w for w in drive.warnings)
+
+
+def test_bag_with_raw_packets_is_a_drive_if_it_has_steering(tmp_path: Path) -> None:
+    raw = {("/ins/ncom", NCOM): [(START_NS, b"\0\1")]}
+    assert not has_odometry(write_own(tmp_path / "ins", raw))
+    assert has_odometry(write_own(tmp_path / "drive", {**raw, **{k: m for k, m in DRIVE.items() if k[1] == STEERING}}))
 
 
 def test_bag_without_a_lateral_velocity_is_refused(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ NEGLIGIBLE, GAIN_INSIGNIFICANT, NULL = "too small", "gain not significant", "val
 IRRELEVANT, BOUND, VARIES, IMPLAUSIBLE = "not relevant", "on a bound", "varies", "implausible"
 SENSORS, FILE, FORCES = "refuted by the sensors", "refuted by the vehicle file", "refuted by the axle forces"
 ALTERNATIVE, EXPLAINS_LESS = "alternative", "explains less"
-PARTITION_NAMES = {"run": "the runs", "site": "the sites", "time": "the time in the runs", "place": "the places",
-                   "condition": "the kinds of driving"}
+PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run", "place": "places",
+                   "condition": "kinds of driving"}
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Rival:
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
     shared: whether both are in the model and the rival explains a part of the replaced effect. added [1]: gain of the
-    rival in addition to the replaced effect, which comes from other errors, divided by the gain of that effect."""
+    rival in a model that also has the replaced effect (from other errors), divided by the gain of that effect."""
 
     name: str
     replaces: str
@@ -91,8 +91,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                                      "standard_deviation": known.standard_deviation, "z_score": known.z_score,
                                      "max_file_deviation": limits.max_file_deviation},
                       f"the best fit has {known.key} {_format_with_unit(known.value, known.unit)}, the vehicle file "
-                      f"{known.file:g} ± {_format_with_unit(known.standard_deviation, known.unit)}: check it; if it is "
-                      "correct, another cause has the same effect")
+                      f"{known.file:g} ± {_format_with_unit(known.standard_deviation, known.unit)}: check the file; if "
+                      "it is correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
@@ -117,7 +117,7 @@ def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
     a = e.agreement[partition]
     return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies over {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); with "
+                  f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); with "
                   f"probability {a.p_absent:.2g} it is absent or of opposite sign in a new part")
 
 
@@ -142,7 +142,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
                       f"car alone give a reduction of {relative_reduction(e.healthy_gain):.1%}")
     if e.null_p_value > limits.undecided_p:
         return Reason(NULL, e.name, {"null_p_value": e.null_p_value, "undecided_p": limits.undecided_p},
-                      f"its values do not differ significantly from their null: p = {e.null_p_value:.2g}")
+                      f"its values do not differ significantly from their null values: p = {e.null_p_value:.2g}")
     if e.gain < limits.relevant and position_reduction(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_reduction(e),
                                            "relevant": limits.relevant, "relevant_position": limits.relevant_position},
@@ -191,12 +191,12 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
     confirmed_by_sensors, checks = is_confirmed(e, limits), checks or NamingChecks()
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
-                      "with it less than with the vehicle file: it improves predictions, but is not named")
+                      "less well with it than with the vehicle file: it improves predictions, but is not named")
     if checks.objection:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.objection}; "
                       "it improves predictions, but is not named")
     if checks.summed:
-        return minor(f"the drives show only the sum of it and {' and '.join(checks.summed).replace('_', ' ')}")
+        return minor(f"only the sum of it and {' and '.join(checks.summed).replace('_', ' ')} is identifiable")
     if checks.crossing:
         return minor(f"the interval of its {checks.crossing.replace('_', ' ')} extends beyond the physical range")
     if checks.peak_force_share < limits.min_peak_force:
@@ -207,8 +207,8 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
                      position=e.position, relevant_position=limits.relevant_position)
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
         return minor(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
-                     f"remains {e.noise_ratio:.1f} times the noise; {limits.unexplained_share:.0%} is required, as it "
-                     "may imitate an unmodelled effect", gain=e.gain, noise_ratio=e.noise_ratio,
+                     f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
+                     "required, as a smaller one may have an unmodelled cause", gain=e.gain, noise_ratio=e.noise_ratio,
                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not checks.excludes_null and not confirmed_by_sensors:
         return minor("it reduces the errors, but the interval of its value contains the value without influence")
@@ -281,13 +281,13 @@ def decide(search: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return conclude("named", "one effect is significant, relevant and does not vary significantly")
     if search.combinations:
         return conclude("ambiguous", f"{' and '.join(search.combinations)}: different from the vehicle file, but the "
-                       "effects that change it cannot be separated", combinations=len(search.combinations))
+                       "effects behind this difference cannot be separated", combinations=len(search.combinations))
     verdicts = [judge(e, limits) for e in search.refused if is_relevant(e, limits)]
     if search.varying_effects or any(v.rule == VARIES for v in verdicts):
         return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
-        return conclude("unknown", "errors are significant, but no effect of the library explains them within its "
-                       "bounds")
+        return conclude("unknown", "a significant effect is rejected, because its value is at a bound or contradicts "
+                       "the sensors or the vehicle file")
     if noise_ratio > limits.max_noise_ratio:
         return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
                        "of the library reduces it significantly", noise_ratio=noise_ratio,

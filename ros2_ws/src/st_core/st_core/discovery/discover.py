@@ -373,8 +373,8 @@ class _Analysis:
                 break
         if varying is None:
             return (), None
-        self.warnings.append(f"an effect that resembles {varying.resembles.replace('_', ' ')} is significant, but "
-                             f"varies over {decision.PARTITION_NAMES[varying.varies_with]}: it is reported, not named")
+        self.warnings.append(f"an effect similar to {varying.resembles.replace('_', ' ')} is significant, but varies "
+                             f"between {decision.PARTITION_NAMES[varying.varies_with]}; it is reported, not named")
         return (varying,), varying_fit
 
     def _collect_reasons(self, found: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:

@@ -9,15 +9,15 @@ import numpy as np
 
 from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
-from .space import GAIN, Quantities, prior_deviations
+from .space import ACCELEROMETER_GAIN, Quantities, prior_deviations
 
 ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step, tried until the loss decreases
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
 MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends when a step reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
-MAX_SCALED = 5.0  # clip limit of residuals, in robust scales of the baseline; limits the influence of single windows
-DIVERGED = 100.0  # m, position error assigned to a prediction that diverges
+RMS_CLIP_LIMIT = 5.0  # robust scales of the baseline; larger residuals are clipped in an RMS value
+DIVERGED_ERROR = 100.0  # m, position error assigned to a prediction that diverges
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
 RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep steps finite without information
 
@@ -146,8 +146,8 @@ class Problem:
 
     def column_rms(self, rows: np.ndarray) -> np.ndarray:
         """(c,) RMS of the residuals of each column at all points of the horizon [SI]; residuals are clipped at
-        MAX_SCALED scales of the baseline residuals."""
-        limit = MAX_SCALED * self._baseline_scale
+        RMS_CLIP_LIMIT scales of the baseline residuals."""
+        limit = RMS_CLIP_LIMIT * self._baseline_scale
         square = np.square(np.clip(np.nan_to_num(rows, nan=np.inf), -limit, limit))
         mean = np.where(self.loss.known, square, 0.0).sum(axis=0) / np.maximum(self.loss.known.sum(axis=0), 1)
         return np.sqrt(mean.reshape(len(self.errors.windows.time), -1).mean(axis=0))
@@ -174,7 +174,7 @@ class Problem:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
         if self.prior is not None:
             return np.arange(len(self.space))
-        always = (GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
+        always = (ACCELEROMETER_GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
         return self.space.indices(*names, *always)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
@@ -289,7 +289,7 @@ class Problem:
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
         """Continue a fit with recomputed sensitivities."""
-        fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(GAIN))
+        fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(ACCELEROMETER_GAIN))
         fresh = Sensitivities(fit.vector, fit.sensitivities.indices, fit.sensitivities.values)
         if len(fitted):
             known = np.intersect1d(fitted, fit.sensitivities.indices)
@@ -392,11 +392,11 @@ class Problem:
         return result
 
     def position_error(self, rows: np.ndarray) -> np.ndarray:
-        """(n,) position error at the end of the horizon [m], at most DIVERGED; NaN where it was not measured."""
+        """(n,) position error at the end of the horizon [m], at most DIVERGED_ERROR; NaN where it was not measured."""
         columns = self.errors.windows.columns
         if "position_lateral" not in columns:
             return np.full(len(rows), np.nan)
         last = len(columns) * (len(self.errors.windows.time) - 1)
         ends = [last + columns.index(f"position_{axis}") for axis in ("lateral", "longitudinal")]
-        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED), DIVERGED)
+        error = np.minimum(np.nan_to_num(np.hypot(*rows[:, ends].T), nan=DIVERGED_ERROR), DIVERGED_ERROR)
         return np.where(self.loss.known[:, ends].all(axis=1), error, np.nan)

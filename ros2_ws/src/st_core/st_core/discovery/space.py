@@ -18,7 +18,7 @@ from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, find_quantity, v
 from .settings import DiscoverySettings
 
 DIFFERENCE_STEP = 0.02  # step of the difference quotients, as a fraction of the parameter scale
-GAIN = "acceleration_gain"
+ACCELEROMETER_GAIN = "acceleration_gain"
 TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mrad/(m/s^2), times g
 
 
@@ -64,7 +64,7 @@ class Space:
         self.deviation = np.array([*deviations, np.inf])
         self.additions = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
-        self.effect_of = np.array([f.effect for f in self.free] + [GAIN])
+        self.effect_of = np.array([f.effect for f in self.free] + [ACCELEROMETER_GAIN])
         self._indices = {name: np.flatnonzero(self.effect_of == name).tolist()
                          for name in dict.fromkeys(self.effect_of)}
         self.scale = np.array([f.scale for f in self.free] + [TYPICAL_GAIN])

@@ -30,7 +30,7 @@ class Weighings:
 
     readings: np.ndarray  # (n, 4) [kg], columns as WHEELS
     names: tuple[str, ...]  # (n,) names of the weighings
-    loads: tuple[str, ...]  # (n,) texts on the loading of the car
+    loads: tuple[str, ...]  # (n,) descriptions of the loading of the car
     scale_uncertainty: float = SCALE_UNCERTAINTY  # standard uncertainty of one scale [kg]
 
 
@@ -70,10 +70,10 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = _describe_twist(chosen.mean(axis=0))
+    warnings = _describe_cross_weight(chosen.mean(axis=0))
     if n == 1:
-        warnings.append("With one weighing, the interval contains only the uncertainty of the scales. Roll the car off "
-                        "and on, and weigh it at least three times.")
+        warnings.append("With one weighing, the interval does not include the scatter between weighings. Roll the car "
+                        "off and on, and weigh it at least three times.")
     if rejected:
         warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
     figure = {"readings": readings, "kept": is_used, "names": weighings.names, "masses": all_masses,
@@ -113,8 +113,8 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _describe_twist(mean: np.ndarray) -> list[str]:
+def _describe_cross_weight(mean: np.ndarray) -> list[str]:
     cross = (mean[0] + mean[3]) / mean.sum()
     return [] if abs(cross - 0.5) <= 0.02 else [
-        f"The front left and rear right wheels together carry {100 * cross:.1f} %: the suspension is twisted, or the "
-        "floor under the scales is uneven; mass and longitudinal CG position remain valid."]
+        f"The front left and rear right wheels together carry {100 * cross:.1f} % (cross weight): the springs are "
+        "preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG position remain valid."]

@@ -10,7 +10,7 @@ from ..augmented import AugmentedModel
 from ..discovery.fit import Problem, Sensitivities
 from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.settings import DiscoverySettings
-from ..discovery.space import GAIN, Space
+from ..discovery.space import ACCELEROMETER_GAIN, Space
 from ..discovery.windows import Windows
 from ..effects import get_effect
 from ..effects._relation import SPLINES, RelationEffect
@@ -88,7 +88,7 @@ class RelationFits:
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
         car_effects = [n for n in self.space.hypotheses
                        if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
-        always = (GAIN,) if "acceleration_y" in windows.columns else ()
+        always = (ACCELEROMETER_GAIN,) if "acceleration_y" in windows.columns else ()
         self.refitted_indices = self.space.indices(*names, *always)
         self.vehicle_indices = np.setdiff1d(self.space.indices(*car_effects), self.refitted_indices)
 

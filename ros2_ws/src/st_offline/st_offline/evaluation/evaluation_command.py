@@ -32,9 +32,9 @@ MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its r
 
 def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
                 scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Run the command; returns the exit status: 0 if every run was evaluated, else 1. over: means or samples, for the
-    table. tolerance: lateral error [m] for the advice on models; None for no advice. Raises ConfigurationError,
-    OutputError."""
+    """Run the command; returns the exit status: 0 if every run was evaluated, else 1. over: "means" (of each horizon)
+    or "samples", for the statistics in the table. tolerance: lateral error [m] for the advice on models; None for no
+    advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)

@@ -35,7 +35,7 @@ FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "cour
 
 @dataclass(frozen=True)
 class Choices:
-    """Settings of the report. over: means or samples, the statistics in the table."""
+    """Settings of the report. over: "means" (of each horizon) or "samples", for the statistics in the table."""
 
     task: Task
     over: str

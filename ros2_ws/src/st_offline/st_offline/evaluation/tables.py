@@ -110,7 +110,7 @@ def _name_statistics(*values: float) -> Entry:
 
 
 def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> Mapping[str, float | None]:
-    """{mean, max, rmse} of a model. over: means or samples."""
+    """{mean, max, rmse} of a model. over: "means" (of each horizon) or "samples"."""
     entry = models[model][mode]
     return entry[axis] if over == "means" else entry["samples"][axis]
 

@@ -79,7 +79,7 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or raw data from which it is reconstructed; True if undecided."""
+    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if undecided."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
@@ -90,7 +90,7 @@ def has_odometry(path: Path) -> bool:
         if summary is None:
             return True
         types = {schema.name for schema in summary.schemas.values()}
-    return ODOMETRY in types or {NCOM, CAN_FRAMES} <= types
+    return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
 def lacks_steering(path: Path) -> bool:

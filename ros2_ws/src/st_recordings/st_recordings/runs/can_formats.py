@@ -43,7 +43,7 @@ class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
     position: number of the last line that was read. last: its text. `unread`: makes a line the next one. header: line
-    for a reader that starts again after an unreadable line, if it parses a header first.
+    that replaces the header when a reader restarts after an unreadable line; empty if the reader parses no header.
     """
 
     header = ""
@@ -167,7 +167,7 @@ class _AscLines(Lines):
     _are_relative, _seconds = False, 0.0  # whether times count from the previous line; last time since the start
 
     def convert(self, line: str) -> str:
-        """Writes times since the start, English months, and hours of 0 to 23 without a.m. or p.m."""
+        """Writes times since the start and English months, and removes a.m. or p.m. from hours outside 1 to 12."""
         if stamp := _ASC_STAMP.match(line):
             seconds = float(".".join(stamp.groups()))
             self._seconds = seconds + (self._seconds if self._are_relative else 0.0)
@@ -209,7 +209,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
     class Reader(blf.BLFReader):
-        """Rejects objects of length 0, which the reader of python-can would read forever."""
+        """Rejects objects shorter than their header; python-can would read an object of length 0 forever."""
 
         def _parse_data(self, data: bytes) -> Iterator[Any]:
             offset = data.find(b"LOBJ", 0, 8)

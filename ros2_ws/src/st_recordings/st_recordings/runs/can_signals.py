@@ -159,8 +159,10 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
     if steering is not None and len(signals.rejected.get(steering.message, ())) <= len(steering.time_ns):
         return steering
     source = table.find_source("steering_wheel_angle")
-    expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})" if source else "(not in the signal table)"
-    if source and (fault := signals.faults.get(source[0].name)):
+    if source is None:
+        raise RunError(file, "the signal table has no steering_wheel_angle", "add it, or name the car with --car DIR")
+    expected = f"{source[0].name} (0x{source[0].dbc.frame_id:03X})"
+    if (fault := signals.faults.get(source[0].name)):
         raise RunError(file, f"the steering message {expected} cannot be used: {fault}",
                        "correct the DBC (identifier, length, byte order, factor) or the signal table")
     found = "; ".join([", ".join(sorted({message for _, message in signals.signals})) or "none",

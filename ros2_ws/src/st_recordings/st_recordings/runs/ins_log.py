@@ -1,4 +1,4 @@
-"""INS measurements of any instrument in the axes of the suite, selection of usable time stamps, and vehicle speed."""
+"""INS measurements of any recording in the axes of the suite, selection of usable time stamps, and vehicle speed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,11 +17,8 @@ _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_fr
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
-MAX_LOST_SHARE = 0.01
-"""If a larger fraction of the rows is not later than all rows before, the clock was set back; only one part is used."""
-MAX_END_STEP = 10.0
-"""If the first or last time step exceeds the 95th percentile of all by a larger ratio, the first or last stamp is
-wrong."""
+MAX_LOST_SHARE = 0.01  # of the rows; if more have no later time than all before, the clock was set back
+MAX_END_STEP = 10.0  # 95th percentiles of all time steps; after a longer first or last step, that stamp is wrong
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
         notes.append(f"the clock was set back {times}by {back[0]:.3f} s: "
                      f"{format_share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{format_share(lost, n, what)} are not later than all before; they were left out")
+        notes.append(f"{format_share(lost, n, what)} have no later time than all before; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, notes

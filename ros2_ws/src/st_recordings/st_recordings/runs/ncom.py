@@ -85,8 +85,8 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = format_share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} are not later than all before but differ from them; they were left out; if two "
-                     "units were recorded, export the packets of one (tshark -Y 'ip.src == ADDRESS')")
+        notes.append(f"{file}: {count} have no later time than all before, but other content; they were left out; if "
+                     "two units were recorded, export the packets of one (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 
@@ -101,7 +101,7 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
 
 
 def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """Latest values from `decode_status_channel` at packets (n,) in ascending order, (n, k); NaN before the first."""
+    """(n, k) latest of the `values` sent in packets `sent_in`, at ascending packets (n,); NaN before the first."""
     if not len(sent_in):
         return np.full((len(packets), values.shape[1]), np.nan)
     newest = np.searchsorted(sent_in, packets, side="right") - 1
