@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
+from st_recordings.mcap import BagWriter
+
 DEFINITION = "# a number with a text\nint64 number\nstring text\n"
 TYPE = "demo_msgs/msg/Numbered"
 TYPE_HASH = "RIHS01_" + "ab" * 32
@@ -15,6 +17,10 @@ def numbered(number: int, text: str = "") -> bytes:
     """Serialises a demo_msgs/Numbered in little-endian CDR."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + struct.pack("<qI", number, len(data)) + data
+
+
+def add_numbered_topic(bag: BagWriter, topic: str = "/a") -> int:
+    return bag.add_topic(topic, TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
 
 
 def read_numbers(path: Path) -> dict[str, list[int]]:

@@ -1,4 +1,4 @@
-"""The bag writer: what other readers find, what survives a kill or a full disk, and what is refused."""
+"""The bag writer: what independent readers find, what remains after a kill or with a full disk, and what is refused."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers, read_numbers_with_mcap
+from bags import DEFINITION, TYPE, TYPE_HASH, add_numbered_topic, numbered, read_numbers, read_numbers_with_mcap
 from st_recordings.bag_metadata import Qos
 from st_recordings.mcap import FLUSH_PERIOD, BagWriter, recover
 
@@ -22,7 +22,7 @@ START_NS = 1_790_000_000_000_000_000
 
 def new_bag(directory: Path, *topics: str) -> tuple[BagWriter, list[int]]:
     bag = BagWriter(directory, {"configuration": {"hash": "0123", "vehicle": "mass: 1\nlength: 2\n"}})
-    return bag, [bag.add_topic(t, TYPE, definition=DEFINITION, type_hash=TYPE_HASH) for t in topics or ("/a",)]
+    return bag, [add_numbered_topic(bag, topic) for topic in topics or ("/a",)]
 
 
 def test_two_independent_readers_find_every_message(tmp_path: Path) -> None:
@@ -39,7 +39,7 @@ def test_two_independent_readers_find_every_message(tmp_path: Path) -> None:
     assert (bag.error, bag.lost) == ("", 0)
 
 
-def test_times_and_metadata_records_are_kept(tmp_path: Path) -> None:
+def test_file_contains_times_schema_and_metadata(tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
     bag, (a,) = new_bag(tmp_path / "bag")
@@ -60,7 +60,7 @@ def test_times_and_metadata_records_are_kept(tmp_path: Path) -> None:
     assert information["message_count"] == 1
 
 
-def test_metadata_yaml_is_that_of_a_jazzy_bag(tmp_path: Path) -> None:
+def test_metadata_yaml_equals_that_of_rosbag2_jazzy(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag")
     latched = Qos(durability="transient_local", depth=1)
     a = bag.add_topic("/a", TYPE, (latched,), DEFINITION, TYPE_HASH)
@@ -76,13 +76,13 @@ def test_metadata_yaml_is_that_of_a_jazzy_bag(tmp_path: Path) -> None:
         "files": [{"path": "bag_0.mcap", "starting_time": {"nanoseconds_since_epoch": START_NS},
                    "duration": {"nanoseconds": 2 * 10**9}, "message_count": 3}],
     }
-    never = {"sec": 9223372036, "nsec": 854775807}
+    infinite = {"sec": 9223372036, "nsec": 854775807}
     assert topic == {"message_count": 3, "topic_metadata": {
         "name": "/a", "type": TYPE, "serialization_format": "cdr", "type_description_hash": TYPE_HASH,
         "offered_qos_profiles": [{
             "history": "keep_last", "depth": 1, "reliability": "reliable", "durability": "transient_local",
-            "deadline": never, "lifespan": never, "liveliness": "automatic", "liveliness_lease_duration": never,
-            "avoid_ros_namespace_conventions": False}]}}
+            "deadline": infinite, "lifespan": infinite, "liveliness": "automatic",
+            "liveliness_lease_duration": infinite, "avoid_ros_namespace_conventions": False}]}}
 
 
 def test_messages_out_of_order_are_read_in_order(tmp_path: Path) -> None:
@@ -96,19 +96,19 @@ def test_messages_out_of_order_are_read_in_order(tmp_path: Path) -> None:
     assert read_numbers_with_mcap(bag.path) == {"/a": [0, 1, 2, 3], "/b": [3, 2, 1, 0]}
 
 
-def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
+def test_empty_bag_is_readable(tmp_path: Path) -> None:
     bag, _ = new_bag(tmp_path / "bag")
     bag.close()
-    bag.close()
+    bag.close()  # has no effect
     assert read_numbers(tmp_path / "bag") == {}
     assert read_numbers_with_mcap(bag.path) == {}
 
 
-def test_directory_with_content_is_never_touched(tmp_path: Path) -> None:
-    (tmp_path / "precious.txt").write_text("x")
+def test_directory_with_content_is_not_used(tmp_path: Path) -> None:
+    (tmp_path / "other.txt").write_text("x")
     with pytest.raises(FileExistsError, match="not overwritten"):
         BagWriter(tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
+    assert [p.name for p in tmp_path.iterdir()] == ["other.txt"]
 
 
 def test_empty_directory_is_used(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_empty_directory_is_used(tmp_path: Path) -> None:
     assert read_numbers(tmp_path) == {"/a": [5]}
 
 
-def test_place_that_cannot_be_written_is_an_error_at_the_start(tmp_path: Path) -> None:
+def test_unwritable_path_is_an_error_at_the_start(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(OSError, match="Not a directory"):
         BagWriter(tmp_path / "file" / "bag")
@@ -127,10 +127,10 @@ def test_place_that_cannot_be_written_is_an_error_at_the_start(tmp_path: Path) -
 WRITER = """
     import sys, time
     sys.path[:0] = {path!r}
-    from bags import DEFINITION, TYPE, TYPE_HASH, numbered
+    from bags import add_numbered_topic, numbered
     from st_recordings.mcap import BagWriter
     bag = BagWriter({directory!r})
-    a = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+    a = add_numbered_topic(bag)
     print("ready", flush=True)
     for k in range(100_000):
         bag.write(a, numbered(k, {text!r}), time.time_ns())
@@ -141,13 +141,13 @@ WRITER = """
 """
 
 
-def writer(directory: Path, text: str = "", pause: str = "pass", **options) -> subprocess.Popen:
+def start_writer(directory: Path, text: str = "", pause: str = "pass", **options) -> subprocess.Popen:
     program = textwrap.dedent(WRITER).format(path=sys.path, directory=str(directory), text=text, pause=pause)
     return subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, **options)
 
 
-def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
-    process = writer(tmp_path / "bag", pause="time.sleep(0.004); bag.flush_when_due()")
+def test_kill_loses_at_most_the_last_second(tmp_path: Path) -> None:
+    process = start_writer(tmp_path / "bag", pause="time.sleep(0.004); bag.flush_when_due()")
     assert process.stdout.readline() == "ready\n"
     time.sleep(3.0)
     killed_ns = time.time_ns()
@@ -161,7 +161,7 @@ def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
     assert read_numbers_with_mcap(tmp_path / "bag" / "bag_0.mcap") == {"/a": numbers}
 
 
-def test_bag_being_written_is_not_recovered(tmp_path: Path) -> None:
+def test_bag_that_is_still_recorded_is_not_recovered(tmp_path: Path) -> None:
     bag, (a,) = new_bag(tmp_path / "bag")
     bag.write(a, numbered(1), START_NS)
     bag.flush()
@@ -173,12 +173,12 @@ def test_bag_being_written_is_not_recovered(tmp_path: Path) -> None:
 
 
 def check_stopped_bag(process: subprocess.Popen, directory: Path) -> None:
-    """A bag that ran into a full disk: closed, readable as it is, and honest about what it lacks."""
+    """Recording that ran out of space: it is closed and readable, and reports the messages that were lost."""
     output, _ = process.communicate(timeout=60)
     error, count, lost = json.loads(output.splitlines()[-1])
     assert process.returncode == 0
     assert "recording stopped" in error
-    assert "recover" not in error  # it has its index
+    assert "recover" not in error  # it has an index
     numbers = read_numbers(directory)["/a"]
     assert numbers == list(range(len(numbers)))
     assert count == len(numbers) > 100
@@ -187,49 +187,47 @@ def check_stopped_bag(process: subprocess.Popen, directory: Path) -> None:
     assert not recover(directory).changed
 
 
-def test_file_size_limit_stops_the_recording_and_keeps_the_rest(tmp_path: Path) -> None:
+def test_file_size_limit_stops_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
     limit = 400_000
-    process = writer(tmp_path / "bag", text=os.urandom(200).hex(), pause="k % 500 or bag.flush()",
+    process = start_writer(tmp_path / "bag", text=os.urandom(200).hex(), pause="k % 500 or bag.flush()",
                      preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     check_stopped_bag(process, tmp_path / "bag")
     assert limit / 2 < (tmp_path / "bag" / "bag_0.mcap").stat().st_size <= limit
 
 
-def test_full_disk_stops_the_recording_and_keeps_the_rest(tmp_path: Path) -> None:
+def test_full_disk_stops_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(disk)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("cannot mount a small disk here (needs root); the file size limit is tested instead")
     try:
-        process = writer(disk / "bag", text="x" * 50, pause="k % 200 or bag.flush()")
+        process = start_writer(disk / "bag", text="x" * 50, pause="k % 200 or bag.flush()")
         check_stopped_bag(process, disk / "bag")
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-@pytest.mark.parametrize("back", [False, True], ids=["renamed", "and another of its name in its place"])
-def test_a_renamed_bag_is_noticed_and_closed_whole_where_it_is(tmp_path: Path, back: bool) -> None:
-    bag = BagWriter(tmp_path / "bag")
-    topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+@pytest.mark.parametrize("replaced", [False, True], ids=["renamed", "renamed and replaced"])
+def test_renamed_bag_is_detected_and_closed_under_its_new_name(tmp_path: Path, replaced: bool) -> None:
+    bag, (topic,) = new_bag(tmp_path / "bag")
     bag.write(topic, numbered(1), 1)
     bag.flush()
-    (tmp_path / "bag").rename(tmp_path / "kept")
-    if back:
+    (tmp_path / "bag").rename(tmp_path / "renamed")
+    if replaced:
         BagWriter(tmp_path / "bag").close()
     bag.write(topic, numbered(2), 2)
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
-    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'kept'}"
+    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'renamed'}"
     bag.write(topic, numbered(3), 3)
     bag.close()
     assert bag.lost == 1
-    assert read_numbers(tmp_path / "kept") == {"/a": [1, 2]}
+    assert read_numbers(tmp_path / "renamed") == {"/a": [1, 2]}
 
 
-def test_a_deleted_bag_is_noticed(tmp_path: Path) -> None:
-    bag = BagWriter(tmp_path / "bag")
-    topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
+def test_deleted_bag_is_detected(tmp_path: Path) -> None:
+    bag, (topic,) = new_bag(tmp_path / "bag")
     bag.write(topic, numbered(1), 1)
     shutil.rmtree(tmp_path / "bag")
     time.sleep(FLUSH_PERIOD)
