@@ -311,7 +311,7 @@ def test_unreadable_bags_are_refused_with_the_reason(tmp_path: Path) -> None:
         with pytest.raises(RunError, match=f"{name}: {message}"):
             read_bag(tmp_path / name)
     (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "metadata.yaml").write_text("nonsense: 1\n")
+    (tmp_path / "folder" / "metadata.yaml").write_text("unknown: 1\n")
     with pytest.raises(RunError, match="folder"):
         read_bag(tmp_path / "folder")
 

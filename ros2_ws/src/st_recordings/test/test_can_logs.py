@@ -1,4 +1,4 @@
-"""CAN logs: the real CANedge2 file frame for frame, both layouts, splits, cut and foreign files, other formats."""
+"""CAN logs: a real CANedge2 file frame by frame, both MF4 layouts, splits, truncated files, other formats."""
 
 import csv
 import struct
@@ -20,22 +20,23 @@ START_NS = 1_700_000_000_000_000_000
 COLUMNS = ("time_ns", "id", "payload", "length", "bus", "flags")
 
 
-def same(one: Frames, other: Frames) -> bool:
+def equal_frames(one: Frames, other: Frames) -> bool:
     return len(one) == len(other) and all((getattr(one, c) == getattr(other, c)).all() for c in COLUMNS)
 
 
-def some_frames(n: int, start_us: int = 0, seed: int = 0) -> list[LogFrame]:
-    random = np.random.default_rng(seed)
+def make_frames(n: int) -> list[LogFrame]:
+    """Frames of three identifiers on two buses, 0.5 ms apart."""
+    random = np.random.default_rng(0)
     kinds = ((0x002, 5, False), (0x604, 8, False), (0x18DAF110, 3, True))
     frames = []
     for k in range(n):
         identifier, size, extended = kinds[k % 3]
-        frames.append(LogFrame(start_us + 500 * k, 1 + k % 2, identifier, random.bytes(size), extended, k % 7 == 0))
+        frames.append(LogFrame(500 * k, 1 + k % 2, identifier, random.bytes(size), extended, k % 7 == 0))
     return frames
 
 
 @pytest.mark.parametrize("which", SETS)
-def test_the_real_file_frame_for_frame(which: str) -> None:
+def test_real_file_frame_by_frame(which: str) -> None:
     log = read_mf4(vectors(which, REAL))
     frames = log.frames
     with vectors(which, REAL.replace(".MF4", ".frames.csv")).open() as stream:
@@ -47,40 +48,39 @@ def test_the_real_file_frame_for_frame(which: str) -> None:
             str(int(frames.id[k] & EXTENDED != 0)), int(frames.id[k] & 0x1FFFFFFF), str(frames.length[k]),
             frames.payload[k, : frames.length[k]].tobytes().hex().upper(),
         )
-        wanted = (row["t_rel_s"], row["bus"], row["dir_tx"], row["ide"], int(row["id_hex"], 16), row["len"],
-                  row["data_hex"])
-        assert found == wanted, f"frame {k}"
+        reference = (row["t_rel_s"], row["bus"], row["dir_tx"], row["ide"], int(row["id_hex"], 16), row["len"],
+                     row["data_hex"])
+        assert found == reference, f"frame {k}"
 
 
 @pytest.mark.parametrize(("which", "middle"), [("kept", 20_000), ("whole", 60_000)])
-def test_the_real_file_cut_anywhere_gives_the_frames_before_the_cut(which: str, middle: int, tmp_path: Path) -> None:
-    whole = read_mf4(vectors(which, REAL)).frames
+def test_truncated_real_file_gives_the_frames_before_its_end(which: str, middle: int, tmp_path: Path) -> None:
+    complete = read_mf4(vectors(which, REAL)).frames
     content = vectors(which, REAL).read_bytes()
-    file = tmp_path / "cut.MF4"
+    file = tmp_path / "truncated.MF4"
     counts = []
     for end in [*range(middle, middle + 37), *range(len(content) - 37, len(content)), 16_000, 5 * len(content) // 7]:
         file.write_bytes(content[:end])
         frames = read_mf4(file).frames
-        assert same(frames, whole.select(slice(0, len(frames)))), f"cut at {end}"
+        assert equal_frames(frames, complete.select(slice(0, len(frames)))), f"truncated at byte {end}"
         counts.append(len(frames))
     assert counts[:37] == sorted(counts[:37])
     assert counts[36] - counts[0] in (1, 2)  # 37 bytes are one frame and its payload
-    assert len(whole) - 3 <= min(counts[37:74]) <= max(counts[37:74]) <= len(whole)
+    assert len(complete) - 3 <= min(counts[37:74]) <= max(counts[37:74]) <= len(complete)
 
 
-def test_a_file_cut_inside_its_index_says_so(tmp_path: Path) -> None:
-    drive = KEPT / "can/synthetic_leaf_rt.mf4"
-    for content in ((KEPT / REAL).read_bytes()[:5000], drive.read_bytes()[:-5000]):
-        file = tmp_path / "cut.MF4"
-        file.write_bytes(content)
-        with pytest.raises(RunError, match=r"cut\.MF4: the file is truncated or damaged: .* copy it again from the"):
-            read_mf4(file)
+@pytest.mark.parametrize(("name", "end"), [(REAL, 5000), ("can/synthetic_leaf_rt.mf4", -5000)])
+def test_file_truncated_inside_its_index_is_refused(tmp_path: Path, name: str, end: int) -> None:
+    file = tmp_path / "truncated.MF4"
+    file.write_bytes((KEPT / name).read_bytes()[:end])
+    with pytest.raises(RunError, match=r"truncated\.MF4: the file is truncated or damaged: .* copy it again from the"):
+        read_mf4(file)
 
 
-def test_layout_2_of_later_firmware(tmp_path: Path) -> None:
-    frames = some_frames(600)
+def test_layout_2_of_firmware_01_07(tmp_path: Path) -> None:
+    frames = make_frames(600)
     shuffled = [frames[k] for k in np.random.default_rng(1).permutation(600)]
-    in_groups = sorted(shuffled, key=lambda f: (f.group, f.microseconds))  # order holds within a group only
+    in_groups = sorted(shuffled, key=lambda f: (f.group, f.microseconds))  # times are in order only within a group
     log = read_can_logs([write_layout_2(tmp_path / "00000001.MF4", START_NS, in_groups)])
     assert log.start_ns == START_NS
     assert np.array_equal(log.frames.time_ns, [START_NS + f.microseconds * 1000 for f in frames])
@@ -91,40 +91,39 @@ def test_layout_2_of_later_firmware(tmp_path: Path) -> None:
     assert np.array_equal(log.frames.flags & SENT != 0, [f.sent for f in frames])
 
 
-def test_splits_of_a_session_are_joined_in_time(tmp_path: Path) -> None:
+def test_splits_of_a_session_are_joined_in_order_of_time(tmp_path: Path) -> None:
     session = tmp_path / "LOG" / "2F6913DB" / "00000004"
     session.mkdir(parents=True)
-    frames = some_frames(900)
+    frames = make_frames(900)
     names = ("00000001.MF4", "00000002-6099D010.MF4", "00000003.MF4")
     files = [write_layout_2(session / name, START_NS, frames[300 * k : 300 * (k + 1)]) for k, name in enumerate(names)]
     log = read_can_logs([files[2], files[0], files[1]])
     assert np.array_equal(log.frames.time_ns, [START_NS + f.microseconds * 1000 for f in frames])
     assert not log.warnings
-    with_a_gap = read_can_logs([files[0], files[2]])
-    assert len(with_a_gap.frames) == 600
-    assert "files of the session are missing: 2" in with_a_gap.warnings[0]
-    again = read_can_logs([*files, write_layout_2(session / "00000003-60AA0000.MF4", START_NS, frames[600:])])
-    assert len(again.frames) == 900
-    assert "300 frames are in the logs more than once" in again.warnings[0]
+    incomplete = read_can_logs([files[0], files[2]])
+    assert len(incomplete.frames) == 600
+    assert "files of the session are missing: 2" in incomplete.warnings[0]
+    repeated = read_can_logs([*files, write_layout_2(session / "00000003-60AA0000.MF4", START_NS, frames[600:])])
+    assert len(repeated.frames) == 900
+    assert "300 frames are in the logs more than once" in repeated.warnings[0]
 
 
-def test_names_of_sessions() -> None:
+def test_session_and_number_follow_from_the_path() -> None:
     assert parse_session(Path("LOG/2F6913DB/00000004/00000012.MF4")) == ("LOG/2F6913DB/00000004", 12)
     assert parse_session(Path("00000007/00000001-6099D010.MF4")) == ("00000007", 1)
     assert parse_session(Path("x/canedge2_2F6913DB_00000004_00000003.MF4")) == ("x/canedge2_2F6913DB_00000004", 3)
     assert parse_session(Path("drive.mf4")) == ("drive.mf4", 1)
 
 
-def test_a_bad_file_among_good_ones_costs_a_warning(tmp_path: Path) -> None:
-    good = write_layout_2(tmp_path / "a.MF4", START_NS, some_frames(100))
+def test_unreadable_file_among_others_causes_a_warning(tmp_path: Path) -> None:
+    readable = write_layout_2(tmp_path / "a.MF4", START_NS, make_frames(100))
     (tmp_path / "b.MF4").write_bytes(b"")
-    log = read_can_logs([good, tmp_path / "b.MF4"])
+    log = read_can_logs([readable, tmp_path / "b.MF4"])
     assert len(log.frames) == 100
     assert "b.MF4: the file is empty" in log.warnings[0]
 
 
 def test_frames_marked_as_invalid_are_left_out(tmp_path: Path) -> None:
-    from asammdf import MDF, Signal
     numbers = np.arange(100)
     rows = np.zeros(100, [("CAN_DataFrame.ID", "<u4"), ("CAN_DataFrame.DLC", "u1"),
                           ("CAN_DataFrame.DataBytes", "(8,)u1")])
@@ -137,8 +136,8 @@ def test_frames_marked_as_invalid_are_left_out(tmp_path: Path) -> None:
     assert "7 of 100 frames (7 %) are marked as invalid by the logger" in log.warnings[0]
 
 
-def test_a_clock_set_back_on_the_way_goes_on(tmp_path: Path) -> None:
-    frames = some_frames(400)
+def test_times_after_the_clock_was_set_back_are_moved_forward(tmp_path: Path) -> None:
+    frames = make_frames(400)
     file = tmp_path / "back.log"
     times = [2000 + f.microseconds * 1e-6 - (1.5 if k >= 200 else 0) for k, f in enumerate(frames)]
     file.write_text("".join(f"({t:.6f}) can0 {f.identifier & 0x7FF:03X}#{f.data.hex()}\n"
@@ -150,7 +149,7 @@ def test_a_clock_set_back_on_the_way_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", [".mfc", ".mfe", ".mfm", ".MF4"])
-def test_the_makers_container_is_refused_with_the_name_of_its_converter(tmp_path: Path, extension: str) -> None:
+def test_compressed_or_encrypted_logger_file_is_refused_with_its_converter(tmp_path: Path, extension: str) -> None:
     file = tmp_path / f"00000001{extension}"
     file.write_bytes(b"Generic File" + bytes(100))
     with pytest.raises(RunError, match=r"container format of CSS Electronics, .*; convert it with their mdf2finalized"):
@@ -158,8 +157,8 @@ def test_the_makers_container_is_refused_with_the_name_of_its_converter(tmp_path
 
 
 @pytest.mark.parametrize("extension", [".log", ".asc", ".blf", ".trc"])
-def test_formats_of_python_can(tmp_path: Path, extension: str) -> None:
-    frames = some_frames(300)
+def test_logs_written_by_python_can(tmp_path: Path, extension: str) -> None:
+    frames = make_frames(300)
     file = tmp_path / f"drive{extension}"
     with can.Logger(file) as writer:
         for f in frames:
@@ -171,8 +170,8 @@ def test_formats_of_python_can(tmp_path: Path, extension: str) -> None:
     assert np.array_equal(found.id, [f.identifier | (EXTENDED if f.extended else 0) for f in frames])
     assert [bytes(p[:n]) for p, n in zip(found.payload, found.length, strict=True)] == [f.data for f in frames]
     # ASC and TRC have milliseconds and fractions of them, and a start in local time.
-    since = (found.time_ns - found.time_ns[0]) // 1000
-    assert np.abs(since - [f.microseconds for f in frames]).max() <= 100
+    elapsed_us = (found.time_ns - found.time_ns[0]) // 1000
+    assert np.abs(elapsed_us - [f.microseconds for f in frames]).max() <= 100
     if extension in (".log", ".blf"):
         assert found.time_ns[0] == START_NS
         assert np.array_equal(found.bus, [f.bus for f in frames])
@@ -190,7 +189,7 @@ ASC = "  1  2             Rx   d 3 01 02 03\n"
     ("a.asc", [DATE, "base hex  timestamps relative\n", *(f"   {0.1 * (k > 0):.6f}{ASC}" for k in range(3))]),
     ("a.asc", [DATE, "base hex  timestamps absolute\n", *(f"   0,{k}00000{ASC}" for k in range(3))]),
 ])
-def test_variants_of_text_logs(tmp_path: Path, name: str, lines: list[str]) -> None:
+def test_variants_of_candump_and_asc(tmp_path: Path, name: str, lines: list[str]) -> None:
     (tmp_path / name).write_text("".join(lines))
     frames = read_can_logs([tmp_path / name]).frames
     assert np.diff(frames.time_ns).tolist() == [10**8, 10**8] and frames.id.tolist() == [2, 2, 2]
@@ -198,13 +197,13 @@ def test_variants_of_text_logs(tmp_path: Path, name: str, lines: list[str]) -> N
     assert name != "a.log" or frames.time_ns[0] == 1_436_509_052_000_000_000
 
 
-def test_a_candump_that_begins_at_0_with_a_coarse_clock_has_times_and_no_steps(tmp_path: Path) -> None:
+def test_candump_with_a_coarse_clock_from_0_is_not_read_as_time_steps(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("".join(f" (000.{k // 3:03d}000)  can0  002   [1]  01\n" for k in range(600)))
     frames = read_can_logs([tmp_path / "a.log"]).frames
     assert frames.time_ns[-1] - frames.time_ns[0] == 199_000_000
 
 
-def test_a_date_of_a_code_page_far_behind_the_head(tmp_path: Path) -> None:
+def test_asc_date_in_a_code_page_far_behind_the_header(tmp_path: Path) -> None:
     begin = "Begin Triggerblock Mon {} 4 {} am 2024\n"
     lines = ["date Mon Mar 4 10:11:12 am 2024\n", "base hex  timestamps absolute\n", begin.format("Mar", "10:11:12"),
              *(f"   {k / 1000:.6f}{ASC}" for k in range(3000)), begin.format("M\u00e4r", "10:21:12"),
@@ -220,14 +219,14 @@ def test_candump_without_times_is_refused(tmp_path: Path) -> None:
         read_can_logs([tmp_path / "a.log"])
 
 
-def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -> None:
+def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> None:
     content = "(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D000007B1\n"
     file = tmp_path / "drive.asc"
     file.write_text(content)
     log = read_can_logs([file])
     assert len(log.frames) == 2
     assert "is a candump log with the extension .asc" in log.warnings[0]
-    mf4 = write_layout_2(tmp_path / "drive.log", START_NS, some_frames(10))
+    mf4 = write_layout_2(tmp_path / "drive.log", START_NS, make_frames(10))
     assert len(read_can_logs([mf4]).frames) == 10
 
 
@@ -238,25 +237,25 @@ def test_a_log_under_the_wrong_extension_is_read_as_what_it_is(tmp_path: Path) -
         ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
         ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
         ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
-        ("nothing.log", b"(1.0) can0 002#nonsense\n", "it contains no usable frames"),
+        ("nothing.log", b"(1.0) can0 002#not hexadecimal\n", "it contains no usable frames"),
     ],
 )
-def test_files_that_are_no_log(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+def test_file_that_is_not_a_can_log_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     file = tmp_path / name
     file.write_bytes(content)
     with pytest.raises(RunError, match=rf"{name}: ({message})"):
         read_can_logs([file])
 
 
-def test_a_cut_text_log_is_read_up_to_there(tmp_path: Path) -> None:
-    file = tmp_path / "cut.log"
+def test_truncated_last_line_is_skipped_with_a_warning(tmp_path: Path) -> None:
+    file = tmp_path / "truncated.log"
     file.write_text("(1700000000.000000) can0 002#1D000007B0\n(1700000000.010000) can0 002#1D0000\n(17000000")
     log = read_can_logs([file])
     assert len(log.frames) == 2
     assert "1 of 3 lines (33 %) cannot be read and were skipped; the first is line 3" in log.warnings[0]
 
 
-def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
+def test_mf4_without_can_frames_is_refused(tmp_path: Path) -> None:
     file = write_layout_2(tmp_path / "quiet.MF4", START_NS, [])
     with pytest.raises(RunError, match=r"quiet\.MF4: the log contains no CAN frames"):
         read_can_logs([file])
@@ -266,7 +265,7 @@ def test_an_mf4_without_can_frames(tmp_path: Path) -> None:
     ("4.10", "the log contains no raw CAN frames, only decoded signals: SteeringWheelAngle; .*CSV"),
     ("3.30", r"this is MDF version 3.30; only version 4 can be read; convert it with asammdf"),
 ])
-def test_mdf_of_decoded_signals(tmp_path: Path, version: str, message: str) -> None:
+def test_mdf_of_decoded_signals_or_of_version_3_is_refused(tmp_path: Path, version: str, message: str) -> None:
     with MDF(version=version) as log:
         log.append([Signal(np.sin(np.arange(9.0)), np.arange(9.0), name="SteeringWheelAngle", unit="deg")])
         file = log.save(tmp_path / "decoded.mf4")
@@ -274,7 +273,7 @@ def test_mdf_of_decoded_signals(tmp_path: Path, version: str, message: str) -> N
         read_can_logs([Path(file)])
 
 
-def test_long_frames_are_kept(tmp_path: Path) -> None:
+def test_fd_frames_of_64_bytes(tmp_path: Path) -> None:
     file = tmp_path / "fd.log"
     file.write_text(f"(1700000000.000000) can0 123##1{'AB' * 64}\n(1700000000.100000) can0 002#1D000007B0\n")
     frames = read_can_logs([file]).frames
@@ -284,12 +283,12 @@ def test_long_frames_are_kept(tmp_path: Path) -> None:
     assert struct.unpack("<h", frames.payload[1, :2].tobytes()) == (29,)
 
 
-@pytest.mark.parametrize("at", [0, 40, 99])
+@pytest.mark.parametrize("number", [0, 40, 99])
 @pytest.mark.parametrize("stamp", ["nan", "-5.0", "0.5", "4100000000.0", "1" + "0" * 300])
-def test_a_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, stamp: str, at: int) -> None:
+def test_frame_with_an_impossible_time_is_skipped_and_counted(tmp_path: Path, stamp: str, number: int) -> None:
     lines = [f"({1_700_000_000 + 0.01 * k:.6f}) can0 123#{k:02X}" for k in range(100)]
-    lines[at] = f"({stamp}) can0 123#FF"
+    lines[number] = f"({stamp}) can0 123#FF"
     (tmp_path / "log.log").write_text("\n".join(lines) + "\n")
     log = read_can_logs([tmp_path / "log.log"])
-    np.testing.assert_array_equal(log.frames.payload[:, 0], np.delete(np.arange(100), at))
+    np.testing.assert_array_equal(log.frames.payload[:, 0], np.delete(np.arange(100), number))
     assert log.warnings == (f"{tmp_path / 'log.log'}: frames with an impossible time were skipped: 1",)

@@ -1,4 +1,5 @@
-"""Odometry as the import writes it: orientation and covariances as the live bridge's own functions give them."""
+"""Imported odometry: orientation, velocity and covariances of all packets equal those of the live bridge, packet by
+packet."""
 
 import numpy as np
 import pytest
@@ -30,27 +31,23 @@ def ins(tmp_path_factory: pytest.TempPathFactory) -> NcomLog:
     return read_ncom(file)
 
 
-def test_quaternions_of_the_bridge(ins: NcomLog) -> None:
-    found = np.stack(Attitude(ins.yaw, ins.pitch, ins.roll).to_quaternion(), axis=1)
-    columns = ins.columns
-    for k, row in enumerate(ins.rows):
-        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
-        np.testing.assert_allclose(found[k], attitude.to_quaternion(), atol=1e-12)
+def live_attitude(ins: NcomLog, row: int) -> Attitude:
+    return Attitude.from_ned(ins.columns.heading[row], ins.columns.pitch[row], ins.columns.roll[row])
 
 
-def test_velocities_of_the_bridge(ins: NcomLog) -> None:
-    columns = ins.columns
+def test_orientation_and_velocity_equal_those_of_the_bridge(ins: NcomLog) -> None:
+    quaternions = np.stack(Attitude(ins.yaw, ins.pitch, ins.roll).to_quaternion(), axis=1)
     for k, row in enumerate(ins.rows):
-        north, east, down = columns.velocity_ned[:, row]
-        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
+        attitude = live_attitude(ins, row)
+        np.testing.assert_allclose(quaternions[k], attitude.to_quaternion(), atol=1e-12)
+        north, east, down = ins.columns.velocity_ned[:, row]
         np.testing.assert_allclose(ins.velocity[:, k], attitude.to_body((east, north, -down)), atol=1e-12)
 
 
-def test_covariances_of_the_bridge(ins: NcomLog) -> None:
+def test_covariances_equal_those_of_the_bridge(ins: NcomLog) -> None:
     pose, twist = Covariances(ins.columns).compute(ins, slice(0, 40))
     for k in range(40):
-        columns, row = ins.columns, int(ins.rows[k])
-        attitude = Attitude.from_ned(columns.heading[row], columns.pitch[row], columns.roll[row])
+        attitude = live_attitude(ins, int(ins.rows[k]))
         expected_pose, expected_twist = np.zeros((6, 6)), np.zeros((6, 6))
         expected_pose[range(6), range(6)] = expected_twist[range(6), range(6)] = UNKNOWN_VARIANCE
         if k >= 10:
@@ -60,5 +57,6 @@ def test_covariances_of_the_bridge(ins: NcomLog) -> None:
         if k >= 12:
             expected_pose[3:, 3:] = np.reshape(
                 attitude.rotate_orientation_covariance(tuple(np.radians([0.05, 0.1, 0.2])**2)), (3, 3))
-        np.testing.assert_allclose(pose[k].reshape(6, 6), expected_pose, rtol=0.02, atol=1e-12)  # sent in 1e-5 rad
+        # The unit sends angle accuracies in steps of 1e-5 rad.
+        np.testing.assert_allclose(pose[k].reshape(6, 6), expected_pose, rtol=0.02, atol=1e-12)
         np.testing.assert_allclose(twist[k].reshape(6, 6), expected_twist, rtol=1e-3, atol=1e-12)

@@ -1,4 +1,4 @@
-"""CSV drives: the Genesis recordings, and files that are nearly right."""
+"""Drives in CSV files: a real recording, faulty rows, times and units in unusual forms."""
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -26,7 +26,7 @@ def write(folder: Path, lines: list[str], end: str = "\n", name: str = "drive.cs
     return file
 
 
-def test_a_real_drive() -> None:
+def test_real_drive() -> None:
     drive = read_csv(EXAMPLES / "rfs_turn_a.csv")
     log, warnings = drive.log, drive.warnings
     assert (len(log.ins_time_ns), log.duration) == (2026, pytest.approx(40.51, abs=1e-6))
@@ -38,25 +38,25 @@ def test_a_real_drive() -> None:
 
 
 @pytest.mark.parametrize("length", [0.0, 0.5, 1.0, 3.0])
-def test_yaw_of_quaternions_that_are_not_of_length_one(length: float) -> None:
-    turns = Rotation.from_euler("ZYX", [[0.8, 0.1, -0.2], [-3.0, -0.3, 0.1]])
-    found = yaw_from_quaternion(*(length * turns.as_quat().T))
-    np.testing.assert_allclose(found, [0.8, -3.0] if length else [np.nan, np.nan])
+def test_yaw_of_quaternions_does_not_depend_on_their_length(length: float) -> None:
+    rotations = Rotation.from_euler("ZYX", [[0.8, 0.1, -0.2], [-3.0, -0.3, 0.1]])
+    yaw = yaw_from_quaternion(*(length * rotations.as_quat().T))
+    np.testing.assert_allclose(yaw, [0.8, -3.0] if length else [np.nan, np.nan])
 
 
-def test_an_ins_log_for_alignment() -> None:
+def test_table_without_positions_gives_an_ins_log_for_alignment() -> None:
     file = KEPT / "can/synthetic_rt_own_log.csv"
     ins = build_ins_log(read_table(file, Layout()), MOTION_SIGNALS)
     assert not ins.absolute
-    turning = np.gradient(np.unwrap(ins.yaw), ins.time_ns * 1e-9)
-    assert ins.rate[2].max() == pytest.approx(turning.max(), rel=0.01)
+    yaw_rate = np.gradient(np.unwrap(ins.yaw), ins.time_ns * 1e-9)
+    assert ins.rate[2].max() == pytest.approx(yaw_rate.max(), rel=0.01)
     assert not has_drive_columns(file)
 
 
-def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_unusable_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     lines = rows(100)
-    lines[50] = lines[49]  # twice
-    lines[60] = lines[60].replace("10,0,0.01", ",0,0.01")  # a hole
+    lines[50] = lines[49]  # repeated
+    lines[60] = lines[60].replace("10,0,0.01", ",0,0.01")  # a missing value
     drive = read_csv(write(tmp_path, [HEADER, *lines, "2.0"], end=""))
     log, warnings = drive.log, drive.warnings
     assert len(log.ins_time_ns) == 98
@@ -68,11 +68,9 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path) -> No
 
 
 def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
-    names = HEADER.split(",")
     order = [3, 0, 9, 1, 2, 4, 5, 6, 7, 8]
     lines = [";".join(np.array(line.split(","))[order]) for line in [HEADER, *rows(20)]]
     log = read_csv(write(tmp_path, lines)).log
-    assert names[3] == "yaw"
     assert (log.yaw == 0.1).all()
     assert (log.road_wheel_angle == 0.002).all()
 
@@ -88,12 +86,12 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
         ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
     ],
 )
-def test_files_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
+def test_unusable_file_is_refused(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
         read_csv(write(tmp_path, lines))
 
 
-def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
+def test_times_in_days_of_a_spreadsheet(tmp_path: Path) -> None:
     days = [f"{46146.43 + 0.02 * k / 86400:.9f},{line.partition(',')[2]}" for k, line in enumerate(rows(100))]
     file = write(tmp_path, ["DateTime," + HEADER.partition(",")[2], *days])
     drive = read_csv(file)
@@ -103,40 +101,40 @@ def test_times_as_a_spreadsheet_stores_them(tmp_path: Path) -> None:
     assert "days of a spreadsheet" in drive.warnings[0]
 
 
-def test_an_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:
+def test_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:
     lines = [",".join([*(row := line.split(","))[:1], *(row[1:3] if k % 20 == 0 else ("", "")), *row[3:]])
              for k, line in enumerate(rows(400))]
     ins = build_ins_log(read_table(write(tmp_path, [HEADER, *lines]), Layout()), MOTION_SIGNALS)
     assert len(ins.time_ns) == 400 and "x 20 of 400 rows (5 %), y 20 of 400 rows (5 %)" in "".join(ins.warnings)
 
 
-def test_velocities_to_east_and_north_need_the_yaw(tmp_path: Path) -> None:
+def test_east_and_north_velocities_require_the_yaw(tmp_path: Path) -> None:
     lines = [f"{0.02 * k:.2f},10,1,0.01" for k in range(100)]
     table = read_table(write(tmp_path, ["t,velocity_east,velocity_north,yaw_rate", *lines]), Layout())
     with pytest.raises(RunError, match="velocity_x"):
         build_ins_log(table, MOTION_SIGNALS)
 
 
-def test_a_clock_of_tenths_of_a_second_is_not_one_of_days(tmp_path: Path) -> None:
+def test_seconds_in_steps_of_tenths_are_not_days_of_a_spreadsheet(tmp_path: Path) -> None:
     lines = [f"{40000.0 + k // 10 * 0.1:.1f},{0.1 * k:.3f},0,0.1,10,0,0.01,0,0,0.002" for k in range(600)]
     log = read_csv(write(tmp_path, [HEADER, *lines])).log
     assert log.duration == pytest.approx(5.9, abs=0.01)
 
 
-def test_hours_and_minutes_are_not_minutes_and_seconds(tmp_path: Path) -> None:
+def test_times_without_seconds_are_refused(tmp_path: Path) -> None:
     lines = [f"04.05.2026 10:{k // 60:02d}," + line.split(",", 1)[1] for k, line in enumerate(rows(180))]
     with pytest.raises(RunError, match=r"no time in column t can be read; the first is '04\.05\.2026 10:00'; export"):
         read_csv(write(tmp_path, [HEADER, *lines]))
 
 
-def test_a_held_position_behind_lost_rows_has_no_known_time(tmp_path: Path) -> None:
+def test_first_new_position_after_lost_rows_is_not_interpolated_to(tmp_path: Path) -> None:
     lines = [f"{0.01 * k:.3f},{0.2 * (k // 10 * 10):.3f},0,0,20,0,0,0,0,0" for k in range(400)]
     del lines[118:128], lines[239:244]
     log = read_csv(write(tmp_path, [HEADER, *lines])).log
     np.testing.assert_allclose(log.x, 20.0 * log.ins_time_ns * 1e-9, atol=1e-6)
 
 
-def test_times_that_repeat_and_never_go_back(tmp_path: Path) -> None:
+def test_rows_with_repeated_times_are_left_out(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))
     assert len(drive.log.ins_time_ns) == 40
@@ -144,27 +142,27 @@ def test_times_that_repeat_and_never_go_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", [f"[],{','.join(['[m]'] * 2)},[rad],,,,,,[deg]", "-,m,m,rad,,,,,,deg"])
-def test_a_row_of_units_with_none_for_the_time(tmp_path: Path, row: str) -> None:
+def test_row_of_units_without_a_unit_of_time(tmp_path: Path, row: str) -> None:
     log = read_csv(write(tmp_path, [HEADER, row, *rows(20)])).log
     assert len(log.x) == 20 and log.road_wheel_angle[0] == pytest.approx(np.deg2rad(0.002))
 
 
 @pytest.mark.parametrize("named", ["EPS_Pos", "EPS_Pos [deg]", "eps pos"])
 @pytest.mark.parametrize("column", ["EPS_Pos [deg]", "EPS_Pos"])
-def test_a_named_column_with_and_without_its_unit(tmp_path: Path, named: str, column: str) -> None:
+def test_layout_names_a_column_with_or_without_its_unit(tmp_path: Path, named: str, column: str) -> None:
     file = write(tmp_path, [HEADER.replace("delta", column), *rows(20)])
     log = read_csv(file, layout=Layout({"road_wheel_angle": named})).log
     degrees = "deg" in named or "deg" in column
     assert log.road_wheel_angle[0] == pytest.approx(0.002 * (np.pi / 180 if degrees else 1.0))
 
 
-def test_a_table_without_steering_is_answered_with_its_option(tmp_path: Path) -> None:
+def test_table_without_steering_is_refused_with_the_option_that_names_it(tmp_path: Path) -> None:
     file = write(tmp_path, [HEADER.replace("delta", "EPS_Pos"), *rows(20)])
     with pytest.raises(RunError, match=r"recognised as road_wheel_angle \(or steering_wheel_angle\).*--steering-field"):
         read_csv(file)
 
 
-def test_a_binary_file_called_csv(tmp_path: Path) -> None:
+def test_binary_file_with_the_extension_csv_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "drive.csv"
     file.write_bytes(b"\xe7\xff\x80" * 100)
     with pytest.raises(RunError, match="this is not a text file"):

@@ -1,4 +1,4 @@
-"""Definitions and hashes read from the installed packages against an independent implementation (rosbags)."""
+"""Message definitions and hashes of the installed packages against an independent implementation (rosbags)."""
 
 import pytest
 
@@ -13,17 +13,17 @@ STANDARD = [
     "nav_msgs/msg/Odometry", "nav_msgs/msg/Path", "diagnostic_msgs/msg/DiagnosticArray", "tf2_msgs/msg/TFMessage",
     "sensor_msgs/msg/Imu", "rcl_interfaces/msg/Log",
 ]
-OURS = ["Prediction", "PredictionError", "ErrorSummary", "Steering", "Ncom", "CanFrames", "InsStatus", "Trigger"]
+ST_MSGS = ["Prediction", "PredictionError", "ErrorSummary", "Steering", "Ncom", "CanFrames", "InsStatus", "Trigger"]
 
 
 @pytest.mark.parametrize("name", STANDARD)
-def test_hash_is_the_one_of_the_distribution(name: str) -> None:
+def test_hash_equals_that_of_the_distribution(name: str) -> None:
     assert read_type_hash(name) == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)
 
 
-@pytest.mark.parametrize("name", STANDARD + [f"st_msgs/msg/{n}" for n in OURS])
+@pytest.mark.parametrize("name", STANDARD + [f"st_msgs/msg/{n}" for n in ST_MSGS])
 def test_hash_follows_from_the_definition(name: str) -> None:
-    """The text alone, with all it names, gives the hash the package was built with."""
+    """The text with all types that it contains gives the hash of the installed package."""
     store = get_typestore(Stores.EMPTY)
     parts = read_definition(name).split(f"{TYPE_SEPARATOR}\n")
     texts = {name: parts[0]}
@@ -37,7 +37,7 @@ def test_hash_follows_from_the_definition(name: str) -> None:
     assert store.hash_rihs01(name) == read_type_hash(name)
 
 
-def test_type_that_is_not_installed_is_named() -> None:
+def test_type_that_is_not_installed_is_refused() -> None:
     with pytest.raises(UnknownTypeError, match="no_such_msgs/msg/Thing is not installed"):
         read_definition("no_such_msgs/msg/Thing")
     with pytest.raises(UnknownTypeError, match="nav_msgs/msg/Thing"):

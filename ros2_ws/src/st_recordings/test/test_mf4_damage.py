@@ -1,4 +1,4 @@
-"""MF4 logs whose description is damaged: one sentence, before asammdf believes it."""
+"""MF4 logs with damaged block descriptions: refused in one sentence before asammdf reads them."""
 
 import math
 import struct
@@ -16,37 +16,37 @@ START_NS = 1_700_000_000_000_000_000
 FRAMES = [LogFrame(500 * k, 1, 0x002, bytes(5)) for k in range(20)]
 
 
-def link(data: bytes, at: int, number: int) -> int:
-    return struct.unpack_from("<Q", data, at + 24 + 8 * number)[0]
+def read_link(data: bytes, block: int, number: int) -> int:
+    return struct.unpack_from("<Q", data, block + 24 + 8 * number)[0]
 
 
-def places(data: bytes) -> dict[str, int]:
-    """Where the blocks of the first group are, and its numbers in them."""
-    groups = link(data, 64, 0)
-    group = link(data, groups, 1)
-    time = link(data, group, 1)
-    frame = link(data, time, 0)
-    member, conversion, records = link(data, frame, 1), link(data, time, 4), link(data, groups, 2)
+def find_offsets(data: bytes) -> dict[str, int]:
+    """Byte offsets of the blocks of the first group and of numbers in them."""
+    groups = read_link(data, 64, 0)
+    group = read_link(data, groups, 1)
+    time = read_link(data, group, 1)
+    frame = read_link(data, time, 0)
+    member, conversion, records = read_link(data, frame, 1), read_link(data, time, 4), read_link(data, groups, 2)
     return {
         "next data group": groups + 24, "size of identifiers": groups + 56, "next group": group + 24,
         "count": group + 80, "flags": group + 88, "size": group + 96, "next channel": time + 24, "kind": time + 88,
         "type of time": time + 90,
         "times": conversion + 80, "factor": conversion + 88, "byte": member + 92, "bits": member + 96,
-        "bit": member + 91, "data type": member + 90, "name": link(data, member, 2) + 24, "frame": frame,
+        "bit": member + 91, "data type": member + 90, "name": read_link(data, member, 2) + 24, "frame": frame,
         "composition": frame + 32, "data group": groups, "records": records,
     }
 
 
-def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
+def write_damaged(tmp_path: Path, field: str, layout: str, value: object) -> Path:
     file = write_layout_2(tmp_path / "log.MF4", START_NS, FRAMES)
     data = bytearray(file.read_bytes())
-    struct.pack_into(layout, data, places(data)[place], value)
+    struct.pack_into(layout, data, find_offsets(data)[field], value)
     file.write_bytes(data)
     return file
 
 
 @pytest.mark.parametrize(
-    ("place", "layout", "value", "what"),
+    ("field", "layout", "value", "error"),
     [
         ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record of 21 bytes"),
         ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
@@ -69,18 +69,18 @@ def damaged(tmp_path: Path, place: str, layout: str, value: object) -> Path:
         ("times", "<d", -1e12, "the times of its frames are invalid"),
     ],
 )
-def test_a_damaged_description_is_one_sentence(tmp_path, capfd, place, layout, value, what):
-    file = damaged(tmp_path, place, layout, value)
+def test_damaged_description_is_refused_in_one_sentence(tmp_path, capfd, field, layout, value, error):
+    file = write_damaged(tmp_path, field, layout, value)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(RunError, match=rf"log\.MF4: .*{what}"):
+        with pytest.raises(RunError, match=rf"log\.MF4: .*{error}"):
             read_mf4(file)
     assert capfd.readouterr() == ("", "")
 
 
-def test_more_frames_than_the_file_has_bytes_for(tmp_path):
-    file = damaged(tmp_path, "count", "<Q", 1000)
-    assert len(read_mf4(file).frames) == 20  # not finalised, so its counters are not believed
+def test_frame_count_is_checked_only_in_a_finalised_file(tmp_path):
+    file = write_damaged(tmp_path, "count", "<Q", 1000)
+    assert len(read_mf4(file).frames) == 20  # not finalised: the count is not used
     data = bytearray(file.read_bytes())
     struct.pack_into("<H", data, 60, 4)
     file.write_bytes(data)
@@ -88,21 +88,21 @@ def test_more_frames_than_the_file_has_bytes_for(tmp_path):
         read_mf4(file)
 
 
-def test_links_in_a_circle(tmp_path):
+def test_circular_links_are_refused(tmp_path):
     file = write_layout_2(tmp_path / "log.MF4", START_NS, FRAMES)
     data = bytearray(file.read_bytes())
-    found = places(data)
-    struct.pack_into("<Q", data, found["next data group"], found["data group"])
+    offsets = find_offsets(data)
+    struct.pack_into("<Q", data, offsets["next data group"], offsets["data group"])
     file.write_bytes(data)
-    with pytest.raises(RunError, match=f"two links refer to the block at byte {found['data group']}"):
+    with pytest.raises(RunError, match=f"two links refer to the block at byte {offsets['data group']}"):
         read_mf4(file)
 
 
 @pytest.mark.parametrize("offset", [2**63, 2**64 - 1, 2**31])
-def test_a_frame_whose_payload_is_nowhere(tmp_path, offset):
-    """In layout 1 a record says where its payload is; asammdf would look there."""
+def test_payload_offset_outside_the_file_is_refused(tmp_path, offset):
+    """In layout 1 a record contains the offset of its payload; asammdf does not check it."""
     content = bytearray(REAL.read_bytes())
-    records = link(content, link(content, 64, 0), 2) + 24
+    records = read_link(content, read_link(content, 64, 0), 2) + 24
     struct.pack_into("<Q", content, records + 1 + 14, offset)
     file = tmp_path / "log.MF4"
     file.write_bytes(content)

@@ -1,4 +1,4 @@
-"""NCOM files in the suite's axes, and NCOM files that cannot be used."""
+"""NCOM files in ISO axes and the local map, and NCOM files that cannot be used."""
 
 import csv
 from pathlib import Path
@@ -15,7 +15,7 @@ MINUTE = 23_000_000  # since the GPS epoch: 2023
 
 
 def packets(times: list[float], status: int = 4, minutes: bool = True, east: float = 10.0) -> bytes:
-    """Driving east at 10 m/s; times in s after a minute."""
+    """Packets of a drive to the east. times: since MINUTE [s]; minutes: channel 0 is sent; east: velocity [m/s]."""
     stream = b""
     for k, t in enumerate(times):
         minute, ms = divmod(round(t * 1000), 60_000)
@@ -28,19 +28,19 @@ def packets(times: list[float], status: int = 4, minutes: bool = True, east: flo
     return stream
 
 
-# The two cases in which the vendor's derived values are, the shorter of them always there.
+# The two cases with the derived values of the vendor; the shorter one is part of the repository.
 drives = pytest.mark.parametrize(("which", "case"), [("kept", "filters"), ("whole", "drive_100hz")])
 
 
 @drives
-def test_axes_against_the_vendors_own_iso_values(which: str, case: str) -> None:
+def test_axes_agree_with_the_iso_values_of_the_vendor(which: str, case: str) -> None:
     log = read_ncom(vectors(which, f"ncom/{case}.ncom"))
     with vectors(which, f"ncom/{case}.expected.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     for k, name in enumerate(("IsoVoX", "IsoVoY", "IsoVoZ")):
         expected = np.array([float(row[name]) for row in rows])[log.rows]
         np.testing.assert_allclose(log.velocity[k], expected, atol=1e-9)
-    # Frames turn FRD -> FLU, and heading from north clockwise -> yaw from east counter-clockwise.
+    # FRD -> FLU, and heading from north clockwise -> yaw from east counter-clockwise.
     np.testing.assert_allclose(log.rate[2], [-np.radians(float(row["Wz"])) for row in rows], atol=1e-12)
     np.testing.assert_allclose(log.acceleration[1], [-float(row["Ay"]) for row in rows], atol=1e-12)
     heading = np.radians([float(row["Heading"]) for row in rows])
@@ -49,21 +49,21 @@ def test_axes_against_the_vendors_own_iso_values(which: str, case: str) -> None:
 
 
 @drives
-def test_positions_in_the_plane_of_the_origin(which: str, case: str) -> None:
+def test_positions_are_in_the_local_map_of_the_origin(which: str, case: str) -> None:
     log = read_ncom(vectors(which, f"ncom/{case}.ncom"))
     columns, last = log.columns, int(log.rows[-1])
     frame = LocalFrame(*log.origin)
     expected = frame.to_enu(columns.latitude[last], columns.longitude[last], columns.altitude[last])
     np.testing.assert_allclose(log.position[:, -1], expected, atol=1e-6)
     assert log.position[:, 0].tolist() == pytest.approx([0, 0, 0], abs=1e-6)
-    # Velocity is the derivative of position: body axes, yaw and plane belong together.
+    # Velocity is the derivative of position: body axes, yaw and map are consistent.
     time = (log.time_ns - log.time_ns[0]) * 1e-9
     east = np.gradient(log.position[0], time)
     forward, left = log.velocity[:2]
     np.testing.assert_allclose(east[5:-5], (forward * np.cos(log.yaw) - left * np.sin(log.yaw))[5:-5], atol=0.05)
 
 
-def test_only_packets_with_a_fix_and_a_time(tmp_path: Path) -> None:
+def test_packets_without_a_fix_are_left_out(tmp_path: Path) -> None:
     file = tmp_path / "start.ncom"
     file.write_bytes(packets([0.0, 0.1], status=2) + packets([0.2 + 0.01 * k for k in range(20)]))
     log = read_ncom(file)
@@ -83,14 +83,14 @@ def test_only_packets_with_a_fix_and_a_time(tmp_path: Path) -> None:
         (packets([0.1 * k for k in range(50)], minutes=False), "no packet has the GPS minute"),
     ],
 )
-def test_files_that_cannot_be_used(tmp_path: Path, content: bytes, message: str) -> None:
+def test_unusable_file_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     file = tmp_path / "bad.ncom"
     file.write_bytes(content)
     with pytest.raises(RunError, match=rf"bad\.ncom: {message}"):
         read_ncom(file)
 
 
-def test_damage_is_counted(tmp_path: Path) -> None:
+def test_packets_with_a_wrong_checksum_are_counted(tmp_path: Path) -> None:
     file = tmp_path / "damaged.ncom"
     stream = bytearray(packets([0.01 * k for k in range(300)]))
     stream[100 * 72 + 30] ^= 0xFF
@@ -100,7 +100,7 @@ def test_damage_is_counted(tmp_path: Path) -> None:
     assert "packets have a wrong checksum" in log.warnings[0]
 
 
-def test_a_clock_set_back_leaves_the_longest_stretch(tmp_path: Path) -> None:
+def test_longest_part_is_kept_where_the_clock_was_set_back(tmp_path: Path) -> None:
     file = tmp_path / "back.ncom"
     file.write_bytes(packets([30 + 0.01 * k for k in range(400)]) + packets([10 + 0.01 * k for k in range(900)]))
     log = read_ncom(file)
@@ -109,7 +109,7 @@ def test_a_clock_set_back_leaves_the_longest_stretch(tmp_path: Path) -> None:
     assert "the clock was set back by 23.890 s: 400 of 1290 packets (31 %)" in log.warnings[-1]
 
 
-def test_packets_inside_an_xcom_container_are_found(tmp_path: Path) -> None:
+def test_packets_in_an_xcom_container(tmp_path: Path) -> None:
     file = tmp_path / "drive.xcom"
     stream = packets([0.01 * k for k in range(100)])
     pages = b"".join(b"OggS" + bytes(23) + stream[k : k + 72 * 10] for k in range(0, len(stream), 72 * 10))
@@ -117,23 +117,23 @@ def test_packets_inside_an_xcom_container_are_found(tmp_path: Path) -> None:
     assert len(read_ncom(file).time_ns) == 100
 
 
-def test_packets_of_two_units_are_named(tmp_path: Path) -> None:
+def test_packets_of_two_units_cause_a_warning(tmp_path: Path) -> None:
     file = tmp_path / "drive.ncom"
-    one = packets([0.01 * k for k in range(100)])
-    two = b"".join(packets([0.01 * k], east=12.0) for k in range(100))
-    file.write_bytes(b"".join(one[k : k + 72] + two[k : k + 72] for k in range(0, len(one), 72)))
+    first = packets([0.01 * k for k in range(100)])
+    second = b"".join(packets([0.01 * k], east=12.0) for k in range(100))
+    file.write_bytes(b"".join(first[k : k + 72] + second[k : k + 72] for k in range(0, len(first), 72)))
     warning = read_ncom(file).warnings[0]
     assert "100 of 200 packets (50 %) have no later time than all before, but other content" in warning
 
 
-@pytest.mark.parametrize(("mark", "head", "size"), [
+@pytest.mark.parametrize(("magic", "record_header", "size"), [
     (b"\xd4\xc3\xb2\xa1", 16, 72), (b"\x4d\x3c\xb2\xa1", 16, 72), (b"\n\r\r\n", 28, 72), (b"\xd4\xc3\xb2\xa1", 16, 54)])
-def test_packets_in_a_network_capture(tmp_path: Path, mark: bytes, head: int, size: int) -> None:
-    """UDP over IP over Ethernet; with 54 bytes of each packet, as recorded with a snapshot length of 96."""
+def test_packets_in_a_network_capture(tmp_path: Path, magic: bytes, record_header: int, size: int) -> None:
+    """UDP over IP over Ethernet. size: recorded bytes of each packet, 54 with a snapshot length of 96."""
     file = tmp_path / "drive.pcap"
     stream = packets([0.01 * k for k in range(100)])
-    parts = (bytes(head + 42) + stream[k : k + size] for k in range(0, len(stream), 72))
-    file.write_bytes(mark + bytes(20) + b"".join(parts))
+    parts = (bytes(record_header + 42) + stream[k : k + size] for k in range(0, len(stream), 72))
+    file.write_bytes(magic + bytes(20) + b"".join(parts))
     if size < 72:
         with pytest.raises(RunError, match="a network capture without complete NCOM packets: record whole datagrams"):
             read_ncom(file)

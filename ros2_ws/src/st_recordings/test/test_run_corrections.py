@@ -1,4 +1,4 @@
-"""What a run.yaml says of columns, units and faults: a drive spoilt on the way into its file is read as it was."""
+"""Columns, units and corrections in a run.yaml: a drive with falsified columns is read as the original."""
 
 import math
 from pathlib import Path
@@ -13,13 +13,12 @@ from st_recordings.runs import LoadedRun, RunError, find_runs, read
 NAMES = COLUMNS.split(",")
 
 
-def loaded(folder: Path, text: str, **spoil) -> LoadedRun:
-    """The weave, columns spoilt by functions of (value, all columns), read with a run.yaml."""
+def load(folder: Path, text: str, **distortions) -> LoadedRun:
+    """Reads the weave with a run.yaml, columns replaced by functions of (values, all original columns)."""
     rows = weave(10.0)
-    columns = dict(zip(NAMES, rows.T.copy(), strict=True))
-    given = dict(columns)
-    for name, function in spoil.items():
-        columns[name] = function(given[name], given)
+    original = dict(zip(NAMES, rows.T.copy(), strict=True))
+    columns = {name: distortions[name](values, original) if name in distortions else values
+               for name, values in original.items()}
     write_drive(folder / "drive.csv", np.stack(list(columns.values()), axis=1))
     (folder / "run.yaml").write_text("name: weave\ncsv: drive.csv\n" + text)
     (source,) = find_runs([folder / "run.yaml"])
@@ -27,16 +26,16 @@ def loaded(folder: Path, text: str, **spoil) -> LoadedRun:
 
 
 @pytest.fixture(scope="module")
-def true(tmp_path_factory: pytest.TempPathFactory) -> DriveLog:
-    return loaded(tmp_path_factory.mktemp("true"), "").log
+def true_log(tmp_path_factory: pytest.TempPathFactory) -> DriveLog:
+    return load(tmp_path_factory.mktemp("true"), "").log
 
 
-def assert_same(log: DriveLog, true: DriveLog, within: float = 1e-4) -> None:
-    rows = np.minimum(np.searchsorted(true.ins_time_ns, log.ins_time_ns), len(true.x) - 1)
-    np.testing.assert_array_equal(true.ins_time_ns[rows], log.ins_time_ns)
+def assert_same(log: DriveLog, true_log: DriveLog, tolerance: float = 1e-4) -> None:
+    rows = np.minimum(np.searchsorted(true_log.ins_time_ns, log.ins_time_ns), len(true_log.x) - 1)
+    np.testing.assert_array_equal(true_log.ins_time_ns[rows], log.ins_time_ns)
     for name in (*INS_SIGNALS, "acceleration_y"):
-        np.testing.assert_allclose(getattr(log, name), getattr(true, name)[rows], atol=within, err_msg=name)
-    np.testing.assert_allclose(log.road_wheel_angle, true.road_wheel_angle, atol=within)
+        np.testing.assert_allclose(getattr(log, name), getattr(true_log, name)[rows], atol=tolerance, err_msg=name)
+    np.testing.assert_allclose(log.road_wheel_angle, true_log.road_wheel_angle, atol=tolerance)
 
 
 CASES = {
@@ -53,9 +52,9 @@ CASES = {
     "sign": ("correct: {steering: {scale: -1}}", {"delta": lambda v, _: -v}),
     "late": ("correct: {yaw_rate: {earlier: 0.3}}", {
         "yaw_rate": lambda v, c: np.interp(c["t"] - 0.3, c["t"], v)}),
-    "another point": ("correct: {position: {ahead: -1.5}}", {
+    "reference point": ("correct: {position: {ahead: -1.5}}", {
         "x": lambda v, c: v + 1.5 * np.cos(c["yaw"]), "y": lambda v, c: v + 1.5 * np.sin(c["yaw"])}),
-    "askew": ("correct: {heading: {add: -0.0098}}", {
+    "misalignment": ("correct: {heading: {add: -0.0098}}", {
         "yaw": lambda v, _: v + 0.0098, "vx": lambda v, c: body_to_map(c["vx"], c["vy"], -0.0098)[0],
         "vy": lambda v, c: body_to_map(c["vx"], c["vy"], -0.0098)[1],
         "ax": lambda v, c: body_to_map(c["ax"], c["ay"], -0.0098)[0],
@@ -64,32 +63,32 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_spoilt_and_corrected_is_as_it_was(tmp_path: Path, true: DriveLog, case: str) -> None:
-    text, spoil = CASES[case]
-    run = loaded(tmp_path, text, **spoil)
-    if case == "late":  # the first 0.3 s were never recorded, the last 0.3 s are not known
-        run = loaded(tmp_path, text + "\nleave_out: [[0, 0.3]]", **spoil)
-        assert len(run.log.x) == len(true.x) - 16 - 15
-    assert_same(run.log, true)
+def test_run_yaml_restores_the_original_drive(tmp_path: Path, true_log: DriveLog, case: str) -> None:
+    text, distortions = CASES[case]
+    if case == "late":  # the first 0.3 s were not recorded, the last 0.3 s are unknown
+        text += "\nleave_out: [[0, 0.3]]"
+    run = load(tmp_path, text, **distortions)
+    assert case != "late" or len(run.log.x) == len(true_log.x) - 16 - 15
+    assert_same(run.log, true_log)
     with pytest.raises(AssertionError):
-        assert_same(loaded(tmp_path, "", **spoil).log, true)
+        assert_same(load(tmp_path, "", **distortions).log, true_log)
 
 
-def test_what_was_corrected_is_said_everywhere(tmp_path: Path) -> None:
-    run = loaded(tmp_path, "correct: {yaw_rate: {scale: 0.01745}}\nleave_out: [[2, 3.5]]")
+def test_corrections_are_reported_in_checks_provenance_and_warnings(tmp_path: Path) -> None:
+    run = load(tmp_path, "correct: {yaw_rate: {scale: 0.01745}}\nleave_out: [[2, 3.5]]")
     phrases = ("yaw_rate x 0.01745", "INS left out from 2 to 3.5 s")
     assert run.auxiliary.corrected == phrases and run.provenance["corrected"] == list(phrases)
     assert any(w.endswith("corrected by its run.yaml: " + "; ".join(phrases)) for w in run.warnings)
-    plain = loaded(tmp_path, "")
+    plain = load(tmp_path, "")
     assert plain.auxiliary.corrected == () and not plain.warnings and "corrected" not in plain.provenance
     assert plain.provenance["columns"]["velocity_x"] == "vx [m/s, assumed]"
 
 
-def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
-    run = loaded(tmp_path, "labels: [{name: bend, start: 4, end: 6}]\nleave_out: [[0, 0.99]]")
+def test_labels_keep_their_absolute_times(tmp_path: Path) -> None:
+    run = load(tmp_path, "labels: [{name: bend, start: 4, end: 6}]\nleave_out: [[0, 0.99]]")
     (label,) = run.labels
-    at = run.log.ins_time_ns[0] * 1e-9 + label.start
-    assert at == pytest.approx(4.0) and label.end - label.start == pytest.approx(2.0)
+    start = run.log.ins_time_ns[0] * 1e-9 + label.start
+    assert start == pytest.approx(4.0) and label.end - label.start == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -114,12 +113,12 @@ def test_labels_stay_with_what_they_name(tmp_path: Path) -> None:
     ("leave_out: [[4, 3]]", r"leave_out: expected a list of \[start, end\]"),
     ("leave_out: 4", r"leave_out: expected a list of \[start, end\]"),
 ])
-def test_a_run_yaml_that_is_wrong(tmp_path: Path, text: str, message: str) -> None:
+def test_invalid_columns_units_or_corrections_are_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
-        loaded(tmp_path, text)
+        load(tmp_path, text)
 
 
-def test_columns_and_units_are_of_csv_only(tmp_path: Path) -> None:
+def test_columns_and_units_of_a_bag_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     for key in ("columns", "units"):
         (tmp_path / "run.yaml").write_text(f"bag: bag\n{key}: {{yaw: deg}}\n")
@@ -127,8 +126,8 @@ def test_columns_and_units_are_of_csv_only(tmp_path: Path) -> None:
             read(find_runs([tmp_path / "run.yaml"])[0])
 
 
-def test_a_correction_that_leaves_nothing(tmp_path: Path) -> None:
+def test_corrections_that_leave_no_samples_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"drive\.csv: .*leave no INS sample"):
-        loaded(tmp_path, "correct: {yaw: {earlier: 60}}")
+        load(tmp_path, "correct: {yaw: {earlier: 60}}")
     with pytest.raises(RunError, match="fewer than two measurements of INS or steering"):
-        loaded(tmp_path, "leave_out: [[0, 60]]")
+        load(tmp_path, "leave_out: [[0, 60]]")

@@ -1,14 +1,14 @@
-"""Which files make a run, in folders of all kinds and in run.yaml; what is none says why, and the rest goes on."""
+"""Which files form a run, in folders of all kinds and in run.yaml; a path that is not a run is reported with the
+reason, and the other runs are read."""
 
 from pathlib import Path
 
 import pytest
 from canedge_bridge import extraction
-from st_core.vehicle import VehicleParameters
+from drive_kinds import CAR
 from st_recordings.runs import ReadSettings, RunSource, errors, find_runs, frames, raw, read
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.raw import read_pair
-from support import ROOT
 
 DRIVE = "t,x,y,yaw,vx,vy,yaw_rate,delta\n" + "".join(f"{0.02 * k:.2f},0,0,0,5,0,0,0\n" for k in range(50))
 
@@ -26,17 +26,17 @@ def by_name(runs: list[RunSource]) -> dict[str, RunSource]:
     return {run.name: run for run in runs}
 
 
-def test_extended_identifiers_are_marked_alike():
+def test_both_packages_mark_extended_identifiers_with_the_same_bit():
     assert frames.EXTENDED == extraction.EXTENDED
 
 
-def test_bounds_the_wrong_way_round_are_refused() -> None:
+def test_reversed_search_bounds_are_refused() -> None:
     source = RunSource("x", "ncom", (Path("x.ncom"),))
     with pytest.raises(RunError, match="--search: the lower bound 5 is not below"):
         raw.choose_clock_settings(source, ReadSettings(search=(5.0, 1.0)))
 
 
-def test_files_of_one_stem(tmp_path: Path) -> None:
+def test_files_with_the_same_stem_form_a_run(tmp_path: Path) -> None:
     touch(tmp_path, "s3.ncom", "s3.MF4", "s4.ncom", "s4.log", "notes.txt")
     runs = by_name(find_runs([tmp_path]))
     assert {name: (run.kind, run.problem) for name, run in runs.items()} == {"s3": ("ncom", None), "s4": ("ncom", None)}
@@ -44,44 +44,43 @@ def test_files_of_one_stem(tmp_path: Path) -> None:
     assert by_name(find_runs([tmp_path / "s4.ncom"]))["s4"].can == (tmp_path / "s4.log",)
 
 
-def test_one_ins_recording_and_a_loggers_tree(tmp_path: Path) -> None:
+def test_single_ins_recording_is_paired_with_all_files_of_a_logger(tmp_path: Path) -> None:
     touch(tmp_path, "drive.ncom", "LOG/2F6913DB/00000004/00000001.MF4", "LOG/2F6913DB/00000004/00000002.MF4")
     (run,) = find_runs([tmp_path])
     assert (run.name, run.kind, len(run.can)) == ("drive", "ncom", 2)
 
 
-def test_files_given_one_by_one(tmp_path: Path) -> None:
+def test_listed_files_form_one_run(tmp_path: Path) -> None:
     files = touch(tmp_path, "a.ncom", "b.asc", "c.blf")
     (run,) = find_runs(files)
     assert (run.name, run.kind, run.can) == ("a", "ncom", (files[1], files[2]))
 
 
-def test_what_has_no_partner_says_so(tmp_path: Path) -> None:
+def test_recordings_without_a_partner_are_reported(tmp_path: Path) -> None:
     touch(tmp_path, "a.ncom", "b.ncom", "c.log")
     runs = find_runs([tmp_path])
     assert len(runs) == 2
     assert all("give them the same name, or list the files of each run" in str(run.problem) for run in runs)
-    alone = find_runs(touch(tmp_path / "alone", "d.log"))
-    assert "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log" in str(alone[0].problem)
-    raw = find_runs(touch(tmp_path / "raw", "d.log", "d.rd"))
-    assert any("d.rd: this is raw data of an OxTS unit: convert it to NCOM" in str(run.problem) for run in raw)
-    lonely = find_runs(touch(tmp_path / "lonely", "e.ncom"))
-    assert "no CAN log has the same stem" in str(lonely[0].problem)
+    only_can = find_runs(touch(tmp_path / "only_can", "d.log"))
+    assert "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log" in str(only_can[0].problem)
+    raw_data = find_runs(touch(tmp_path / "raw_data", "d.log", "d.rd"))
+    assert any("d.rd: this is raw data of an OxTS unit: convert it to NCOM" in str(run.problem) for run in raw_data)
+    only_ins = find_runs(touch(tmp_path / "only_ins", "e.ncom"))
+    assert "no CAN log has the same stem" in str(only_ins[0].problem)
 
 
-def test_a_drive_of_a_folder_that_lacks_a_column_is_reported(tmp_path: Path) -> None:
+def test_table_without_a_required_column_is_a_run_with_an_error(tmp_path: Path) -> None:
     header, _, body = DRIVE.partition("\n")
-    column = next(name for name in header.split(",") if name.lower() in ("vx", "velocity_x"))
-    touch(tmp_path, "whole.csv", content=DRIVE)
-    touch(tmp_path, "lacks.csv", content=f"{header.replace(column, 'slip', 1)}\n{body}")
-    touch(tmp_path, "way.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")
+    touch(tmp_path, "complete.csv", content=DRIVE)
+    touch(tmp_path, "incomplete.csv", content=f"{header.replace('vx', 'slip', 1)}\n{body}")
+    touch(tmp_path, "path.csv", content="x,y,yaw,speed\n0,0,0,1\n1,0,0,1\n")  # without times: not a drive
     runs = by_name(find_runs([tmp_path]))
-    assert set(runs) == {"whole", "lacks"}
-    with pytest.raises(RunError, match=r"lacks\.csv: no column was recognised as velocity_x"):
-        read(runs["lacks"])
+    assert set(runs) == {"complete", "incomplete"}
+    with pytest.raises(RunError, match=r"incomplete\.csv: no column was recognised as velocity_x"):
+        read(runs["incomplete"])
 
 
-def test_a_folder_of_everything(tmp_path: Path) -> None:
+def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> None:
     touch(tmp_path, "one.ncom", "one.log", "readme.txt", "photo.png", "sub/table.csv", "empty/nothing.here")
     touch(tmp_path, "genesis.csv", content=DRIVE)
     topics = "rosbag2_bagfile_information: {topics_with_message_count: [%s]}"
@@ -93,15 +92,14 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
     assert len(read(runs["genesis"]).log.x) == 50
     with pytest.raises(RunError, match=r"one\.ncom: .* give the vehicle file"):
         read(runs["one"])
-    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
     with pytest.raises(RunError, match=r"one\.ncom: the file is empty"):
-        read(runs["one"], leaf)
+        read(runs["one"], CAR)
 
 
 @pytest.mark.parametrize(
     ("path", "message"),
     [
-        ("nowhere.ncom", "the file or folder does not exist; looked for in /"),
+        ("missing.ncom", "the file or folder does not exist; looked for in /"),
         ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
         ("notes.doc", r"recordings with the extension \.doc are not supported; give files with .*\.ncom"),
         ("table.lvm", r"recordings with the extension \.lvm are not supported; rename it to \.csv if it is a text"),
@@ -113,7 +111,7 @@ def test_a_folder_of_everything(tmp_path: Path) -> None:
         ("folder", "this folder contains no recording"),
     ],
 )
-def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
+def test_path_that_is_not_a_run_is_refused(tmp_path: Path, path: str, message: str) -> None:
     touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.lvm", "capture.pcap", "unit.rd", "unit.bin",
           "logger.vbb", "car.dbc")
     (run,) = find_runs([tmp_path / path])
@@ -121,31 +119,30 @@ def test_paths_that_are_no_run(tmp_path: Path, path: str, message: str) -> None:
         read(run)
 
 
-FOREIGN = "Takt,Rechts,Hoch,Kurs,Tempo,Quer,Drehrate\n" + "".join(f"{0.02 * k:.2f},{k},0,0,5,0,0\n" for k in range(50))
+UNKNOWN_COLUMNS = "Takt,Rechts,Hoch,Kurs,Tempo,Quer,Drehrate\n" + "".join(
+    f"{0.02 * k:.2f},{k},0,0,5,0,0\n" for k in range(50))
 FRAMES = "".join(f"({k / 100:.6f}) can0 002#1D000007B0\n" for k in range(100))
 
 
-def test_a_table_with_foreign_columns_and_its_can_log_are_a_run(tmp_path: Path) -> None:
-    files = [*touch(tmp_path, "a.csv", content=FOREIGN), *touch(tmp_path, "a.log", content=FRAMES)]
-    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+def test_table_with_unknown_columns_is_paired_with_its_can_log(tmp_path: Path) -> None:
+    files = [*touch(tmp_path, "a.csv", content=UNKNOWN_COLUMNS), *touch(tmp_path, "a.log", content=FRAMES)]
     for given in ([tmp_path], files):
         (run,) = find_runs(given)
         assert (run.kind, run.files, run.can) == ("csv", (files[0],), (files[1],))
         with pytest.raises(RunError, match=r"recognised as t, .*; its columns are Takt, .*.*can: .*columns: {t:"):
-            read(run, leaf)
+            read(run, CAR)
     touch(tmp_path, "b.log", content=FRAMES)
-    alone = find_runs([tmp_path / "b.log"])
-    assert "name unknown columns of a.csv, as columns:" in str(alone[0].problem)
+    (unpaired,) = find_runs([tmp_path / "b.log"])
+    assert "name unknown columns of a.csv, as columns:" in str(unpaired.problem)
 
 
-def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
-    touch(tmp_path, *(f"{name}.csv" for name in "abcde"), content=FOREIGN)
+def test_each_describes_all_drives_without_a_run_file(tmp_path: Path) -> None:
+    touch(tmp_path, *(f"{name}.csv" for name in "abcde"), content=UNKNOWN_COLUMNS)
     touch(tmp_path, "a.log", "d.log", content=FRAMES)
     columns = "columns: {t: Takt, x: Rechts, y: Hoch, yaw: Kurs, velocity_x: Tempo, velocity_y: Quer, yaw_rate: "
     (file,) = touch(tmp_path, "all.run.yaml", content=f"each: '*.csv'\n{columns}Drehrate}}\n")
     (own,) = touch(tmp_path, "b.run.yaml", content=f"csv: b.csv\nname: second\n{columns}Tempo}}\n")
     touch(tmp_path, "c.run.yaml", content="csv: c.csv\ncolumns: {yaw_rte: Drehrate}\n")
-    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
     for given in ([tmp_path], [file]):
         runs = by_name(find_runs(given))
         assert {*runs} == {"a", "second", "c.run.yaml", "d", "e"} and runs["second"].run_file == own
@@ -153,10 +150,10 @@ def test_one_run_yaml_for_each_drive_of_a_folder(tmp_path: Path) -> None:
         assert [name for name, run in runs.items() if run.can] == ["a", "d"]
         assert all(runs[name].settings["layout"].columns["x"] == "Rechts" for name in "ade")
         with pytest.raises(RunError, match="no column was recognised as road_wheel_angle"):
-            read(runs["e"], leaf)
+            read(runs["e"], CAR)
 
 
-def test_each_leaves_drives_to_a_run_file_of_their_own(tmp_path: Path) -> None:
+def test_each_excludes_drives_with_a_run_file(tmp_path: Path) -> None:
     touch(tmp_path, "a.csv", "b.csv", "c.csv", "sub/drive.csv", content=DRIVE)
     touch(tmp_path, "a.log", content="notes of the driver\n")
     touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', 'sub/*.csv']\n")
@@ -169,7 +166,7 @@ def test_each_leaves_drives_to_a_run_file_of_their_own(tmp_path: Path) -> None:
     assert {*runs} == {"a", "b.run.yaml", "c", "sub", "session"} and runs["a"].can == () and runs["b.run.yaml"].problem
 
 
-def test_a_drive_named_alone_is_read_by_the_each_of_its_folder(tmp_path: Path) -> None:
+def test_single_drive_is_read_with_the_each_of_its_folder(tmp_path: Path) -> None:
     a, b, _ = touch(tmp_path, "a.csv", "b.csv", "c.csv", content=DRIVE)
     other, log = touch(tmp_path, "other.ncom", "other.log", content=FRAMES)
     (file,) = touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', '*.ncom']\noffset: 1.5\n")
@@ -184,7 +181,7 @@ def test_a_drive_named_alone_is_read_by_the_each_of_its_folder(tmp_path: Path) -
     assert "unknown key offste" in str(find_runs([a])[0].problem)
 
 
-def test_frames_in_a_table_are_no_can_log(tmp_path: Path) -> None:
+def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
     (run,) = find_runs([tmp_path])
     assert "no CAN log has the same stem; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
@@ -193,7 +190,7 @@ def test_frames_in_a_table_are_no_can_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("name", "error"), [
     ("a.bag", "convert the ROS 1 bag with rosbags-convert"), ("a.zip", "unpack it first"),
     ("notes.txt", "this folder contains no recording")])
-def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, error: str) -> None:
+def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")
     (run,) = find_runs([tmp_path])
     assert error in str(run.problem)
@@ -206,33 +203,33 @@ def test_a_folder_without_a_run_names_its_recordings(tmp_path: Path, name: str, 
     ("each: '*.doc'\n", "a.doc is not a recording"),
     ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder is named a, as a.ncom is"),
 ])
-def test_each_is_of_recordings_that_are_read_alike(tmp_path: Path, text: str, error: str) -> None:
+def test_invalid_each_is_refused(tmp_path: Path, text: str, error: str) -> None:
     touch(tmp_path, "a.csv", "a.ncom", "a.doc")
     (run,) = find_runs(touch(tmp_path, "all.run.yaml", content=text))
     with pytest.raises(RunError, match=error):
-        read(run, None)
+        read(run)
 
 
 def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
-    touch(tmp_path, "a.csv", content=FOREIGN)
+    touch(tmp_path, "a.csv", content=UNKNOWN_COLUMNS)
     touch(tmp_path, "a.log", content=FRAMES)
-    file, = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Takt, velocity_x: Tempo, "
+    (file,) = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Takt, velocity_x: Tempo, "
                   "yaw_rate: Drehrate}\noffset: 0.5\n")
     pair = read_pair([file], ReadSettings())
     assert pair.ins.velocity[0].tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
 
 
-def test_same_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+def test_drives_with_the_same_name_get_the_name_of_their_folder_as_prefix(tmp_path: Path) -> None:
     touch(tmp_path, "monday/drive.csv", "tuesday/drive.csv", content=DRIVE)
     assert sorted(run.name for run in find_runs([tmp_path])) == ["drive", "tuesday_drive"]
 
 
-def test_a_run_called_run_has_the_name_of_its_folder(tmp_path: Path) -> None:
+def test_drive_named_run_gets_the_name_of_its_folder(tmp_path: Path) -> None:
     touch(tmp_path, "monday/run.csv", "tuesday/run.csv", content=DRIVE)
     assert sorted(run.name for run in find_runs([tmp_path])) == ["monday", "tuesday"]
 
 
-def test_run_yaml(tmp_path: Path) -> None:
+def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     touch(tmp_path, "x.ncom", "logs/1.log", "logs/2.log", "logs/readme.txt")
     touch(tmp_path, "run.yaml", content="""
         name: monday
@@ -270,21 +267,21 @@ def test_run_yaml(tmp_path: Path) -> None:
         ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
     ],
 )
-def test_a_run_yaml_that_is_wrong(tmp_path: Path, content: str, message: str) -> None:
+def test_invalid_run_yaml_is_refused(tmp_path: Path, content: str, message: str) -> None:
     touch(tmp_path, "x.ncom", "1.log", "d.csv")
     (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
     with pytest.raises(RunError, match=rf"run\.yaml: {message}"):
         read(run)
 
 
-def test_the_files_of_a_run_yaml_that_is_wrong_are_no_runs_of_their_own(tmp_path: Path) -> None:
+def test_files_of_an_invalid_run_yaml_are_not_separate_runs(tmp_path: Path) -> None:
     touch(tmp_path, "d.csv", "1.log", "2.log")
     touch(tmp_path, "run.yaml", content="csv: e*.csv\ncan: '*.log'\n")
     (run,) = find_runs([tmp_path])
     assert run.problem is not None and run.name == "run.yaml"
 
 
-def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_their_files(caplog):
+def test_warnings_that_differ_only_in_file_and_numbers_are_grouped(caplog):
     with errors.group_similar_warnings():
         errors.log_warnings([f"grouped/{k}.csv: {k} of 3000 rows are not used" for k in range(40)])
         errors.log_warnings(["grouped/1.csv: another reason"])
@@ -294,7 +291,7 @@ def test_warnings_that_differ_in_file_and_numbers_only_are_logged_once_with_thei
     assert "37 more warnings such as" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
 
 
-def test_errors_that_differ_in_their_file_only_are_stated_once_with_all_files():
+def test_errors_that_differ_only_in_the_file_are_joined():
     problems = [f"a/{name}.csv: no column; write a {name}.run.yaml" for name in ("one", "two")]
     text = errors.join_problems([*problems, "b.log: is empty"])
     assert text == "a/one.csv: no column; write a one.run.yaml (the same in a/two.csv); b.log: is empty"
