@@ -16,6 +16,7 @@ from ..bag_metadata import read_information
 from ..paths import project_root
 from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_storage, storage_files
 from .cdr import (
+    CAN_FRAME,
     CAN_FRAMES,
     NCOM,
     ODOMETRY,
@@ -95,11 +96,21 @@ def has_odometry(path: Path) -> bool:
 
 def lacks_steering(path: Path) -> bool:
     """Whether a bag contains odometry but no steering topic of the suite; the steering may then be in a CAN log."""
-    try:
-        types = {t.type_name for t in open_bag(path).topics() if t.count}
-    except RunError:
-        return False
+    types = _read_types(path)
     return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
+
+
+def is_own_can_log(path: Path) -> bool:
+    """Whether the steering of a bag may be in its own CAN frames, recorded by a bridge of another make."""
+    return lacks_steering(path) and CAN_FRAME in _read_types(path)
+
+
+def _read_types(path: Path) -> set[str]:
+    """Types of the recorded messages; empty for a bag that cannot be read."""
+    try:
+        return {t.type_name for t in open_bag(path).topics() if t.count}
+    except RunError:
+        return set()
 
 
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
@@ -151,9 +162,9 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
                     unknown, origin)
 
 
-def read_odometry(path: Path, odometry: str | None = None) -> InsLog:
+def read_odometry(path: Path, odometry: str | None = None, splits: Sequence[Path] = ()) -> InsLog:
     """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError."""
-    storage = open_bag(path)
+    storage = open_bag(path, splits)
     store = _build_typestore(storage, storage.topics(), None)
     topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
     columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
@@ -183,14 +194,14 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
         changed = np.any([np.diff(value) != 0 for value in values], axis=0)
         resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
         if (repeated > MAX_REPEATED_STAMPS * len(stamps) and not resent) or (len(stamps) == 2 and repeated):
-            columns[kind]["header.stamp"] = _read_log_times(storage, topic, columns[kind])
+            columns[kind]["header.stamp"] = read_log_times(storage, topic, stamps)
             count = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
                      else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{count}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
         if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
-            received = [_read_log_times(storage, topic, columns[kind]) for kind, topic in topics.items()]
+            received = [read_log_times(storage, topic, columns[kind]["header.stamp"]) for kind, topic in topics.items()]
             a, b = received
             if max(a.min(), b.min()) <= min(a.max(), b.max()):
                 for kind, times in zip(topics, received, strict=True):
@@ -200,10 +211,10 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     return notes
 
 
-def _read_log_times(storage: Storage, topic: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Times of reception of the messages [ns]; the header stamps if the number of messages differs."""
+def read_log_times(storage: Storage, topic: str, stamps: np.ndarray) -> np.ndarray:
+    """Times of reception of the messages [ns]; their header stamps if the number of messages differs."""
     times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
-    return times if len(times) == len(columns["header.stamp"]) else columns["header.stamp"]
+    return times if len(times) == len(stamps) else stamps
 
 
 def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:

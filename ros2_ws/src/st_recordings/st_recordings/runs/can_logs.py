@@ -1,4 +1,4 @@
-"""Reads CAN logs of every format (MF4 of a CANedge2, candump, Vector, PEAK) and merges the logs of a run."""
+"""Reads CAN logs of every format (MF4 of a CANedge2, candump, Vector, PEAK, bag) and merges the logs of a run."""
 
 import itertools
 import re
@@ -11,7 +11,9 @@ import can
 import numpy as np
 from scipy.ndimage import median_filter
 
+from .bag import definitions_folder, is_bag, open_bag, read_fields, read_log_times
 from .can_formats import FORMATS, UNSTAMPED_LINE, Format
+from .cdr import CAN_FRAME, add_definitions, load_typestore
 from .errors import RunError, check_readable, shorten
 from .frames import (
     ERROR,
@@ -32,6 +34,7 @@ from .frames import (
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
 
+_BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
@@ -68,6 +71,8 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
 
 def _read_log(file: Path) -> CanLog:
     """Reads the log in one file. Its warnings do not name the file."""
+    if is_bag(file):
+        return _read_bag(file)
     check_readable(file)
     with file.open("rb") as stream:
         head = stream.read(4096)
@@ -90,6 +95,29 @@ def _read_log(file: Path) -> CanLog:
     frames, steps = _read_with_python_can(file, kind, notes)
     start_ns = int(frames.time_ns[0])
     return CanLog(frames, (file,), start_ns, start_ns >= FIRST_ABSOLUTE_TIME * 10**9, tuple(notes), tuple(steps))
+
+
+def _read_bag(path: Path) -> CanLog:
+    """Reads the can_msgs/Frame messages of a bag; each of its topics is a bus. Raises RunError."""
+    storage = open_bag(path)
+    store = add_definitions(load_typestore(definitions_folder()), storage.definitions(), [CAN_FRAME])
+    topics = sorted((t for t in storage.topics() if t.type_name == CAN_FRAME and t.count), key=lambda t: t.name)
+    parts, notes, steps = list[Frames](), list[str](), list[tuple[int, float]]()
+    for bus, topic in enumerate(topics, start=1):
+        columns = read_fields(path, storage, topic, _BAG_FIELDS, store)
+        time_ns, length = columns["header.stamp"], columns["dlc"]
+        if not time_ns.all():
+            time_ns = read_log_times(storage, topic.name, time_ns)
+            notes.append(f"frames of {topic.name} have no stamp; the times of reception are used")
+        flags = REMOTE * columns["is_rtr"] + ERROR * columns["is_error"]
+        frames, found = remove_clock_steps(Frames(
+            time_ns, columns["id"].astype(np.uint32) | np.uint32(EXTENDED) * columns["is_extended"],
+            np.where(np.arange(8) < length[:, None], columns["data"], 0).astype(np.uint8),
+            np.minimum(length, 8).astype(np.uint8), np.full(len(length), bus, np.uint8), flags.astype(np.uint8)))
+        parts.append(frames)
+        steps += found
+    frames = merge_by_time(parts)
+    return CanLog(frames, (path,), int(frames.time_ns[0]), True, (*notes, *describe_clock_steps(steps)), tuple(steps))
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:

@@ -32,6 +32,16 @@ from rosbags.typesys.store import Typestore
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
+# Frames as recorded by other bridges; an SQLite bag may lack the definition.
+CAN_FRAME = "can_msgs/msg/Frame"
+_CAN_FRAME_DEFINITION = """std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+"""
 # Signal of the signal table -> field of st_msgs/WheelSpeeds.
 WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
                 "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
@@ -48,10 +58,10 @@ _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 @cache
 def load_typestore(definitions: Path) -> Typestore:
-    """Loads the message types of ROS 2 Jazzy and of the .msg files in a folder <package>/msg."""
+    """Loads the message types of ROS 2 Jazzy, can_msgs/Frame, and the .msg files in a folder <package>/msg."""
     store = get_typestore(Stores.ROS2_JAZZY)
     package = definitions.parent.name
-    types: dict[str, Any] = {}
+    types: dict[str, Any] = dict(get_types_from_msg(_CAN_FRAME_DEFINITION, CAN_FRAME))
     for file in sorted(definitions.glob("*.msg")):
         types.update(get_types_from_msg(file.read_text(), f"{package}/msg/{file.stem}"))
     store.register(types)

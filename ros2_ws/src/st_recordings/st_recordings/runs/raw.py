@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from st_core.checks import AuxiliaryData, Finding
 from st_core.checks.sampling import rejected_frames_finding
-from st_core.clock_types import Alignment, SharedSignal, Verdict
+from st_core.clock_types import Alignment, SharedSignal, Verdict, alignment_not_needed
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
@@ -72,7 +72,10 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     read_ins = csv.read_motion if source.kind == "csv" and not needs_steering else READERS[source.kind].read_ins
     assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
     ins, options = read_ins(source, settings), choose_clock_settings(source, settings)
-    alignment, shared = align_clocks(ins, signals, **options)
+    if source.can == source.files and options["offset"] is None:  # a bag, with the frames on the clock of the odometry
+        alignment, shared = alignment_not_needed(), list[SharedSignal]()
+    else:
+        alignment, shared = align_clocks(ins, signals, **options)
     notes = []
     if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
         span, alignment, shared = part

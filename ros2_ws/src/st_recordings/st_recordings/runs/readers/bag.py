@@ -1,6 +1,7 @@
 """Registers the reader of rosbag2 recordings: bag directories and single storage files."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 from st_core.vehicle import VehicleParameters
@@ -14,6 +15,10 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
+    if steering is None and bag.is_own_can_log(source.where):
+        from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
+
+        return read_raw_run(replace(source, can=source.files), vehicle, settings)
     splits = source.files if len(source.files) > 1 else ()
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
@@ -26,7 +31,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-    return bag.read_odometry(source.where, settings.odometry)
+    return bag.read_odometry(source.where, settings.odometry, source.files if len(source.files) > 1 else ())
 
 
 register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, has_drive=bag.has_odometry,

@@ -1,0 +1,89 @@
+"""Bags of another bridge: odometry and can_msgs/Frame, from which the signal table and DBC give the steering."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drive_kinds import odometry, time
+from raw_drives import LEAF, write_drives
+from rosbags.rosbag2 import StoragePlugin, Writer
+from st_core.clock_types import Verdict
+from st_core.log import DriveLog
+from st_core.vehicle import VehicleParameters
+from st_offline.checking.gate import check_bag
+from st_recordings.runs import ReadSettings, find_runs, read
+from st_recordings.runs.bag import definitions_folder
+from st_recordings.runs.can_logs import read_can_logs
+from st_recordings.runs.cdr import CAN_FRAME, ODOMETRY, load_typestore
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.frames import EXTENDED, Frames
+
+STORE = load_typestore(definitions_folder())
+CAR = VehicleParameters.from_yaml(LEAF.read_text())
+BUSES = ("/can0/from_can_bus", "/can10/from_can_bus")
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> tuple[DriveLog, Frames]:
+    """A drive of the virtual Leaf as its own reader gives it, and the frames of its CAN log."""
+    folder = write_drives(tmp_path_factory.mktemp("raw"), {}, 4, (("sweep", 12.0),))
+    (source,) = find_runs([folder])
+    log = read(source, CAR, ReadSettings(offset=0.0, accept_doubtful=True)).log
+    return log, read_can_logs(source.can).frames
+
+
+def serialise_frame(frames: Frames, k: int, stamp_ns: int, bus: str) -> bytes:
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](stamp=time(stamp_ns), frame_id=bus.split("/")[1])
+    message = types[CAN_FRAME](header=header, id=int(frames.id[k]) & ~EXTENDED, is_rtr=False,
+                               is_extended=bool(frames.id[k] & EXTENDED), is_error=False, dlc=int(frames.length[k]),
+                               data=frames.payload[k, :8])
+    return bytes(STORE.serialize_cdr(message, CAN_FRAME))
+
+
+def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugin = StoragePlugin.MCAP,
+              stamped: bool = True) -> Path:
+    """Frames of odd identifiers are on the second bus."""
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
+        buses = [writer.add_connection(bus, CAN_FRAME, typestore=STORE) for bus in BUSES]
+        for k, time_ns in enumerate(log.ins_time_ns.tolist()):
+            writer.write(odom, time_ns, odometry(log, k, time_ns))
+        for k, time_ns in enumerate(frames.time_ns.tolist()):
+            bus = int(frames.id[k]) % 2
+            writer.write(buses[bus], time_ns, serialise_frame(frames, k, time_ns if stamped else 0, BUSES[bus]))
+    return folder
+
+
+@pytest.mark.parametrize(("storage", "stamped"), [
+    (StoragePlugin.MCAP, True), (StoragePlugin.MCAP, False), (StoragePlugin.SQLITE3, True)])
+def test_steering_is_decoded_from_the_frames(raw, tmp_path, storage, stamped):
+    log, frames = raw
+    folder = write_bag(tmp_path / "drive", log, frames, storage, stamped)
+    read_frames = read_can_logs([folder]).frames
+    np.testing.assert_array_equal(read_frames.time_ns, frames.time_ns)
+    np.testing.assert_array_equal(read_frames.id, frames.id)
+    np.testing.assert_array_equal(read_frames.payload, frames.payload[:, :8])
+    assert {*read_frames.bus.tolist()} == {1, 2}
+    (source,) = find_runs([folder])
+    run = read(source, CAR)
+    np.testing.assert_allclose(run.log.steering_time_ns, log.steering_time_ns, atol=1)
+    np.testing.assert_allclose(run.log.road_wheel_angle, log.road_wheel_angle, rtol=1e-12)
+    np.testing.assert_array_equal(run.log.ins_time_ns, log.ins_time_ns)
+    assert run.alignment.verdict is Verdict.NOT_NEEDED
+    assert any("have no stamp; the times of reception are used" in text for text in run.warnings) == (not stamped)
+
+
+def test_frames_without_steering_are_refused(raw, tmp_path):
+    log, frames = raw
+    folder = write_bag(tmp_path / "drive", log, replace(frames, id=frames.id + np.uint32(1)))
+    (source,) = find_runs([folder])
+    with pytest.raises(RunError, match=r"the steering message Leaf_Steering .* is not in the log"):
+        read(source, CAR)
+
+
+def test_replay_of_frames_alone_is_refused(raw, tmp_path):
+    folder = write_bag(tmp_path / "drive", *raw)
+    with pytest.raises(RunError, match="its steering is only in CAN frames"):
+        check_bag(folder, LEAF, force=True)
