@@ -15,7 +15,7 @@ from st_core.backends import call_graph, numba_cache
 from st_sim.car import Car
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
 from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
-from st_sim.plant import STANDSTILL, STEP, Plant
+from st_sim.plant import STANDSTILL_SPEED, STEP, Plant
 from st_sim.settings import Settings
 
 from .pushes import Car as Body
@@ -191,7 +191,7 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
                 rates = _add_law(rates, middle, law, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 s[i] += STEP / 2 * (k1[i] + rates[i])
-            if s[VX] < STANDSTILL:
+            if s[VX] < STANDSTILL_SPEED:
                 return False
     for i in range(STATES):
         state[i] = s[i]

@@ -20,7 +20,7 @@ MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
 DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
-BLOCK = 5.0  # s; residuals further apart than this count as independent
+BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
 
 
@@ -144,10 +144,10 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     inverse = np.linalg.inv(normal)
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
     start = min(float(d.time[0]) for d in details)
-    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK) + 1
+    count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK_DURATION) + 1
     sums = np.zeros((count, 2))
     for detail in details:
-        block = ((detail.time - start) / BLOCK).astype(np.int64)
+        block = ((detail.time - start) / BLOCK_DURATION).astype(np.int64)
         sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in detail.score], axis=1)
     used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
     covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse

@@ -14,7 +14,7 @@ MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window tha
 MIN_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
-OUTLIER = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
+OUTLIER_LIMIT = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,6 @@ def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.n
         rows = np.vstack([design * weight[:, None], prior])
         solution = np.linalg.lstsq(rows, np.append(value * weight, 0.0), rcond=None)[0]
         normalised = (value - design @ solution) / deviation
-        weight = 1 / deviation / np.sqrt(1 + (normalised / OUTLIER) ** 2)
+        weight = 1 / deviation / np.sqrt(1 + (normalised / OUTLIER_LIMIT) ** 2)
     drift = solution[1] / USUAL_DRIFT
-    return float(np.minimum(normalised**2, OUTLIER**2).sum() + drift**2), solution
+    return float(np.minimum(normalised**2, OUTLIER_LIMIT**2).sum() + drift**2), solution

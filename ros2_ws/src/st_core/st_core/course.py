@@ -23,7 +23,7 @@ from .types import wrap_angle
 from .yaml_text import check_keys, load
 
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
-SMOOTHING = 3.0  # m, moving average of curvature and direction: about one wheelbase
+SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
 MAX_HEADING_DIFFERENCE = 0.5  # rad between car and pass; a larger one means the opposite direction or a crossing
 PAUSE_SPEED = 0.5  # m/s; slower driving is left out, because curvature is undefined at standstill
@@ -186,7 +186,7 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
         grid = np.arange(0.0, distance[-1], SPACING)
         east, north, curvature, speed = (np.interp(grid, distance, v)
                                          for v in (x, y, log.yaw_rate[rows] / speed, speed))
-        curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING / SPACING), mode="nearest")
+        curvature, d_x, d_y = (uniform_filter1d(v, round(SMOOTHING_LENGTH / SPACING), mode="nearest")
                                for v in (curvature, np.gradient(east), np.gradient(north)))
         direction = np.unwrap(np.arctan2(d_y, d_x))
         passes.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))

@@ -29,7 +29,7 @@ from .vehicle import VehicleParameters
 MODES: tuple[Mode, ...] = ("hindsight", "forecast")  # in every evaluation
 PLANNED_MODES: tuple[Mode, ...] = ("plan", "course")  # only in evaluations with planned inputs
 AXES = ("longitudinal", "lateral", "yaw")
-BLOCK = 1024  # starts predicted together; each model and mode then takes 7 MB
+BLOCK_SIZE = 1024  # starts predicted together; each model and mode then takes 7 MB
 PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL_ROWS = slice(None)
@@ -249,11 +249,11 @@ class Block:
 def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings,
                     future_inputs: Mapping[Mode, FutureInputs] | None = None) -> Iterator[tuple[slice, Block]]:
-    """Yields (rows of `starts_ns`, block) for BLOCK starts at a time.
+    """Yields (rows of `starts_ns`, block) for BLOCK_SIZE starts at a time.
 
     The next blocks are computed in threads: compiled kernels and array operations release the interpreter lock.
     """
-    blocks = [slice(first, min(first + BLOCK, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK)]
+    blocks = [slice(first, min(first + BLOCK_SIZE, len(starts_ns))) for first in range(0, len(starts_ns), BLOCK_SIZE)]
     # For all starts at once, in order of time, because a course tracker depends on the previous starts.
     inputs = {mode: function(starts_ns) for mode, function in (future_inputs or {}).items()} if len(starts_ns) else {}
 

@@ -43,7 +43,7 @@ class ModelView:
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] for a time span [s]; it is longer if a model has steering memory."""
-        return span + readings.MEMORY if any(readings.has_steering_dynamics(model) for model in models) else span
+        return span + readings.MEMORY_TIME if any(readings.has_steering_dynamics(model) for model in models) else span
 
     def add_ins(self, sample: InsSample) -> None:
         """Correct an INS sample and add it to the history of a model with `corrects_samples`."""

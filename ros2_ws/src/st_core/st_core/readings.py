@@ -18,8 +18,8 @@ from .timeseries import NANOSECOND, interpolate
 from .types import InsSample, cg_to_ins_position, pose_errors
 from .vehicle import VehicleParameters
 
-MEMORY = 5.0  # s, length of the steering history that effects with memory need; a lag of 0.5 s decays to e^-10
-MEMORY_NS = round(MEMORY / NANOSECOND)
+MEMORY_TIME = 5.0  # s, length of the steering history that effects with memory need; a lag of 0.5 s decays to e^-10
+MEMORY_NS = round(MEMORY_TIME / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
@@ -69,7 +69,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering. Its last MEMORY seconds before the first instant are used, because
+    time_ns [ns], angle [rad]: recorded steering. The last MEMORY_TIME [s] before the first instant are used, because
     the wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):

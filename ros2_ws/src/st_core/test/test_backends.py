@@ -308,5 +308,5 @@ def test_numpy_works_in_blocks(leaf, monkeypatch):
     model, drawn = get_model("linear"), cases(50)
     p = model.parameters(leaf)
     whole = run("numpy", model, p, *drawn)
-    monkeypatch.setattr(numpy_batch, "BLOCK", 7)
+    monkeypatch.setattr(numpy_batch, "BLOCK_SIZE", 7)
     np.testing.assert_array_equal(run("numpy", model, p, *drawn), whole)

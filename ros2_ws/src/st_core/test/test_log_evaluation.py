@@ -7,7 +7,7 @@ from st_core.binning import bin_starts
 from st_core.errors import ConfigurationError
 from st_core.evaluation import ErrorStatistics, Evaluator, Statistic
 from st_core.log import DriveLog
-from st_core.log_evaluation import AXES, BLOCK, MODES, EvaluationSettings, evaluate_log, regular_starts
+from st_core.log_evaluation import AXES, BLOCK_SIZE, MODES, EvaluationSettings, evaluate_log, regular_starts
 from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings, Predictor, Start
 from st_core.types import InsSample
@@ -142,7 +142,7 @@ def test_starts_that_cannot_be_used_are_counted(leaf):
 
 def test_a_drive_longer_than_a_block_gives_the_same(leaf):
     log = wavy_drive()
-    starts = T0 + np.linspace(1e9, 10e9, BLOCK + 50).astype(np.int64)
+    starts = T0 + np.linspace(1e9, 10e9, BLOCK_SIZE + 50).astype(np.int64)
     whole = evaluate_log(["linear"], leaf, log, EvaluationSettings(SHORT), starts)
     calls = []
     parts = [evaluate_log(["linear"], leaf, log, EvaluationSettings(SHORT), part, lambda *c: calls.append(c))

@@ -29,7 +29,7 @@ from st_core.relations.candidates import (
     find_candidates,
 )
 from st_core.relations.formulas import fit_shapes, simulate_formulas
-from st_core.relations.relation_fit import SMOOTHING, RelationFits, RunWindows
+from st_core.relations.relation_fit import PENALTIES, RelationFits, RunWindows
 from st_core.relations.relation_search import _find_imitated_fault
 from st_core.relations.selection import (
     compute_lower_bound,
@@ -361,10 +361,10 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, mo
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     losses = {}
-    for smooth in SMOOTHING:
-        monkeypatch.setattr(relation_fit, "SMOOTHING", (smooth,))
+    for smooth in PENALTIES:
+        monkeypatch.setattr(relation_fit, "PENALTIES", (smooth,))
         losses[smooth] = float(fits.fit(fit.candidate, without).held_out.sum())
-    assert fit.smooth == min(losses, key=losses.get) < max(SMOOTHING)
+    assert fit.smooth == min(losses, key=losses.get) < max(PENALTIES)
     formulas = simulate_formulas(fits, fit, without)
     assert formulas and all(0.9 <= one.retained < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)

@@ -99,7 +99,7 @@ class NcomWire:
         return encode(packet)
 
 
-CYCLE = 200  # packets after which the sequence of channels repeats
+CYCLE_LENGTH = 200  # packets after which the sequence of channels repeats
 MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES = 0, 1, 2, 18, 23  # channels with changing values
 UP_TIME_AT_START = 1800.0  # s
 _RTK, _SATELLITES = 6, 14  # code of the position mode, number of satellites
@@ -145,12 +145,12 @@ _CHANGING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 def make_schedule() -> list[int]:
     """Channel number of each packet of a cycle; slots that no period fills contain channel 0."""
-    slots: list[int | None] = [None] * CYCLE
+    slots: list[int | None] = [None] * CYCLE_LENGTH
 
     def assign(channels: tuple[int, ...], period: int) -> None:
         for channel in channels:
             free_phases = (phase for phase in range(period) if set(slots[phase::period]) == {None})
-            for slot in range(next(free_phases), CYCLE, period):
+            for slot in range(next(free_phases), CYCLE_LENGTH, period):
                 slots[slot] = channel
 
     assign(_EVERY_10, 10)
@@ -177,7 +177,7 @@ class StatusChannels:
 
     def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
         """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
-        channel = self._slots[self._count % CYCLE]
+        channel = self._slots[self._count % CYCLE_LENGTH]
         self._count += 1
         if channel in self._fixed:
             return channel, self._fixed[channel]

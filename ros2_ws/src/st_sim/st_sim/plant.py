@@ -26,7 +26,7 @@ from .environment import Environment
 from .settings import Settings
 
 STEP = 0.002  # s, of Heun's method; halving it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
-STANDSTILL = 0.02  # m/s; at lower speed with the brakes applied, the car is at rest
+STANDSTILL_SPEED = 0.02  # m/s; at lower speed with the brakes applied, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
@@ -153,7 +153,7 @@ class Plant:
         k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, surroundings, c)
         half = dt / 2
         s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
-        self.parked = s[VX] < STANDSTILL and drive_force <= 0.0
+        self.parked = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
         self.state = dynamics.bring_to_rest(s, dt) if self.parked else s
 
     def observe(self, drive_force: float) -> PlantOutputs:

@@ -7,7 +7,7 @@ from .plant import DRIVE, Plant, Truth
 from .scenarios import Plan
 from .settings import Settings
 
-RUN_IN = 4.0  # s simulated before time 0, so that the drive begins in steady motion
+RUN_IN_TIME = 4.0  # s simulated before time 0, so that the drive begins in steady motion
 
 
 class SimulatedCar:
@@ -19,12 +19,12 @@ class SimulatedCar:
         self.driver = Driver(car, settings, plan, seed)
         self._step = self.plant.time_step
         distance = plan.start
-        for _ in range(round(RUN_IN / self._step)):
+        for _ in range(round(RUN_IN_TIME / self._step)):
             distance -= plan.speed_at(distance) * self._step
         road = plan.path.pose(distance)
         self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
         self.driver.place(self.plant, distance)
-        self._count = -round(RUN_IN / self._step)
+        self._count = -round(RUN_IN_TIME / self._step)
         self._steering_wheel_rate = 0.0
         self.duration: float | None = None
         self.advance(0.0)

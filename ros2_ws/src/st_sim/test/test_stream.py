@@ -10,7 +10,7 @@ from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
 from st_sim.car import read_car
-from st_sim.ncom_wire import CYCLE, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
+from st_sim.ncom_wire import CYCLE_LENGTH, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
@@ -93,7 +93,7 @@ def test_ncom_of_a_tilted_car():
 
 def test_status_channels_come_as_from_a_real_unit():
     slots = make_schedule()
-    places = {channel: [i for i in range(CYCLE) if slots[i] == channel] for channel in set(slots)}
+    places = {channel: [i for i in range(CYCLE_LENGTH) if slots[i] == channel] for channel in set(slots)}
     assert all(np.diff(places[1]) == 10) and np.diff(places[0]).max() <= 10
     for channel in (3, 4, 5, 20, 24, 43, 65, 66, 67):
         assert all(np.diff(places[channel]) == 50)

@@ -50,7 +50,7 @@ def replay(
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(0.001, help="Largest accepted difference, m.", min=0.0),
-    replayed: bool = typer.Option(False, "--replay", help="Play it through the nodes and compare the result."),
+    replayed: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),

@@ -162,7 +162,7 @@ def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
                         _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
                 for lane in range(LANES):
-                    _store(out, columns, point * SIX * columns + first + lane, _load_six(state, LANES, lane))
+                    _store(out, columns, point * N_STATES * columns + first + lane, _load_base(state, LANES, lane))
     return kernel
 
 
@@ -213,8 +213,8 @@ def _make_loader(size: int):
     return load
 
 
-SIX = len(STATE_NAMES)
-_load_six = _make_loader(SIX)
+N_STATES = len(STATE_NAMES)
+_load_base = _make_loader(N_STATES)
 
 
 @intrinsic

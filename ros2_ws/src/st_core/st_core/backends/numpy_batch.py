@@ -9,7 +9,7 @@ from ..models import Model
 from ..types import STATE_NAMES
 
 LANES = 1
-BLOCK = 4096  # columns per call: enough to amortise the overhead of a call, few enough for the L2 cache
+BLOCK_SIZE = 4096  # columns per call: enough to amortise the overhead of a call, few enough for the L2 cache
 
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
@@ -18,8 +18,8 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
     out = np.empty((len(points), len(STATE_NAMES), start.shape[1]))
     rows = {int(point): row for row, point in enumerate(points)}
     with np.errstate(all="ignore"):
-        for first in range(0, start.shape[1], BLOCK):
-            columns = slice(first, min(first + BLOCK, start.shape[1]))
+        for first in range(0, start.shape[1], BLOCK_SIZE):
+            columns = slice(first, min(first + BLOCK_SIZE, start.shape[1]))
             count = columns.stop - first
             state = tuple(np.ascontiguousarray(start[:, columns]))
             now = tuple(w[:, offsets[0] + first:offsets[0] + first + count])

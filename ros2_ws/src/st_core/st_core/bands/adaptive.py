@@ -10,7 +10,7 @@ c_issued is the factor that was issued with the prediction. For any distribution
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
 This guarantees the coverage in the long run, but not for the next prediction or a single minute. The gain g decreases
-from START_GAIN to GAIN with the time constant SETTLING. Without a calibrated scale, the exponentially weighted root
+from START_GAIN to GAIN with time constant SETTLING_TIME. Without a calibrated scale, the exponentially weighted root
 mean square of the errors is used (SCALE_FORGETTING).
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
 Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
@@ -26,7 +26,7 @@ import numpy as np
 from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
-GAIN, START_GAIN, SETTLING = 0.1, 0.3, 30.0  # 1/s, 1/s, s; the band is 5 % wider than with the best constant factor
+GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # they correspond to sensor noise and to the size of a road
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road
@@ -100,7 +100,7 @@ class AdaptiveBand:
         interval = MAX_WEIGHT if self._last_ns is None else (start_ns - self._last_ns) * NANOSECOND
         weight = min(max(interval, 0.0), MAX_WEIGHT)
         self._last_ns = start_ns
-        gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING)
+        gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING_TIME)
         self._elapsed += weight
         score = float((np.abs(errors) / scale).max())
         for level, issued in factors.items():

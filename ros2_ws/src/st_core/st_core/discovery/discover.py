@@ -279,7 +279,7 @@ class _Analysis:
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < MIN_RUNS:
             count = "one run" if len(self.runs) == 1 else f"{len(self.runs)} runs"
-            self.warnings.append(f"{count} only: parts of them are compared with each other instead of whole runs")
+            self.warnings.append(f"{count} only: parts of runs are compared with each other instead of whole runs")
         if not find_sites(self.windows).any():
             self.warnings.append("all driving is at one site: effects of the site, such as banked roads and wind, "
                                  "cannot be separated from properties of the car")

@@ -15,7 +15,7 @@ from .candidates import ODD, Candidate, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor of separation or precision; a manoeuvre with a smaller factor is not suggested
-SPARSE = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
+SPARSE_DENSITY = 0.1  # ratio of the density to that of uniform driving, below which a range counts as sparsely driven
 INDEPENDENT_OF_MANOEUVRE = ("run_time", "position_x", "position_y", "north", "east")
 Range = tuple[float, float]
 
@@ -66,7 +66,7 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
-    sparse = (smoothed < SPARSE / len(points)) & ((points >= 0.0) | (parity != ODD))
+    sparse = (smoothed < SPARSE_DENSITY / len(points)) & ((points >= 0.0) | (parity != ODD))
     ends = np.flatnonzero(np.diff(np.concatenate([[False], sparse, [False]]).astype(int)))
     half_spacing = 0.5 * (points[1] - points[0])
     return [(float(points[first] - half_spacing), float(points[last - 1] + half_spacing))

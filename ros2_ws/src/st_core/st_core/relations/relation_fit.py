@@ -20,7 +20,7 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, compute_run_time
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
-SMOOTHING = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
+PENALTIES = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
 SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differences; shrinks uninformed ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_REDUCTION = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
@@ -32,7 +32,7 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of SMOOTHING.
+    """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of PENALTIES.
     vector: in the space of the candidate. residuals: (n, m). indices: (a,) free parameters, the coefficients last.
     sensitivities: (a, n, m) to these parameters. penalty: (a, a). quadratic: of the loss, by block. held_out: (b,) loss
     of each block at values fitted without its fold. steps: by fold, step to these values."""
@@ -157,7 +157,7 @@ class RelationFits:
         indices = np.concatenate([self.refitted_indices, self.relation_indices])
         loss = self.make_loss(candidate)
         sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
-        strong, *weaker = sorted(SMOOTHING, reverse=True)
+        strong, *weaker = sorted(PENALTIES, reverse=True)
         best = self._fit(candidate, loss, indices, strong, sensitivities, without.vector)
         for smooth in weaker:
             fit = self._fit(candidate, loss, indices, smooth, best.sensitivities, best.vector)

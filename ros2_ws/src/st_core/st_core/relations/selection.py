@@ -15,7 +15,7 @@ from ..models import get_model
 from ..regression import add_ridge
 from ..vehicle import VehicleParameters
 from .candidates import Candidate, find_candidates
-from .relation_fit import SMOOTHING, RelationFit, RelationFits
+from .relation_fit import PENALTIES, RelationFit, RelationFits
 
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
@@ -97,7 +97,7 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
     to_all = np.concatenate([without.sensitivities, to_vehicle, sensitivities])
     q_all = fits.sum_quadratic(loss, without.residuals, to_all)
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
-    penalties = {smooth: fits.make_penalty(candidate, h, smooth) for smooth in SMOOTHING}
+    penalties = {smooth: fits.make_penalty(candidate, h, smooth) for smooth in PENALTIES}
     losses = {smooth: fits.predict_held_out_loss(q, penalty, distance) for smooth, penalty in penalties.items()}
     smooth = min(losses, key=lambda share: float(losses[share].sum()))
     h = q_all.hessian.sum(axis=0)

@@ -80,7 +80,7 @@ class {cls}(Effect):
     applies_to = DYNAMIC
     order = 90{memory}
     parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="of the curve as it was fitted",
+        Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                   source="st discover --propose"{odd}),
     )
 {body}

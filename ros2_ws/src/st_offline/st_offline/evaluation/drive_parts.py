@@ -10,7 +10,7 @@ from st_core.log import DriveLog
 from st_recordings.runs import Label
 
 GRID_STEP = 0.1  # s
-SMOOTHING = 1.0  # s, moving average; short enough to resolve both halves of a double lane change
+SMOOTHING_TIME = 1.0  # s, moving average; short enough to resolve both halves of a double lane change
 STANDSTILL_SPEED = 0.5  # m/s
 # A bend begins above the first limit of curvature or lateral acceleration, and ends below the second limits of both.
 CURVATURE_LIMITS = (0.01, 0.005)  # 1/m
@@ -41,7 +41,7 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
                 for part, yaw in zip(labels, edges, strict=True)]
     grid = np.arange(0.0, time[-1] + 0.5 * GRID_STEP, GRID_STEP)
     speed, yaw_rate, yaw = (np.interp(grid, time, v) for v in (log.velocity_x, log.yaw_rate, log.yaw))
-    width = 2 * round(0.5 * SMOOTHING / GRID_STEP) + 1
+    width = 2 * round(0.5 * SMOOTHING_TIME / GRID_STEP) + 1
     states = _classify_samples(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest")
                                  for values in (speed, yaw_rate)))
     parts = []

@@ -18,7 +18,7 @@ from .. import convert
 
 SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
 WARNING_DURATION = 10.0  # s of a warning after the last rejected message
-MAX_LOST = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
+MAX_NUMBER_GAP = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node without processor time
 
 
@@ -71,7 +71,7 @@ class PublisherLock:
         return len(set(self.names)) == 1 or (self._may_follow(number) and not candidates)
 
     def _may_follow(self, number: int) -> bool:
-        return self._number is not None and 0 < number - self._number <= MAX_LOST
+        return self._number is not None and 0 < number - self._number <= MAX_NUMBER_GAP
 
     def describe_competition(self, now: float) -> str:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
