@@ -69,7 +69,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering. The last MEMORY_TIME [s] before the first instant are used, because
+    time_ns [ns], angle [rad]: recorded steering. Only MEMORY_TIME [s] before the first instant is used, because
     the wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):
