@@ -1,6 +1,7 @@
 """Forbidden calls and imports, found in the syntax trees, and names in files that must not be used as paths."""
 
 import ast
+import subprocess
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -75,3 +76,13 @@ def test_a_path_as_name_in_a_run_file_is_refused(tmp_path, name):
     (run,) = find_runs([tmp_path / "run.yaml"])
     assert run.problem is not None
     assert "name" in str(run.problem)
+
+
+def test_modules_in_the_current_folder_are_not_imported(tmp_path: Path) -> None:
+    """Users start st in folders with scripts of their own, whose names may be those of standard modules."""
+    for name in ("csv", "random", "typer", "tools"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('a module of the current folder was imported')\n")
+    for command in (["check", "--help"], ["bench", "--help"]):
+        run = subprocess.run([ROOT / "st", *command], cwd=tmp_path, check=False, capture_output=True, text=True,
+                             timeout=120)
+        assert run.returncode == 0 and "Usage" in run.stdout, run.stdout + run.stderr
