@@ -152,7 +152,7 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
 def test_varying_effects_are_reported_and_not_named(logs):
     found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="varying")
     title = report_text.format_title(found)
-    assert title.endswith("an effect that resembles crosswind (0.090 m) but varies with run; no effect is named")
+    assert title.endswith("an effect that resembles crosswind (0.090 m) but varies between runs; no effect is named")
     (text,) = dict(report_text.list_details(found, None))["varying, not named"]
     assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 

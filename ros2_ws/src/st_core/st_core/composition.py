@@ -7,7 +7,7 @@ recreates, retraces or recompiles the functions. Layout of a composed model:
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)
     state = the six states of the base model, then the extra states of each effect
 
-Effects at null leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
+Effects at their null values leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
 """
 
 from collections.abc import Callable

@@ -153,7 +153,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
 
 
 def is_confirmed(e: Evidence, limits: Limits) -> bool:
-    """Whether redundant sensor measurements exclude the null and agree with the value."""
+    """Whether redundant sensor measurements exclude the null value and agree with the value."""
     return (e.sensors_p_value is not None and e.sensors_p_value >= limits.undecided_p
             and e.sensors_null_p_value is not None and e.sensors_null_p_value < limits.false_alarm)
 

@@ -511,7 +511,7 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
 
 
 def describe_varying(v: VaryingFit, free: FreeParameter, position_reduction: float) -> result.VaryingEffect:
-    """The effect with the values of its parameter `free` in the parts, relative to the value furthest from the null."""
+    """The effect with the values of its parameter `free` in the parts, relative to the one furthest from null."""
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - free.null))
     change = value - free.null or free.scale
     ratios = tuple(result.LocalEstimate(part, (x - free.null) / change, s / abs(change))
@@ -530,7 +530,7 @@ def find_parameter_across_bound(effect: result.FoundEffect) -> str:
 
 
 def excludes_null(effect: result.FoundEffect) -> bool:
-    """Whether the interval of at least one value excludes the null."""
+    """Whether the interval of at least one value excludes its null value."""
     return any(not p.interval[0] <= p.null <= p.interval[1] for p in effect.parameters.values())
 
 

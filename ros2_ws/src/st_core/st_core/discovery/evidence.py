@@ -263,7 +263,7 @@ def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -> tuple[float | None, float | None]:
-    """p-values of the fitted value and of the null, given redundant sensors; None if not measured."""
+    """p-values of the fitted value and of the null value, given redundant sensors; None if not measured."""
     deviations = dict(zip(problem.space.indices(effect), standard_deviations(problem, fit, effect), strict=True))
     p_values = [_two_sided_p_value(fit.vector[i] - value, np.hypot(deviation, deviations[i]))
                 for i, value, deviation in _sensor_estimates(problem.space, effect, sensors)]
@@ -273,7 +273,7 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -
 
 
 def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float | None:
-    """p-value of the null, given redundant sensors; None if not measured."""
+    """p-value of the null value, given redundant sensors; None if not measured."""
     return min((_two_sided_p_value(space.free[i].null - value, deviation)
                 for i, value, deviation in _sensor_estimates(space, effect, sensors)), default=None)
 

@@ -134,7 +134,7 @@ class FileQuantity:
     without_effect: float
 
     def at(self, change: float) -> float:
-        """The quantity [SI] at a parameter that differs by `change` from its null."""
+        """The quantity [SI] at a parameter that differs by `change` from its null value."""
         return self.without_effect + self.slope * change
 
     def z_score(self, change: float) -> float:
@@ -151,7 +151,7 @@ def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
 
 
 def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
-    """(p,) prior standard deviation of each parameter about its null, in units of `scale`; inf without a prior."""
+    """(p,) prior standard deviation of each parameter about its null value in units of `scale`; inf without a prior."""
     return np.array([np.inf if q is None or q.without_effect != q.value else q.deviation / abs(q.slope) / s
                      for q, s in zip(quantities, scale, strict=True)])
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from st_core.channels import LABELS
 from st_core.checks import Finding, Severity
 from st_core.discovery import result
-from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR
+from st_core.discovery.decision import FILE, FORCES, IMPLAUSIBLE, MINOR, PARTITION_NAMES
 from st_core.discovery.next_manoeuvre import MIN_SEPARATION
 from st_core.discovery.result import PARTS, Discovery
 from st_core.discovery.settings import Limits
@@ -88,7 +88,7 @@ def format_title(found: Discovery) -> str:
         return f"{_describe_errors(found)}: {'; '.join((named, *unexplained))}"
     if found.outcome == "varying":
         varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
-                   f"varies with {v.varies_with}" for v in found.varying]
+                   f"varies between {PARTITION_NAMES[v.varies_with]}" for v in found.varying]
         return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
     if found.outcome == "ambiguous":
         return f"{_describe_errors(found)}: no effect is certain enough to be named"
@@ -179,9 +179,9 @@ def describe_varying(effect: result.VaryingEffect) -> str:
     ratios = "; ".join(f"{v.where}: {v.ratio:.2f} ± {Z95 * v.deviation:.2f}" for v in effect.values if v in ranked)
     more = f" and {len(effect.values) - len(ranked)} more" if len(effect.values) > len(ranked) else ""
     name = f"{to_words(effect.resembles)} {format_briefly(effect.resembles, effect.parameters)}"
-    reduction = format_metres(effect.position_5s_reduction)
-    return (f"an effect that resembles {name} reduces the error by {reduction}, but varies with {effect.varies_with}, "
-            f"so it is not a property of the car; local values relative to this one: {ratios}{more}")
+    return (f"an effect that resembles {name} reduces the error by {format_metres(effect.position_5s_reduction)}, but "
+            f"varies between {PARTITION_NAMES[effect.varies_with]}, so it is not a property of the car; local values "
+            f"relative to this one: {ratios}{more}")
 
 
 def count_agreement(effect: result.FoundEffect) -> str:
