@@ -1,4 +1,4 @@
-"""The registry refuses what is wrong, and takes the user's own effects from a folder."""
+"""Registration of effects: validation, and user effects loaded from a folder."""
 
 import textwrap
 from dataclasses import replace
@@ -17,7 +17,7 @@ from st_core.types import ControlInput, InputSequence, VehicleState
 GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="theory: 1", meaning="share")
 STATE = VehicleState(0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
 
-BANK_FROM_A_MAP = '''
+MAPPED_BANK = '''
     """Gravity along body y on a banked road, the bank from a map: a_y = -gain g sin(bank)."""
 
     from st_core.effects import Effect, Parameter, register
@@ -50,15 +50,15 @@ def write(folder, file, text):
     (folder / file).write_text(textwrap.dedent(text))
 
 
-def define(**attributes):
+def make_effect(**attributes):
     body = {"name": "trial", "physics": "it does something", "excited_by": "driving of any kind", "kind": "physics",
             "slot": "body", "parameters": (GAIN,),
             "inputs": staticmethod(lambda angle, acceleration, signals, theta: (angle, acceleration))}
     return type("Trial", (Effect,), {k: v for k, v in {**body, **attributes}.items() if v is not None})
 
 
-def test_a_complete_effect_is_taken():
-    assert register(define()) is get_effect("trial")
+def test_complete_effect_is_registered():
+    assert register(make_effect()) is get_effect("trial")
 
 
 @pytest.mark.parametrize(("attributes", "message"), [
@@ -87,10 +87,10 @@ def test_a_complete_effect_is_taken():
     ({"observe": staticmethod(lambda measured, theta: measured)}, "observe requires its inverse correct"),
     ({"inputs": None}, "it has no hook"),
 ])
-def test_an_incomplete_one_is_refused(attributes, message):
+def test_incomplete_effect_is_rejected(attributes, message):
     before = set(EFFECTS)
     with pytest.raises(ConfigurationError, match=message):
-        register(define(**attributes))
+        register(make_effect(**attributes))
     assert set(EFFECTS) == before
 
 
@@ -101,41 +101,41 @@ def test_an_incomplete_one_is_refused(attributes, message):
     ({"bounds": (0.0, np.inf)}, "not two increasing numbers"), ({"source": " "}, "source is empty"),
     ({"unit": ""}, "unit is empty"),
 ])
-def test_a_parameter_that_contradicts_itself_is_refused(change, message):
+def test_contradictory_parameter_is_rejected(change, message):
     with pytest.raises(ConfigurationError, match=message):
         replace(GAIN, **change)
 
 
-def test_unknown_names_suggest_the_nearest():
+def test_unknown_name_suggests_the_nearest():
     with pytest.raises(ConfigurationError, match=r"unknown effect 'frction', did you mean friction\?"):
         get_effect("frction")
 
 
-def test_effects_of_a_folder_take_part(tmp_path, leaf):
-    write(tmp_path, "mapped_bank.py", BANK_FROM_A_MAP.format(name="mapped_bank"))
+def test_effects_of_a_folder_are_loaded_and_predict(tmp_path, leaf):
+    write(tmp_path, "mapped_bank.py", MAPPED_BANK.format(name="mapped_bank"))
     write(tmp_path, "_helper.py", "raise RuntimeError('helpers are not imported unless asked for')")
     assert load_folder(tmp_path) == ("mapped_bank",)
-    assert load_folder(tmp_path) == ("mapped_bank",)  # once more: not read again
+    assert load_folder(tmp_path) == ("mapped_bank",)  # not loaded a second time
     assert effects.source_file(get_effect("mapped_bank")) == str(tmp_path / "mapped_bank.py")
     model = augment("linear", ["mapped_bank"])
     assert model.signals == ("bank_angle",)
     bank = np.full(201, 0.03)
-    straight = np.zeros(201)
-    path = predict(model, leaf, STATE, InputSequence(straight, straight, {"bank_angle": bank}))
+    zero = np.zeros(201)
+    path = predict(model, leaf, STATE, InputSequence(zero, zero, {"bank_angle": bank}))
     constant = predict(augment("linear", {"road_bank": {"angle": 0.03}}), leaf, STATE, ControlInput(0.0, 0.0))
     np.testing.assert_allclose(path.states, constant.states, rtol=1e-13, atol=1e-13)
     batch = predict_batch(model, leaf, np.array([STATE.as_tuple()] * 2), np.zeros(2), np.zeros(2),
                           signals={"bank_angle": np.array([0.03, 0.0])})
     np.testing.assert_allclose(batch[0], path.states, rtol=1e-12, atol=1e-12)
     assert np.abs(batch[1] - batch[0]).max() > 0.1
-    for inputs in (ControlInput(0.0, 0.0), InputSequence(straight, straight)):
+    for inputs in (ControlInput(0.0, 0.0), InputSequence(zero, zero)):
         with pytest.raises(StCoreError, match="needs the signal bank_angle"):
             predict(model, leaf, STATE, inputs)
 
 
-def test_modules_of_a_folder_may_share_a_helper(tmp_path):
+def test_modules_of_a_folder_can_share_a_helper(tmp_path):
     write(tmp_path, "_common.py", "NAME = 'shared_bank'")
-    text = BANK_FROM_A_MAP.replace('"{name}"', "NAME")
+    text = MAPPED_BANK.replace('"{name}"', "NAME")
     text = text.replace("from st_core.ops", "from ._common import NAME\n    from st_core.ops")
     write(tmp_path, "first.py", text)
     assert load_folder(tmp_path) == ("shared_bank",)
@@ -146,25 +146,25 @@ def test_modules_of_a_folder_may_share_a_helper(tmp_path):
     ({"a.py": "import no_such_module"}, r"a\.py: cannot be loaded: ModuleNotFoundError: .*no_such_module"),
     ({"a.py": "def f(:"}, r"a\.py: cannot be loaded: SyntaxError"),
     ({"a.py": "x = 1"}, r"a\.py: registers no effect"),
-    ({"a.py": BANK_FROM_A_MAP.format(name="friction")}, r"a\.py: effect friction: already registered"),
-    ({"a.py": BANK_FROM_A_MAP.format(name="twice"), "b.py": BANK_FROM_A_MAP.format(name="twice")},
+    ({"a.py": MAPPED_BANK.format(name="friction")}, r"a\.py: effect friction: already registered"),
+    ({"a.py": MAPPED_BANK.format(name="twice"), "b.py": MAPPED_BANK.format(name="twice")},
      r"b\.py: effect twice: already registered by .*a\.py"),
-    ({"a.py": BANK_FROM_A_MAP.format(name="mine").replace("kind,", 'confounded_with = ("road_banc",)\n        kind,')},
+    ({"a.py": MAPPED_BANK.format(name="mine").replace("kind,", 'confounded_with = ("road_banc",)\n        kind,')},
      "effect mine: confounded_with: unknown effect road_banc, did you mean road_bank"),
 ])
-def test_what_does_not_load_is_loud_and_leaves_nothing_behind(tmp_path, files, message):
+def test_folder_that_does_not_load_raises_and_registers_nothing(tmp_path, files, message):
     before = set(EFFECTS)
     for file, text in files.items():
         write(tmp_path, file, text)
-    for _ in range(2):  # a second attempt says the same
+    for _ in range(2):  # a second attempt gives the same message
         with pytest.raises(ConfigurationError, match=message):
             load_folder(tmp_path)
         assert set(EFFECTS) == before
 
 
-def test_confounded_effects_are_listed_on_both_sides(tmp_path):
-    """An effect of one's own that lists an effect of the library is listed for that one too."""
-    text = BANK_FROM_A_MAP.replace("kind, slot", 'confounded_with = ("road_bank",)\n        kind, slot')
+def test_confounded_effects_are_symmetric(tmp_path):
+    """A user effect that names a built-in effect as confounded is listed for the built-in one too."""
+    text = MAPPED_BANK.replace("kind, slot", 'confounded_with = ("road_bank",)\n        kind, slot')
     write(tmp_path, "a.py", text.format(name="mine"))
     assert "mine" not in confounded_effects("road_bank")
     load_folder(tmp_path)
@@ -172,6 +172,6 @@ def test_confounded_effects_are_listed_on_both_sides(tmp_path):
     assert "road_bank" not in confounded_effects("road_bank")
 
 
-def test_folder_that_is_not_there(tmp_path):
+def test_missing_folder_is_rejected(tmp_path):
     with pytest.raises(ConfigurationError, match="nowhere: not a folder"):
         load_folder(tmp_path / "nowhere")

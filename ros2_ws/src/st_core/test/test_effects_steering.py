@@ -1,4 +1,4 @@
-"""Effects with memory on the steering: exact answers to ramps, sines and triangles, gaps, and the log they act on."""
+"""Steering effects with memory: exact responses to ramps and sines, resets at gaps, and correction of a log."""
 
 import numpy as np
 import pytest
@@ -9,59 +9,59 @@ from st_core.readings import correct_log, correct_steering
 from st_core.timeseries import NANOSECOND
 
 RANDOM = np.random.default_rng(5)
-TIME = np.cumsum(RANDOM.uniform(0.004, 0.016, 2000))  # uneven, as a bus is
-BEGINS = np.arange(len(TIME)) == 0
+TIME = np.cumsum(RANDOM.uniform(0.004, 0.016, 2000))  # s, uneven as on a bus
+SEGMENT_STARTS = np.arange(len(TIME)) == 0
 
 
-def series(effect: str, values: dict[str, float], angle: np.ndarray, begins: np.ndarray = BEGINS):
-    return augment("linear", {effect: values}).steering(TIME, angle, begins)
+def apply_effect(effect: str, values: dict[str, float], angle: np.ndarray, segment_starts: np.ndarray = SEGMENT_STARTS):
+    return augment("linear", {effect: values}).steering(TIME, angle, segment_starts)
 
 
 @pytest.mark.parametrize("tau", [0.02, 0.1, 0.5])
-def test_lag_of_a_ramp_is_exact(tau):
+def test_lagged_ramp_is_exact(tau):
     t = TIME - TIME[0]
-    time, angle = series("steering_lag", {"time_constant": tau}, 0.2 * t)
+    time, angle = apply_effect("steering_lag", {"time_constant": tau}, 0.2 * t)
     np.testing.assert_array_equal(time, TIME)
     np.testing.assert_allclose(angle, 0.2 * (t - tau * (1.0 - np.exp(-t / tau))), atol=1e-14)
 
 
-def test_lag_of_a_sine_has_its_gain_and_phase():
+def test_lagged_sine_has_first_order_gain_and_phase():
     tau, omega = 0.08, 6.0
-    _, angle = series("steering_lag", {"time_constant": tau}, np.sin(omega * TIME))
+    _, angle = apply_effect("steering_lag", {"time_constant": tau}, np.sin(omega * TIME))
     settled = TIME[0] + 12 * tau < TIME
     gain, phase = 1.0 / np.hypot(1.0, omega * tau), np.arctan(omega * tau)
-    # The angle runs straight between samples: its own error is omega^2 dt^2 / 12.
+    # Error of linear interpolation between samples: omega^2 dt^2 / 12.
     np.testing.assert_allclose(angle[settled], gain * np.sin(omega * TIME - phase)[settled], atol=8e-4)
 
 
-def test_delay_shifts_time_and_nothing_else():
-    time, angle = series("steering_delay", {"time": 0.07}, np.sin(TIME))
+def test_delay_shifts_time_only():
+    time, angle = apply_effect("steering_delay", {"time": 0.07}, np.sin(TIME))
     np.testing.assert_array_equal(time, TIME + 0.07)
     np.testing.assert_array_equal(angle, np.sin(TIME))
 
 
 def test_backlash_is_the_play_operator():
     angle, play = 0.02 * np.sin(3.0 * TIME) + 0.005 * np.sin(17.0 * TIME), 0.006
-    _, loose = series("steering_backlash", {"play": play}, angle)
+    _, loose = apply_effect("steering_backlash", {"play": play}, angle)
     expected, at = np.empty_like(angle), angle[0]
     for i, a in enumerate(angle):
         at = min(max(at, a - play / 2), a + play / 2)
         expected[i] = at
     np.testing.assert_array_equal(loose, expected)
-    small = 0.4 * play * np.sin(9.0 * TIME - 9.0 * TIME[0])
-    # It never leaves the play.
-    np.testing.assert_array_equal(series("steering_backlash", {"play": play}, small)[1], 0.0)
+    within_play = 0.4 * play * np.sin(9.0 * TIME - 9.0 * TIME[0])
+    # An angle within the play has no effect.
+    np.testing.assert_array_equal(apply_effect("steering_backlash", {"play": play}, within_play)[1], 0.0)
 
 
 @pytest.mark.parametrize(("effect", "values"), [
     ("steering_lag", {"time_constant": 0.1}), ("steering_backlash", {"play": 0.01}), ("steering_delay", {"time": 0.1})])
-def test_memory_starts_afresh_after_a_gap(effect, values):
+def test_state_is_reset_after_a_gap(effect, values):
     angle = 0.05 * np.sin(2.0 * TIME)
     gap = 800
-    begins = BEGINS | (np.arange(len(TIME)) == gap)
-    _, whole = series(effect, values, angle, begins)
+    segment_starts = SEGMENT_STARTS | (np.arange(len(TIME)) == gap)
+    _, whole = apply_effect(effect, values, angle, segment_starts)
     model = augment("linear", {effect: values})
-    _, second = model.steering(TIME[gap:], angle[gap:], BEGINS[: len(TIME) - gap])
+    _, second = model.steering(TIME[gap:], angle[gap:], SEGMENT_STARTS[: len(TIME) - gap])
     np.testing.assert_allclose(whole[gap:], second, atol=1e-15)
     assert whole[gap] == angle[gap]
 
@@ -85,15 +85,15 @@ def test_scan_equals_a_loop(count):
     np.testing.assert_array_equal(scan((low, high), compose_clamps)[0], expected)
 
 
-def test_the_chain_is_delay_then_play_then_lag():
+def test_steering_chain_is_delay_then_backlash_then_lag():
     values = {"steering_lag": {"time_constant": 0.1}, "steering_backlash": {"play": 0.01},
               "steering_delay": {"time": 0.05}}
     angle = 0.05 * np.sin(4.0 * TIME)
-    time, all_of_them = augment("linear", values).steering(TIME, angle, BEGINS)
-    _, step = series("steering_backlash", values["steering_backlash"], angle)
-    _, step = series("steering_lag", values["steering_lag"], step)
+    time, chained = augment("linear", values).steering(TIME, angle, SEGMENT_STARTS)
+    _, step = apply_effect("steering_backlash", values["steering_backlash"], angle)
+    _, step = apply_effect("steering_lag", values["steering_lag"], step)
     np.testing.assert_array_equal(time, TIME + 0.05)
-    np.testing.assert_allclose(all_of_them, step, atol=1e-15)
+    np.testing.assert_allclose(chained, step, atol=1e-15)
 
 
 def drive(time_ns: np.ndarray) -> DriveLog:
@@ -103,21 +103,21 @@ def drive(time_ns: np.ndarray) -> DriveLog:
                     1.7 * np.sin(t))
 
 
-def test_log_is_corrected_on_the_steering_side_only_where_it_must_be():
-    start = 1_700_000_000_123_456_789  # floats do not hold such nanoseconds
+def test_correct_log_changes_only_what_the_effect_needs():
+    start = 1_700_000_000_123_456_789  # not representable as float
     log = drive(start + np.arange(0, 10_000_000_000, 10_000_000))
-    late = correct_log(augment("linear", {"steering_delay": {"time": 0.0375}}), log)
-    np.testing.assert_array_equal(late.steering_time_ns - log.steering_time_ns, 37_500_000)
-    np.testing.assert_array_equal(late.ins_time_ns, log.ins_time_ns)
-    assert late.steering_wheel_angle is None  # it no longer belongs to the road wheel angle
-    same = correct_log(augment("linear", {"mass": {"factor": 1.2}}), log)
-    assert same is log and correct_log(augment("linear", []), log) is log
+    delayed = correct_log(augment("linear", {"steering_delay": {"time": 0.0375}}), log)
+    np.testing.assert_array_equal(delayed.steering_time_ns - log.steering_time_ns, 37_500_000)
+    np.testing.assert_array_equal(delayed.ins_time_ns, log.ins_time_ns)
+    assert delayed.steering_wheel_angle is None  # it no longer corresponds to the road wheel angle
+    unchanged = correct_log(augment("linear", {"mass": {"factor": 1.2}}), log)
+    assert unchanged is log and correct_log(augment("linear", []), log) is log
     lag = correct_log(augment("linear", {"steering_lag": {"time_constant": 0.1}}), log)
     np.testing.assert_array_equal(lag.steering_time_ns, log.steering_time_ns)
     assert lag.road_wheel_angle[300] == pytest.approx(0.1 * np.sin(3.0 - 0.1), abs=1e-3)
 
 
-def test_gap_in_the_recording_is_found_by_its_length():
+def test_gap_in_the_recording_is_detected_by_its_length():
     time_ns = np.concatenate((np.arange(100), np.arange(100) + 130)) * 10_000_000
     angle = np.concatenate((np.zeros(100), np.full(100, 0.1)))
     model = augment("linear", {"steering_lag": {"time_constant": 0.2}})
@@ -127,7 +127,7 @@ def test_gap_in_the_recording_is_found_by_its_length():
     assert 0.0 < carried[100] < 0.1
 
 
-def test_empty_recording_stays_empty():
+def test_empty_recording_is_corrected_to_empty():
     model = augment("linear", ["steering_lag", "steering_delay", "steering_backlash"])
     time_ns, angle = correct_steering(model, np.empty(0, np.int64), np.empty(0), 0.1)
     assert not len(time_ns) and not len(angle)
