@@ -1,4 +1,4 @@
-"""Compiled kernels across processes: found again, never stale, in any place that may be written to or in none."""
+"""Cache of compiled kernels across processes: reused, never stale, in the first writable folder or in none."""
 
 import os
 import shutil
@@ -36,7 +36,7 @@ print(sum(kernel.stats.cache_hits.values()), float(out[0, 5, 0]).hex(), kernel._
 
 
 class Install:
-    """A copy of the package that may be edited, with a home of its own."""
+    """An editable copy of the package with its own home folder."""
 
     def __init__(self, folder: Path):
         self.package = folder / "site" / "st_core"
@@ -62,8 +62,8 @@ class Install:
         assert old in text
         path.write_text(text.replace(old, new))
 
-    def kept(self):
-        """All files of compiled code, with their content."""
+    def compiled_files(self):
+        """Contents of all files of compiled code by path."""
         return {path: path.read_bytes() for path in self.package.parent.rglob("*.nb[ci]")}
 
 
@@ -80,22 +80,22 @@ def install(tmp_path, leaf):
 
 @pytest.fixture(scope="module")
 def banked(tmp_path_factory, leaf):
-    """(install, result) of the linear model on a banked road, its kernel in the cache."""
+    """(install, result) of the linear model on a banked road, with its kernel in the cache."""
     copy = make_install(tmp_path_factory.mktemp("banked"), leaf)
     return copy, copy.run("linear", "road_bank")[1]
 
 
-def test_a_second_process_finds_the_kernel(install):
+def test_second_process_loads_the_kernel_from_the_cache(install):
     found, result, folder = install.run("linear")
     assert not found and folder.is_relative_to(install.package / "backends" / "__pycache__" / "kernels")
-    kept = install.kept()
-    assert len(kept) == 2  # index and code
+    files = install.compiled_files()
+    assert len(files) == 2  # index and code
     assert install.run("linear") == (True, result, folder)
-    assert install.kept() == kept
+    assert install.compiled_files() == files
 
 
 @pytest.mark.slow
-def test_other_models_and_values_have_kernels_of_their_own(install):
+def test_every_set_of_effects_has_its_own_kernel(install):
     _, plain, _ = install.run("linear")
     found, offset, _ = install.run("linear", "steering_offset", "road_bank")
     assert not found and offset != plain
@@ -103,19 +103,20 @@ def test_other_models_and_values_have_kernels_of_their_own(install):
     assert install.run("linear")[:2] == (True, plain)
     # The value of an effect is an argument of the kernel, not a part of it.
     install.edit("effects/steering_offset.py", "initial=", "initial=0.5 * ")
-    found, halved, _ = install.run("linear", "steering_offset", "road_bank")
+    _, halved, _ = install.run("linear", "steering_offset", "road_bank")
     assert halved not in (offset, plain)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
-    ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a number, used by the effect in another file
-    ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
-    ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
-    ("backends/numba_ops.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "),
+    ("tyres.py", "return -cornering_stiffness * slip", "return -1.1 * cornering_stiffness * slip"),
+    *(pytest.param(*edit, marks=pytest.mark.slow) for edit in (
+        ("models/_base.py", "slip_angle(velocity_y - p.", "slip_angle(velocity_y - 1.1 * p."),
+        ("tyres.py", "GRAVITY = 9.81", "GRAVITY = 9.0"),  # a constant used by the effect in another file
+        ("effects/road_bank.py", "zero - GRAVITY * sin(", "zero - 2.0 * GRAVITY * sin("),
+        ("composition.py", "velocity_y + a_y", "velocity_y - a_y"),
+        ("backends/numba_ops.py", "S2, S3 = -0.16666666666666666, ", "S2, S3 = -0.15, "))),
 ])
-def test_editing_any_equation_or_effect_makes_it_anew(banked, file, old, new):
+def test_edited_equation_or_effect_recompiles_the_kernel(banked, file, old, new):
     (install, before), model = banked, ("linear", "road_bank")
     install.edit(file, old, new)
     found, after, _ = install.run(*model)
@@ -125,7 +126,7 @@ def test_editing_any_equation_or_effect_makes_it_anew(banked, file, old, new):
 
 
 @pytest.mark.slow
-def test_editing_an_effect_of_the_user_makes_it_anew(install, tmp_path):
+def test_edited_user_effect_recompiles_the_kernel(install, tmp_path):
     folder = tmp_path / "own"
     folder.mkdir()
     source = (install.package / "effects" / "road_bank.py").read_text().replace("from ..", "from st_core.")
@@ -139,8 +140,8 @@ def test_editing_an_effect_of_the_user_makes_it_anew(install, tmp_path):
     assert not found and after != before
 
 
-def test_where_the_package_cannot_be_written_the_user_has_a_cache(install):
-    # Root may write anywhere, but not make a folder inside a file.
+def test_read_only_package_uses_the_user_cache(install):
+    # Works for root too: nobody can make a folder inside a file.
     (install.package / "backends" / "__pycache__").write_text("")
     found, result, folder = install.run("kinematic")
     assert not found and folder.is_relative_to(install.home / ".cache" / "st_core")
@@ -151,14 +152,7 @@ def test_where_the_package_cannot_be_written_the_user_has_a_cache(install):
     assert install.run("kinematic", NUMBA_CACHE_DIR=str(given))[2].is_relative_to(given)
 
 
-def test_an_edited_equation_is_never_run_from_the_cache(install):
-    _, before, _ = install.run("linear")
-    install.edit("tyres.py", "return -cornering_stiffness * slip", "return -1.1 * cornering_stiffness * slip")
-    found, after, _ = install.run("linear")
-    assert not found and after != before
-
-
-def test_where_nothing_can_be_written_it_works_without_a_cache(install):
+def test_without_a_writable_folder_nothing_is_cached(install):
     (install.package / "backends" / "__pycache__").write_text("")
     found, result, folder = install.run("kinematic", HOME="/dev/null")
     assert not found and folder is None
@@ -167,7 +161,7 @@ def test_where_nothing_can_be_written_it_works_without_a_cache(install):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nbc", "nbi"])
-def test_a_damaged_cache_costs_time_only(install, kind):
+def test_damaged_cache_file_is_recompiled(install, kind):
     _, result, folder = install.run("kinematic")
     file, = folder.glob(f"*.{kind}")
     file.write_bytes(file.read_bytes()[:-100] if kind == "nbc" else b"")
@@ -175,17 +169,17 @@ def test_a_damaged_cache_costs_time_only(install, kind):
 
 
 @pytest.mark.slow
-def test_what_was_not_used_for_long_is_deleted(install):
+def test_cache_unused_for_long_is_deleted(install):
     _, _, folder = install.run("kinematic")
-    used = folder.parent  # numba adds a level
-    old = used.parent / "old"
-    old.mkdir()
-    os.utime(old, (0, 0))
+    recent = folder.parent  # numba adds a level
+    unused = recent.parent / "old"
+    unused.mkdir()
+    os.utime(unused, (0, 0))
     install.run("kinematic")
-    assert not old.exists() and used.exists()
+    assert not unused.exists() and recent.exists()
 
 
-def test_a_function_is_more_than_its_file():
+def test_fingerprint_includes_closure_values_and_called_functions():
     def make(factor, inner):
         def outer(x):
             return factor * inner(x)
@@ -197,9 +191,9 @@ def test_a_function_is_more_than_its_file():
     def square(x):
         return x * x
 
-    prints = [call_graph.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
-    assert len(set(prints)) == 3
-    assert call_graph.fingerprint(make(1.0, double)) == prints[0]
+    fingerprints = [call_graph.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
+    assert len(set(fingerprints)) == 3
+    assert call_graph.fingerprint(make(1.0, double)) == fingerprints[0]
     assert [f.__name__ for f in call_graph.find_reachable(make(1.0, double))] == ["double", "outer"]
     with pytest.raises(call_graph.UnhashableError):
         call_graph.fingerprint(make(object(), double))

@@ -1,12 +1,13 @@
-"""CasADi functions of every model and effect against the equations on floats, and their derivatives."""
+"""CasADi functions of every model and effect against the equations on floats, and their Jacobians."""
 
 import math
 
 import numpy as np
 import pytest
+from effect_values import values_towards_bound
 from st_core import ops
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import applicable
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4, rk4_step
 from st_core.models import MODELS
@@ -15,12 +16,12 @@ casadi = pytest.importorskip("casadi", reason="casadi is not installed")
 from st_core.backends.casadi_backend import build, list_free_parameters  # noqa: E402
 
 STEPS, STEP = 100, 0.05
-SHARES = (-1.0, -0.3, 0.4, 1.0)  # of the way from null to a limit
+SHARES = (-1.0, -0.3, 0.4, 1.0)  # of the distance from null to a bound
 EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in applicable(base)]
 
 
-def cases(count, seed=1):
-    """Start states (count, 6) and held inputs (count, 2): 1 to 20 m/s, |a_y| up to 6 m/s^2 as designed."""
+def random_cases(count, seed=1):
+    """Start states (count, 6) and constant inputs (count, 2): 1 to 20 m/s, |a_y| up to 6 m/s^2."""
     draw = np.random.default_rng(seed)
     speed = draw.uniform(1.0, 20.0, count)
     angle = np.clip(draw.uniform(-6.0, 6.0, count) * 2.7 / speed**2, -0.3, 0.3)
@@ -29,101 +30,92 @@ def cases(count, seed=1):
     return states, np.column_stack([angle, draw.uniform(-0.3, 1.0, count)])
 
 
-def assert_same(ours, reference):
-    ours, reference = np.asarray(ours, float), np.asarray(reference, float)
+def assert_equal_to_rounding(values, reference):
+    values, reference = np.asarray(values, float), np.asarray(reference, float)
     assert np.all(np.isfinite(reference))
-    assert np.max(np.abs(ours - reference) / np.maximum(1.0, np.abs(reference))) <= 1e-12
+    assert np.max(np.abs(values - reference) / np.maximum(1.0, np.abs(reference))) <= 1e-12
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_thousand_predictions_of_five_seconds_agree(leaf, name):
-    model, (states, held) = MODELS[name], cases(1000)
+def test_thousand_predictions_of_five_seconds_equal_floats(leaf, name):
+    model, (states, held) = MODELS[name], random_cases(1000)
     p = model.parameters(leaf)
     expected = []
     for state, (angle, acceleration) in zip(states.tolist(), held.tolist(), strict=True):
         w = model.inputs(angle, acceleration, p)
         expected.append(rk4(model.rhs, tuple(state), [w] * (2 * STEPS + 1), p, STEP)[-1])
     many = build(name, leaf).step.mapaccum(STEPS)
-    ours = [many(state, np.tile(u[:, None], STEPS), STEP)[:, -1].full().ravel()
+    final_states = [many(state, np.tile(u[:, None], STEPS), STEP)[:, -1].full().ravel()
             for state, u in zip(states, held, strict=True)]
-    assert_same(ours, expected)
+    assert_equal_to_rounding(final_states, expected)
 
 
-def shares(effect, share):
-    """Values of an effect a share of the way from null to the upper (or lower) limit of each parameter."""
-    values = {}
-    for q in effect.parameters:
-        limit = q.bounds[1] if share > 0.0 or q.bounds[0] == q.null else q.bounds[0]
-        way = q.null + abs(share) * (limit - q.null)
-        values[q.name] = min(max(way, q.bounds[0]), q.bounds[1]) if q.fit else q.null
-    return values
-
-
-def agree(model, vehicle, count=40):
-    p, ours = model.parameters(vehicle), build(model, vehicle)
-    for six, (angle, acceleration) in zip(*(c.tolist() for c in cases(count)), strict=True):
+def assert_functions_equal_floats(model, vehicle, count=40):
+    p, functions = model.parameters(vehicle), build(model, vehicle)
+    for six, (angle, acceleration) in zip(*(c.tolist() for c in random_cases(count)), strict=True):
         w = model.inputs(angle, acceleration, p)
         state = model.start_state(tuple(six), w, p)
         u = [angle, acceleration]
-        assert_same(ours.start(six, u).full().ravel(), state)
-        assert_same(ours.dynamics(state, u).full().ravel(), model.rhs(state, w, p))
-        after = rk4_step(model.rhs, state, w, w, w, p, 0.02)
-        assert_same(ours.step(state, u, 0.02).full().ravel(), after)
+        assert_equal_to_rounding(functions.start(six, u).full().ravel(), state)
+        assert_equal_to_rounding(functions.dynamics(state, u).full().ravel(), model.rhs(state, w, p))
+        advance = rk4_step(model.rhs, state, w, w, w, p, 0.02)
+        assert_equal_to_rounding(functions.step(state, u, 0.02).full().ravel(), advance)
 
 
 @pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)
-def test_every_effect_agrees_at_several_values(leaf, base, name):
+def test_every_effect_equals_floats_at_several_values(leaf, base, name):
     for share in SHARES:
-        agree(augment(base, {name: shares(EFFECTS[name], share)}), leaf, count=15)
+        assert_functions_equal_floats(augment(base, {name: values_towards_bound(name, share)}), leaf, count=15)
 
 
 @pytest.mark.parametrize("base", MODELS)
-def test_all_effects_at_once_agree(car, base):
-    agree(augment(base, applicable(base)), car)
+def test_all_effects_together_equal_floats(car, base):
+    assert_functions_equal_floats(augment(base, applicable(base)), car)
 
 
 @pytest.mark.parametrize("base", MODELS)
-def test_jacobians_are_those_of_the_equations(leaf, base):
+def test_jacobians_equal_central_differences(leaf, base):
     model = augment(base, applicable(base))
-    ours, p = build(model, leaf), model.parameters(leaf)
-    (six,), ((angle, acceleration),) = (c.tolist() for c in cases(1))
+    functions, p = build(model, leaf), model.parameters(leaf)
+    (six,), ((angle, acceleration),) = (c.tolist() for c in random_cases(1))
     w = model.inputs(angle, acceleration, p)
     x, u, h = np.array(model.start_state(tuple(six), w, p)), np.array([angle, acceleration]), 0.02
 
     def rates(x, u):
         return np.array(model.rhs(tuple(x), model.inputs(*u, p), p), float)
 
-    def after(x, u):
+    def advance(x, u):
         w = model.inputs(*u, p)
         return np.array(rk4_step(model.rhs, tuple(x), w, w, w, p, h), float)
 
-    for of, (a, b) in ((rates, ours.dynamics_jacobian(x, u)), (after, ours.step_jacobian(x, u, h))):
+    for of, (a, b) in ((rates, functions.dynamics_jacobian(x, u)), (advance, functions.step_jacobian(x, u, h))):
         for matrix, which in ((a.full(), 0), (b.full(), 1)):
             for column in range(matrix.shape[1]):
-                nudge = np.zeros(len((x, u)[which]))
-                nudge[column] = 1e-6
-                ends = [of(*(v + sign * nudge if k == which else v for k, v in enumerate((x, u)))) for sign in (1, -1)]
+                increment = np.zeros(len((x, u)[which]))
+                increment[column] = 1e-6
+                ends = [of(*(v + sign * increment if k == which else v for k, v in enumerate((x, u))))
+                        for sign in (1, -1)]
                 np.testing.assert_allclose(matrix[:, column], (ends[0] - ends[1]) / 2e-6, rtol=2e-5, atol=2e-5)
 
 
-def test_substeps_are_shorter_steps(leaf):
+def test_substeps_equal_shorter_steps(leaf):
     one, three = build("nonlinear", leaf), build("nonlinear", leaf, substeps=3)
     x, u = [0.0, 0.0, 12.0, 0.1, 0.2, 0.3], [0.05, -1.0]
     expected = x
     for _ in range(3):
         expected = one.step(expected, u, 0.02)
-    assert_same(three.step(x, u, 0.06).full(), expected.full())
+    assert_equal_to_rounding(three.step(x, u, 0.06).full(), expected.full())
 
 
-def test_a_parameter_left_free_is_an_argument(leaf):
+def test_free_parameter_is_an_argument(leaf):
     model = augment("nonlinear", {"road_bank": {"angle": 0.1}, "steering_offset": {"angle": 0.0}})
-    ours = build(model, leaf, free=["steering_offset.angle", "road_bank.angle"])
-    assert [(v.name, v.unit, v.value) for v in ours.parameters] == [
+    functions = build(model, leaf, free=["steering_offset.angle", "road_bank.angle"])
+    assert [(v.name, v.unit, v.value) for v in functions.parameters] == [
         ("steering_offset.angle", "rad", 0.0), ("road_bank.angle", "rad", 0.1)]
     x, u = [0.0, 0.0, 12.0, 0.1, 0.2, 0.3], [0.1, -1.0]
     for angle, bank in ((0.0, 0.1), (0.02, -0.05)):
         fixed = build(model.with_values({"road_bank": {"angle": bank}, "steering_offset": {"angle": angle}}), leaf)
-        assert_same(ours.step(x, u, 0.05, [angle, bank]).full(), fixed.step(x, u, 0.05).full())
+        assert_equal_to_rounding(functions.step(x, u, 0.05, [angle, bank]).full(), fixed.step(x, u, 0.05).full())
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -131,28 +123,28 @@ def test_a_parameter_left_free_is_an_argument(leaf):
     ({"model": "linear", "free": ["mass"]}, "free: 'mass' is not a parameter .* of model linear, which has none"),
     ({"model": "linear", "substeps": 0}, "substeps: 0 is below 1"),
 ])
-def test_what_is_refused(leaf, arguments, message):
+def test_invalid_arguments_are_rejected(leaf, arguments, message):
     with pytest.raises(ConfigurationError, match=message):
         build(vehicle=leaf, **arguments)
 
 
-def test_what_is_attached(leaf):
+def test_functions_carry_names_units_and_bounds(leaf):
     model = augment("nonlinear", ["tyre_relaxation", "friction", "steering_delay", "yaw_rate_bias"])
-    ours = build(model, leaf)
-    assert [(v.name, v.unit) for v in ours.states[6:]] == [(name, "rad") for name in model.extra_states]
-    assert ours.states[2].unit == "m/s" and ours.inputs[0].unit == "rad"
-    assert all(v.lower < v.upper for v in (*ours.states, *ours.inputs))
-    assert set(ours.left_out) == {"steering_delay", "yaw_rate_bias"}
+    functions = build(model, leaf)
+    assert [(v.name, v.unit) for v in functions.states[6:]] == [(name, "rad") for name in model.extra_states]
+    assert functions.states[2].unit == "m/s" and functions.inputs[0].unit == "rad"
+    assert all(v.lower < v.upper for v in (*functions.states, *functions.inputs))
+    assert set(functions.left_out) == {"steering_delay", "yaw_rate_bias"}
     assert list(list_free_parameters(model)) == ["tyre_relaxation.length"]
-    assert [f.name() for f in ours.functions][:2] == ["augmented_dynamics", "augmented_step"]
+    assert [f.name() for f in functions.functions][:2] == ["augmented_dynamics", "augmented_step"]
 
 
 @pytest.mark.parametrize("kind", [casadi.SX, casadi.MX])
-def test_every_operation_is_taught(kind):
+def test_every_operation_accepts_casadi_symbols(kind):
     x = kind.sym("x")
     for name in ops.NAMES:
         function = getattr(ops, name)
         other = (0.25,) if name in ("maximum", "minimum") else ()
-        ours = casadi.Function("f", [x], [function(x, *other)])
+        evaluate = casadi.Function("f", [x], [function(x, *other)])
         for value in (0.1, 0.25, 0.9):
-            assert math.isclose(float(ours(value)), function(value, *other), rel_tol=1e-15)
+            assert math.isclose(float(evaluate(value)), function(value, *other), rel_tol=1e-15)

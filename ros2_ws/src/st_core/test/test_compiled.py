@@ -1,4 +1,4 @@
-"""Compiled predictions one at a time: the numbers of Python floats, for every model; floats where it cannot be."""
+"""Compiled single predictions equal Python floats for every model; models that cannot be compiled run on floats."""
 
 import math
 from dataclasses import replace
@@ -25,32 +25,32 @@ def wavy(steps):
 
 
 @needs_numba
-@pytest.mark.parametrize("inputs", [INPUTS, wavy(SETTINGS.steps)], ids=["held", "sequence"])
+@pytest.mark.parametrize("inputs", [INPUTS, wavy(SETTINGS.steps)], ids=["constant", "sequence"])
 @pytest.mark.parametrize("model", [*MODELS.values(), augment("linear", ["tyre_relaxation"]),
                                    augment("nonlinear", ["road_bank"])], ids=lambda m: m.name)
-def test_same_numbers_as_on_floats(leaf, model, inputs):
-    ours = compile_model(model, leaf, SETTINGS)(STATE, inputs)
+def test_compiled_prediction_equals_floats(leaf, model, inputs):
+    compiled_path = compile_model(model, leaf, SETTINGS)(STATE, inputs)
     exact = predict(model, leaf, STATE, inputs)
-    assert ours.step == exact.step
-    np.testing.assert_allclose(ours.states, exact.states, rtol=1e-12, atol=1e-12)
+    assert compiled_path.step == exact.step
+    np.testing.assert_allclose(compiled_path.states, exact.states, rtol=1e-12, atol=1e-12)
 
 
 @needs_numba
-def test_nan_in_gives_nan_out_as_on_floats(leaf):
+def test_nan_propagates_as_on_floats(leaf):
     model = MODELS["linear"]
     sequence = wavy(SETTINGS.steps)
     angle = sequence.road_wheel_angle.copy()
     angle[100:] = math.nan
-    ours = compile_model(model, leaf, SETTINGS)(STATE, replace(sequence, road_wheel_angle=angle)).states
+    compiled_path = compile_model(model, leaf, SETTINGS)(STATE, replace(sequence, road_wheel_angle=angle)).states
     exact = predict(model, leaf, STATE, replace(sequence, road_wheel_angle=angle)).states
-    np.testing.assert_array_equal(np.isnan(ours), np.isnan(exact))
-    assert np.isnan(ours).any() and np.isfinite(ours[49]).all()
+    np.testing.assert_array_equal(np.isnan(compiled_path), np.isnan(exact))
+    assert np.isnan(compiled_path).any() and np.isfinite(compiled_path[49]).all()
 
 
 @needs_numba
-def test_predictor_runs_what_it_is_given(leaf):
-    runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
-    assert said == "compiled and checked: kinematic, linear, nonlinear"
+def test_predictor_uses_compiled_models(leaf):
+    runners, message = compile_models(list(MODELS.values()), leaf, SETTINGS)
+    assert message == "compiled and checked: kinematic, linear, nonlinear"
     start = Start(0, STATE, INPUTS)
     fast, plain = Predictor(leaf, tuple(MODELS), SETTINGS, runners), Predictor(leaf, tuple(MODELS), SETTINGS)
     for name in MODELS:
@@ -58,21 +58,21 @@ def test_predictor_runs_what_it_is_given(leaf):
 
 
 @needs_numba
-def test_other_numbers_than_floats_are_refused(leaf, monkeypatch):
-    """A compiler that goes wrong: the model stays on floats, and one line says why."""
-    right = compiled.CompiledModel.__call__
+def test_compiled_model_that_differs_from_floats_is_not_used(leaf, monkeypatch):
+    """With an inexact compiled result the model runs on floats, and the message gives the reason."""
+    exact_call = compiled.CompiledModel.__call__
 
-    def wrong(self, state, inputs):
-        trajectory = right(self, state, inputs)
+    def inexact(self, state, inputs):
+        trajectory = exact_call(self, state, inputs)
         return replace(trajectory, states=trajectory.states + 1e-6 * (self._model.name == "linear"))
 
-    monkeypatch.setattr(compiled.CompiledModel, "__call__", wrong)
-    runners, said = compile_models(list(MODELS.values()), leaf, SETTINGS)
+    monkeypatch.setattr(compiled.CompiledModel, "__call__", inexact)
+    runners, message = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert set(runners) == {"kinematic", "nonlinear"}
-    assert said.startswith("compiled and checked: kinematic, nonlinear; not compiled: linear (the compiled ")
+    assert message.startswith("compiled and checked: kinematic, nonlinear; not compiled: linear (the compiled ")
 
 
-def test_without_numba_all_stay_on_floats(leaf, monkeypatch):
+def test_without_numba_all_models_run_on_floats(leaf, monkeypatch):
     monkeypatch.setattr(compiled, "has_numba", lambda: False)
     assert compile_models(list(MODELS.values()), leaf, SETTINGS) == (
         {}, "not compiled: kinematic, linear, nonlinear (numba is not installed)")

@@ -1,10 +1,9 @@
-"""The three models: exact circle, mirror symmetry, standstill, NaN, load transfer, batch equals loop."""
+"""The three models: exact circle, mirror symmetry, standstill, NaN, load transfer. Batches: test_backends.py."""
 
 import math
 
 import numpy as np
 import pytest
-from batched import predict_batch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from st_core.errors import ConfigurationError
@@ -17,8 +16,8 @@ ALL = sorted(MODELS)
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])
 
 RANGES = ((-500.0, 500.0), (-500.0, 500.0), (0.0, 25.0), (-1.0, 1.0), (-7.0, 7.0), (-0.8, 0.8))
-states = st.builds(VehicleState, *[st.floats(*limits) for limits in RANGES])
-inputs = st.builds(ControlInput, st.floats(-0.5, 0.5), st.floats(-6.0, 4.0))
+state_strategy = st.builds(VehicleState, *[st.floats(*limits) for limits in RANGES])
+input_strategy = st.builds(ControlInput, st.floats(-0.5, 0.5), st.floats(-6.0, 4.0))
 
 
 def test_registry_names_its_models():
@@ -37,14 +36,14 @@ def test_kinematic_circle_is_exact(leaf):
     np.testing.assert_allclose(path.yaw, 0.5 + rate * time, rtol=1e-13)
     np.testing.assert_allclose(path.x, 3.0 + radius * (np.sin(course + rate * time) - math.sin(course)), atol=2e-6)
     np.testing.assert_allclose(path.y, -1.0 - radius * (np.cos(course + rate * time) - math.cos(course)), atol=2e-6)
-    # The rear axle rolls without sliding: its centre stays at l / tan(delta) from the centre of the turn.
+    # The rear axle rolls without slip: its centre keeps the distance l / tan(delta) from the turning centre.
     centre = 3.0 - radius * math.sin(course), -1.0 + radius * math.cos(course)
     rear = path.x - leaf.cg_to_rear_axle * np.cos(path.yaw), path.y - leaf.cg_to_rear_axle * np.sin(path.yaw)
     distance = np.hypot(rear[0] - centre[0], rear[1] - centre[1])
     np.testing.assert_allclose(distance, leaf.wheelbase / math.tan(angle), atol=1e-5)
 
 
-def test_kinematic_carries_lateral_velocity_and_yaw_rate_along(leaf):
+def test_kinematic_model_keeps_lateral_velocity_and_yaw_rate_constant(leaf):
     path = predict("kinematic", leaf, VehicleState(0.0, 0.0, 6.0, 0.4, 0.0, 0.3), ControlInput(0.1, 0.5))
     assert (path.velocity_y == 0.4).all() and (path.yaw_rate == 0.3).all()
 
@@ -63,16 +62,17 @@ def test_straight_ahead_stays_straight(leaf, model):
 
 @pytest.mark.parametrize("model", ALL)
 @settings(max_examples=20, deadline=None)
-@given(state=states, held=inputs)
-def test_mirrored_in_gives_mirrored_out(leaf, model, state, held):
-    path = predict(model, leaf, state, held, 1.0)
+@given(state=state_strategy, control=input_strategy)
+def test_mirrored_inputs_give_mirrored_paths(leaf, model, state, control):
+    path = predict(model, leaf, state, control, 1.0)
     mirrored_state = VehicleState(*(MIRROR * state.as_tuple()))
-    mirrored = predict(model, leaf, mirrored_state, ControlInput(-held.road_wheel_angle, held.velocity_x_dot), 1.0)
+    mirrored_control = ControlInput(-control.road_wheel_angle, control.velocity_x_dot)
+    mirrored = predict(model, leaf, mirrored_state, mirrored_control, 1.0)
     np.testing.assert_allclose(mirrored.states, path.states * MIRROR, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("model", ALL)
-def test_turning_the_map_turns_the_path(leaf, model):
+def test_rotated_start_yaw_rotates_the_path(leaf, model):
     turn = 1.1
     path = predict(model, leaf, VehicleState(0.0, 0.0, 9.0, 0.1, 0.2, 0.3), ControlInput(0.1, 0.4))
     turned = predict(model, leaf, VehicleState(0.0, 0.0, 9.0, 0.1, 0.2 + turn, 0.3), ControlInput(0.1, 0.4))
@@ -82,7 +82,7 @@ def test_turning_the_map_turns_the_path(leaf, model):
 
 @pytest.mark.parametrize("model", ALL)
 @pytest.mark.parametrize("speed", [0.0, 1e-9, 0.1, 0.5, 1.0, 2.0, 2.9, 3.1, -1.0])
-def test_low_speed_stays_finite_and_small(car, model, speed):
+def test_low_speed_predictions_are_bounded(car, model, speed):
     path = predict(model, car, VehicleState(0.0, 0.0, speed, 0.2, 0.0, 0.3), ControlInput(0.4, 0.0))
     assert np.isfinite(path.states).all()
     assert np.abs(path.states[:, :2]).max() < 30.0
@@ -97,24 +97,24 @@ def test_braking_through_standstill_stays_finite(car, model):
 
 @pytest.mark.parametrize("model", ALL)
 @pytest.mark.parametrize("acceleration", [1e4, -1e4])
-def test_absurd_acceleration_raises_nothing(leaf, model, acceleration):
+def test_extreme_acceleration_does_not_raise(leaf, model, acceleration):
     path = predict(model, leaf, VehicleState(0.0, 0.0, 10.0, 0.1, 0.0, 0.2), ControlInput(0.1, acceleration))
     assert path.states.shape == (101, 6)
 
 
 @pytest.mark.parametrize("model", ALL)
-def test_nan_and_infinity_in_give_nan_out(leaf, model):
+def test_nan_and_infinity_propagate(leaf, model):
     good = VehicleState(0.0, 0.0, 10.0, 0.1, 0.0, 0.2)
     for bad in (math.nan, math.inf):
-        spoilt = VehicleState(0.0, 0.0, bad, 0.1, 0.0, 0.2)
-        assert not np.isfinite(predict(model, leaf, spoilt, ControlInput(0.1, 0.0)).states[-1, :3]).any()
+        invalid = VehicleState(0.0, 0.0, bad, 0.1, 0.0, 0.2)
+        assert not np.isfinite(predict(model, leaf, invalid, ControlInput(0.1, 0.0)).states[-1, :3]).any()
         assert np.isnan(predict(model, leaf, good, ControlInput(bad, 0.0)).states[-1, :2]).all()
-    spoilt = VehicleState(0.0, 0.0, 10.0, 0.1, math.nan, 0.2)
-    assert np.isnan(predict(model, leaf, spoilt, ControlInput(0.1, 0.0)).states[-1, [0, 1, 4]]).all()
+    invalid = VehicleState(0.0, 0.0, 10.0, 0.1, math.nan, 0.2)
+    assert np.isnan(predict(model, leaf, invalid, ControlInput(0.1, 0.0)).states[-1, [0, 1, 4]]).all()
 
 
 @pytest.mark.parametrize("model", ALL)
-def test_unknown_input_spoils_what_comes_after_and_nothing_before(leaf, model):
+def test_nan_input_affects_later_states_only(leaf, model):
     angle = np.full(201, 0.05)
     known = predict(model, leaf, VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.0), InputSequence(angle, np.zeros(201)))
     angle = angle.copy()
@@ -125,36 +125,14 @@ def test_unknown_input_spoils_what_comes_after_and_nothing_before(leaf, model):
 
 
 @pytest.mark.parametrize("model", ALL)
-def test_constant_sequence_equals_held_inputs(leaf, model):
+def test_constant_sequence_equals_control_input(leaf, model):
     state = VehicleState(5.0, 2.0, 14.0, -0.1, 0.3, 0.2)
-    held = predict(model, leaf, state, ControlInput(0.04, 0.7))
+    control = predict(model, leaf, state, ControlInput(0.04, 0.7))
     sequence = predict(model, leaf, state, InputSequence(np.full(201, 0.04), np.full(201, 0.7)))
-    np.testing.assert_allclose(sequence.states, held.states, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(sequence.states, control.states, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.parametrize("model", ALL)
-@pytest.mark.parametrize("held", [True, False])
-def test_batch_equals_loop(car, model, held):
-    random = np.random.default_rng(7)
-    count = 40
-    starts = random.uniform([-100, -100, 0.5, -0.5, -3, -0.5], [100, 100, 20, 0.5, 3, 0.5], (count, 6))
-    shape = (count,) if held else (count, 81)
-    angle, acceleration = random.uniform(-0.3, 0.3, shape), random.uniform(-3.0, 3.0, shape)
-    batch = predict_batch(model, car, starts, angle, acceleration, 2.0)
-    kind = ControlInput if held else InputSequence
-    for i in range(count):
-        single = predict(model, car, VehicleState(*starts[i]), kind(angle[i], acceleration[i]), 2.0)
-        np.testing.assert_allclose(batch[i], single.states, rtol=1e-12, atol=1e-12)
-
-
-def test_batch_passes_nan_through_one_row_only(leaf):
-    starts = np.tile([0.0, 0.0, 10.0, 0.0, 0.0, 0.0], (3, 1))
-    starts[1, 2] = np.nan
-    batch = predict_batch("nonlinear", leaf, starts, np.full(3, 0.05), np.zeros((3, 201)))
-    assert np.isnan(batch[1, 1:, :3]).all() and np.isfinite(batch[[0, 2]]).all()
-
-
-def test_load_transfer_keeps_the_weight_and_follows_its_formula(leaf):
+def test_load_transfer_preserves_weight_and_matches_its_formula(leaf):
     p = nonlinear_tyre.parameters(leaf)
     for acceleration in (-6.0, -1.5, 0.0, 3.0):
         front, rear = nonlinear_tyre.axle_loads(acceleration, p)
@@ -167,13 +145,13 @@ def test_load_transfer_keeps_the_weight_and_follows_its_formula(leaf):
     assert transfer == pytest.approx(400.0, abs=15.0)
 
 
-def test_at_small_slip_the_two_tyre_models_agree(leaf):
-    state, held = VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.0), ControlInput(0.005, 0.0)
-    linear, nonlinear = (predict(name, leaf, state, held).states for name in ("linear", "nonlinear"))
+def test_tyre_models_agree_at_small_slip(leaf):
+    state, control = VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.0), ControlInput(0.005, 0.0)
+    linear, nonlinear = (predict(name, leaf, state, control).states for name in ("linear", "nonlinear"))
     assert np.abs(linear - nonlinear).max() < 2e-3
 
 
 def test_saturation_widens_the_turn(leaf):
-    state, held = VehicleState(0.0, 0.0, 12.0, 0.0, 0.0, 0.0), ControlInput(0.2, 0.0)
-    linear, nonlinear = (predict(name, leaf, state, held) for name in ("linear", "nonlinear"))
+    state, control = VehicleState(0.0, 0.0, 12.0, 0.0, 0.0, 0.0), ControlInput(0.2, 0.0)
+    linear, nonlinear = (predict(name, leaf, state, control) for name in ("linear", "nonlinear"))
     assert nonlinear.yaw[-1] < linear.yaw[-1]

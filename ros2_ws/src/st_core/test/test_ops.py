@@ -1,4 +1,4 @@
-"""The vocabulary: the same answers on floats and arrays, NaN through, nothing raised, other numbers by registration."""
+"""Elementary functions: equal on floats and arrays, NaN propagates, other number types can be registered."""
 
 import math
 
@@ -10,7 +10,7 @@ VALUES = [-math.inf, -7.0, -1.0, -0.0, 0.0, 0.3, 2.0, 1.0e6, math.inf, math.nan]
 
 
 @pytest.mark.parametrize("name", ops.NAMES)
-def test_float_and_array_agree(name):
+def test_floats_and_arrays_give_equal_results(name):
     function = getattr(ops, name)
     limit = [0.5] if name in ("maximum", "minimum") else []
     with np.errstate(invalid="ignore"):
@@ -22,7 +22,7 @@ def test_float_and_array_agree(name):
 
 @pytest.mark.parametrize("name", ["sin", "cos"])
 @pytest.mark.parametrize("size", [3.0, 1.0e4, 1.0e9])
-def test_long_arrays_are_as_exact_as_short_ones(name, size):
+def test_sine_and_cosine_of_long_arrays_are_exact_to_rounding(name, size):
     special = [0.0, math.pi, -math.pi, math.pi / 2]
     angles = np.concatenate([np.random.default_rng(3).uniform(-size, size, 5000), special])
     function = getattr(ops, name)
@@ -31,16 +31,16 @@ def test_long_arrays_are_as_exact_as_short_ones(name, size):
         assert np.isnan(function(np.full(1000, math.nan))).all() and np.isnan(function(np.full(1000, math.inf))).all()
 
 
-class Wrapped:
-    """A kind of number nothing here knows."""
+class OtherNumber:
+    """A number type that is not registered."""
 
     def __init__(self, value):
         self.value = value
 
 
-def test_other_kinds_of_number_are_registered_from_outside():
-    ops.register(Wrapped, {name: lambda *a, name=name: (name, a[0].value) for name in ops.NAMES})
-    assert ops.atan(Wrapped(3)) == ("atan", 3)
-    assert ops.maximum(Wrapped(3), 1.0) == ("maximum", 3)
+def test_other_number_types_can_be_registered():
+    ops.register(OtherNumber, {name: lambda *a, name=name: (name, a[0].value) for name in ops.NAMES})
+    assert ops.atan(OtherNumber(3)) == ("atan", 3)
+    assert ops.maximum(OtherNumber(3), 1.0) == ("maximum", 3)
     with pytest.raises(KeyError, match="minimum"):
-        ops.register(Wrapped, {name: abs for name in ops.NAMES if name != "minimum"})
+        ops.register(OtherNumber, {name: abs for name in ops.NAMES if name != "minimum"})
