@@ -1,4 +1,4 @@
-"""Force curves of the axles: of models against closed forms, with their band, and against forces as measured."""
+"""Axle force curves: of models against closed forms, with uncertainty bands, and against measured forces."""
 
 from dataclasses import replace
 
@@ -14,33 +14,34 @@ from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_for
 SLIP = np.linspace(0.0, 0.12, 9)
 
 
-def tyre_pair(leaf, axle):
+def tyre_pair_force(leaf, axle):
     tyre, load = getattr(leaf, f"tyre_{axle}"), getattr(leaf, f"static_tyre_load_{axle}")
     return -2.0 * magic_formula_force(SLIP, *magic_formula_coefficients(load, tyre), tyre)
 
 
 @pytest.fixture(scope="module")
-def limit(leaf):
-    """Weaves to 7 m/s^2 of a car with Magic Formula tyres."""
+def limit_drives(leaf):
+    """Weaving up to 7 m/s^2 with Magic Formula tyres."""
     return [drive(leaf, speed, weave(angle), 30.0, model="nonlinear", sensors=SILENT)
             for speed, angle in ((9.0, 0.2), (12.0, 0.15), (15.0, 0.1))]
 
 
 @pytest.mark.parametrize("axle", ["front", "rear"])
-def test_force_of_a_model_is_that_of_its_tyres(leaf, axle):
+def test_axle_force_of_a_model_equals_its_tyre_force(leaf, axle):
     force = compute_axle_force("nonlinear", leaf, axle, SLIP)
-    np.testing.assert_allclose(force, tyre_pair(leaf, axle), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(force, tyre_pair_force(leaf, axle), rtol=1e-9, atol=1e-6)
     stiffness = getattr(leaf, f"cornering_stiffness_{axle}")
     np.testing.assert_allclose(compute_axle_force("linear", leaf, axle, SLIP), stiffness * SLIP, rtol=1e-9, atol=1e-6)
-    # What moves both sides alike, and another mass, change no tyre.
+    # Effects outside the tyres do not change their force.
     moved = augment("nonlinear", {"road_bank": {"angle": 0.05}, "steering_lag": {"time_constant": 0.1}})
-    np.testing.assert_allclose(compute_axle_force(moved, leaf, axle, SLIP), tyre_pair(leaf, axle), rtol=1e-4, atol=1e-6)
+    force = compute_axle_force(moved, leaf, axle, SLIP)
+    np.testing.assert_allclose(force, tyre_pair_force(leaf, axle), rtol=1e-4, atol=1e-6)
     with pytest.raises(StCoreError, match="kinematic: this model has no axle forces"):
         compute_axle_force("kinematic", leaf, axle, SLIP)
 
 
 @pytest.mark.parametrize("gradient", [-0.003, 0.002])
-def test_roll_steer_changes_the_front_curve_over_the_slip_of_the_measured_steering(leaf, gradient):
+def test_roll_steer_changes_the_front_curve(leaf, gradient):
     model = augment("linear", {"roll_steer": {"gradient": gradient}})
     front, rear = (compute_axle_force(model, leaf, axle, SLIP) for axle in ("front", "rear"))
     a_y = (front + rear) / leaf.mass
@@ -48,7 +49,7 @@ def test_roll_steer_changes_the_front_curve_over_the_slip_of_the_measured_steeri
     np.testing.assert_allclose(rear, leaf.cornering_stiffness_rear * SLIP, rtol=2e-3, atol=1.0)
 
 
-def test_saturated_axle_tends_to_its_limit_and_compliance_makes_it_softer(leaf):
+def test_saturation_limits_and_compliance_softens_the_axle(leaf):
     stiff = augment("linear", {"front_saturation": {"saturation": 1.0}})
     soft = augment(stiff, {"steering_compliance": {"compliance": 2e-6}})
     load = GRAVITY * leaf.mass * leaf.cg_to_rear_axle / leaf.wheelbase
@@ -57,7 +58,7 @@ def test_saturated_axle_tends_to_its_limit_and_compliance_makes_it_softer(leaf):
     assert (soft_force < stiff_force).all()
 
 
-def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
+def test_curve_band_spans_the_draws_over_the_driven_slip(leaf):
     model = augment("nonlinear", {"front_tyre_curve": {"peak": 0.8, "curvature": 1.0},
                                    "front_stiffness": {"factor": 1.1}})
     spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
@@ -77,40 +78,41 @@ def test_curve_has_the_band_of_its_draws_over_the_driven_slip(leaf):
         make_axle_curve(model, leaf, "front", np.zeros(0), "nonlinear")
 
 
-def test_measured_forces_lie_on_the_tyres_curve(leaf, limit):
-    for one in fit_axle_regressions(limit, leaf):
-        assert one.usable, one.reasons
-        slip, force = one.samples.bin_forces()
+def test_measured_forces_match_the_tyre_curve(leaf, limit_drives):
+    for regression in fit_axle_regressions(limit_drives, leaf):
+        assert regression.usable, regression.reasons
+        slip, force = regression.samples.bin_forces()
         assert slip[-1] > 0.04 and len(slip) >= 10
-        np.testing.assert_allclose(force, compute_axle_force("nonlinear", leaf, one.axle, slip), rtol=0.02, atol=30.0)
+        expected = compute_axle_force("nonlinear", leaf, regression.axle, slip)
+        np.testing.assert_allclose(force, expected, rtol=0.02, atol=30.0)
 
 
-def test_measured_forces_judge_models(leaf, limit):
-    front, rear = fit_axle_regressions(limit, leaf)
+def test_force_error_distinguishes_models(leaf, limit_drives):
+    front, rear = fit_axle_regressions(limit_drives, leaf)
     stiff = replace(leaf, cornering_stiffness_front=1.5 * leaf.cornering_stiffness_front).with_derived_scales()
-    for one in (front, rear):
-        assert compute_force_error("nonlinear", leaf, one.samples) < 0.01
-        assert compute_force_error("linear", leaf, one.samples) > 0.03
+    for regression in (front, rear):
+        assert compute_force_error("nonlinear", leaf, regression.samples) < 0.01
+        assert compute_force_error("linear", leaf, regression.samples) > 0.03
     wrong, right = (compute_force_error("nonlinear", car, front.samples) for car in (stiff, leaf))
     assert wrong > 10 * right
 
 
-def test_offset_of_the_steering_shifts_no_folded_force(leaf, limit):
+def test_steering_offset_does_not_bias_the_forces(leaf, limit_drives):
     moved = replace(leaf, steering_wheel_offset=leaf.steering_wheel_offset + 0.1)
-    there = fit_axle_regressions(limit, moved)[0]
-    assert there.stiffness == pytest.approx(fit_axle_regressions(limit, leaf)[0].stiffness, rel=0.02)
-    assert compute_force_error("nonlinear", leaf, there.samples) < 0.03
+    shifted = fit_axle_regressions(limit_drives, moved)[0]
+    assert shifted.stiffness == pytest.approx(fit_axle_regressions(limit_drives, leaf)[0].stiffness, rel=0.02)
+    assert compute_force_error("nonlinear", leaf, shifted.samples) < 0.03
 
 
-def test_a_slope_of_the_wrong_sign_is_a_failed_fit_not_a_negative_stiffness(leaf, limit):
-    wrong = [replace(log, steering_wheel_angle=None, road_wheel_angle=-log.road_wheel_angle) for log in limit]
+def test_slope_of_the_wrong_sign_is_a_failed_fit(leaf, limit_drives):
+    wrong = [replace(log, steering_wheel_angle=None, road_wheel_angle=-log.road_wheel_angle) for log in limit_drives]
     front = fit_axle_regressions(wrong, leaf)[0]
     assert np.isnan(front.stiffness) and not front.usable and "the fit failed" in front.reasons[-1]
     estimate = identify_stiffness(wrong, leaf)["cornering_stiffness_front"]
     assert estimate.status == "unidentifiable" and np.isnan(estimate.value) and "The fit failed" in estimate.verdict
 
 
-def test_thin_driving_is_a_reason_not_an_exception(leaf):
+def test_too_little_excitation_is_a_reason_not_an_exception(leaf):
     circle = drive(leaf, 8.0, lambda t: np.full_like(t, 0.08), 40.0, name="circle")
-    for one in fit_axle_regressions([circle], leaf):
-        assert "too little excitation: lateral acceleration: 1 of 11 bins" in one.reasons[0]
+    for regression in fit_axle_regressions([circle], leaf):
+        assert "too little excitation: lateral acceleration: 1 of 11 bins" in regression.reasons[0]

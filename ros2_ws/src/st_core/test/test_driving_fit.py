@@ -1,4 +1,4 @@
-"""Parameters fitted to predictions of several drives: values, their spread over runs, gates, bounds."""
+"""Parameters fitted to predictions of several drives: values, spread over runs, speed limit, bounds."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def fit(logs, leaf):
     return fit_driving(logs, with_stiffness(leaf, 60_000.0, 120_000.0), NAMES, "linear")
 
 
-def test_fit_finds_the_car_with_its_spread_over_runs(fit, leaf):
+def test_fit_recovers_parameters_within_their_spread_over_runs(fit, leaf):
     true = np.array([getattr(leaf, name) for name in NAMES])
     assert fit.values == pytest.approx(true, rel=0.03)
     assert (np.abs(fit.values - true) < 4.0 * fit.spread.deviations).all()
@@ -32,7 +32,7 @@ def test_fit_finds_the_car_with_its_spread_over_runs(fit, leaf):
 
 
 @pytest.mark.slow
-def test_spread_is_that_of_fits_without_a_run(logs, leaf, fit):
+def test_spread_equals_jackknife_of_complete_fits(logs, leaf, fit):
     """The jackknife by complete fits: (k - 1) / k sum (theta_without - mean)^2."""
     car = with_stiffness(leaf, 60_000.0, 120_000.0)
     without = np.array([fit_driving(logs[:k] + logs[k + 1:], car, NAMES, "linear").values for k in range(9)])
@@ -40,19 +40,19 @@ def test_spread_is_that_of_fits_without_a_run(logs, leaf, fit):
     assert fit.spread.deviations == pytest.approx(complete, rel=0.25)
 
 
-def test_predictions_beyond_the_gates_do_not_count(logs, leaf, fit):
-    slow = fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=9.0))
-    assert [slow.windows[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
-    assert slow.prediction_count < fit.prediction_count
+def test_predictions_below_minimum_speed_are_excluded(logs, leaf, fit):
+    fast_only = fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=9.0))
+    assert [fast_only.windows[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
+    assert fast_only.prediction_count < fit.prediction_count
     with pytest.raises(IdentificationError, match=r"too little driving: 0 of \d+ predictions are faster than 40 m/s"):
         fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=40.0))
 
 
-def test_a_value_beyond_the_bounds_is_named(logs, leaf):
-    far = with_stiffness(leaf, 7.0 * leaf.cornering_stiffness_front, leaf.cornering_stiffness_rear)
-    assert fit_driving(logs, far, STIFFNESSES[:1], "linear").at_bound == STIFFNESSES[:1]
+def test_value_at_its_bound_is_reported(logs, leaf):
+    start = with_stiffness(leaf, 7.0 * leaf.cornering_stiffness_front, leaf.cornering_stiffness_rear)
+    assert fit_driving(logs, start, STIFFNESSES[:1], "linear").at_bound == STIFFNESSES[:1]
 
 
-def test_an_unknown_name_is_refused(logs, leaf):
-    with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving"):
+def test_unknown_parameter_is_rejected(logs, leaf):
+    with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving; choose from cornering"):
         fit_driving(logs, leaf, ("cg_height",))

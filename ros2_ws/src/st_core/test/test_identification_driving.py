@@ -1,4 +1,4 @@
-"""Parameters from driving: known truth recovered, from a start where nothing is right."""
+"""Parameters identified from driving: true values are recovered from wrong start values."""
 
 from dataclasses import replace
 
@@ -26,40 +26,40 @@ def weaving(leaf):
 
 
 @pytest.fixture(scope="module")
-def silent(leaf):
+def noise_free(leaf):
     return [drive(leaf, speed, weave(angle), 40.0, sensors=SILENT) for speed, angle in SPEEDS.items()]
 
 
 @pytest.fixture
-def unknown(leaf):
+def start_vehicle(leaf):
     """The Leaf with wrong stiffnesses and offset."""
     return with_stiffness(replace(leaf, steering_wheel_offset=0.0), 56_000.0, 130_000.0)
 
 
-def truth(leaf):
+def true_stiffnesses(leaf):
     return [getattr(leaf, name) for name in STIFFNESSES]
 
 
-def test_regression_gives_a_linear_car_back(leaf, silent):
-    found = identify_stiffness(silent, with_stiffness(leaf, 50_000.0, 50_000.0))
-    assert [found[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.005)
+def test_regression_recovers_stiffness_of_a_linear_car(leaf, noise_free):
+    found = identify_stiffness(noise_free, with_stiffness(leaf, 50_000.0, 50_000.0))
+    assert [found[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.005)
     assert found["cornering_stiffness_front"].status == "identified"
     assert len(found.figure["slip_front"]) == len(found.figure["force_front"]) > 5000
 
 
 @pytest.mark.slow
-def test_regression_averages_over_a_tyre_that_saturates(leaf):
-    """The rear tyre of the table gives 12 % less at 2 deg than its slope at zero; the prediction knows its curve."""
+def test_regression_underestimates_a_saturating_tyre_and_prediction_does_not(leaf):
+    """The force of the rear tyre at 2 deg is 12 % below its initial slope; the prediction includes the tyre curve."""
     logs = [drive(leaf, speed, weave(angle), 25.0, model="nonlinear", sensors=SILENT)
             for speed, angle in ((9.0, 0.15), (12.0, 0.105), (15.0, 0.08))]
-    paper, better = identify_stiffness(logs, leaf), fit_stiffness(logs, leaf)
-    assert paper["cornering_stiffness_rear"].value < 0.97 * leaf.cornering_stiffness_rear
-    assert [better[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.003)
+    regression, prediction = identify_stiffness(logs, leaf), fit_stiffness(logs, leaf)
+    assert regression["cornering_stiffness_rear"].value < 0.97 * leaf.cornering_stiffness_rear
+    assert [prediction[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.003)
 
 
-def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
-    found = fit_stiffness(weaving, unknown, "linear")
-    for name, value in zip(STIFFNESSES, truth(leaf), strict=True):
+def test_prediction_fit_recovers_stiffness_from_wrong_start_values(leaf, weaving, start_vehicle):
+    found = fit_stiffness(weaving, start_vehicle, "linear")
+    for name, value in zip(STIFFNESSES, true_stiffnesses(leaf), strict=True):
         estimate = found[name]
         assert estimate.value == pytest.approx(value, rel=0.02)
         low, high = estimate.interval95
@@ -68,18 +68,18 @@ def test_prediction_finds_stiffness_from_a_wrong_start(leaf, weaving, unknown):
     assert "blocks of 10 s from 4 runs" in found["cornering_stiffness_front"].verdict
 
 
-def test_prediction_takes_offset_misalignment_and_gyro_bias_for_what_they_are(leaf, unknown):
+def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_vehicle):
     sensors = Sensors(misalignment=0.01, yaw_rate_bias=0.004)
     logs = [drive(leaf, speed, weave(angle), 40.0, sensors=sensors, seed=3) for speed, angle in SPEEDS.items()]
-    found = fit_stiffness(logs, unknown, "linear", also=("steering_wheel_offset", MISALIGNMENT))
+    found = fit_stiffness(logs, start_vehicle, "linear", also=("steering_wheel_offset", MISALIGNMENT))
     assert found["steering_wheel_offset"].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
     assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
-    assert [found[name].value for name in STIFFNESSES] == pytest.approx(truth(leaf), rel=0.02)
+    assert [found[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.02)
     assert any("Yaw rate bias" in warning and "+0.004" in warning for warning in found.warnings)
 
 
-def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, unknown):
-    start = replace(unknown, steering_ratio=19.5)
+def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, start_vehicle):
+    start = replace(start_vehicle, steering_ratio=19.5)
     found = identify_steering(weaving, start, "linear")
     ratio = found["steering_ratio"]
     assert ratio.value == pytest.approx(leaf.steering_ratio, rel=0.005)
@@ -88,21 +88,20 @@ def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, unknown):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_steering_offset_both_ways(leaf, unknown):
+def test_steering_offset_by_both_methods(leaf, start_vehicle):
     logs = [drive(leaf, speed, straight, 40.0, seed=2) for speed in (8.0, 12.0)]
-    found = identify_steering_offset(logs, unknown)
+    found = identify_steering_offset(logs, start_vehicle)
     for name in (PAPER_NAME, DIRECT_NAME):
         assert found[name].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
     assert not found.warnings and found[PAPER_NAME].status == "identified"
 
 
-def test_steering_offset_that_depends_on_how_it_is_found_is_doubtful(leaf, unknown):
-    """A heading that turns while the car goes straight: the gyro follows it, the path does not."""
+def test_heading_drift_increases_steering_offset_uncertainty(leaf, start_vehicle):
+    """The yaw drifts by 0.01 rad/s while the path is straight."""
     log = drive(leaf, 10.0, straight, 60.0, seed=2)
-    turning = replace(log, yaw=log.yaw + 0.01 * np.abs((log.ins_time_ns - log.start_ns) * 1e-9 - 30.0))
-    found = identify_steering_offset([turning], unknown)
-    assert found[DIRECT_NAME].standard_uncertainty > 10 * identify_steering_offset([log], unknown)[
-        DIRECT_NAME].standard_uncertainty
+    drifting = replace(log, yaw=log.yaw + 0.01 * np.abs((log.ins_time_ns - log.start_ns) * 1e-9 - 30.0))
+    steady, drifted = (identify_steering_offset([one], start_vehicle)[DIRECT_NAME] for one in (log, drifting))
+    assert drifted.standard_uncertainty > 10 * steady.standard_uncertainty
 
 
 def test_ins_mounting_from_slow_driving(leaf):
@@ -117,17 +116,17 @@ def test_ins_mounting_from_slow_driving(leaf):
     assert low < leaf.cg_to_ins_x + 0.12 < high
 
 
-def test_ins_off_the_centreline_needs_tight_bends(leaf):
+def test_lateral_ins_position_needs_tight_bends(leaf):
     logs = [drive(leaf, speed, weave(0.04, 14.0), 60.0, seed=5) for speed in (4.0, 7.0)]
     found = identify_ins_mounting(logs, leaf)
     assert [e.parameter for e in found.estimates] == ["cg_to_ins_x", MISALIGNMENT]
     assert any("cg_to_ins_y is not estimated" in warning for warning in found.warnings)
 
 
-def test_yaw_inertia_and_dead_time_from_steps(leaf, unknown):
+def test_yaw_inertia_and_dead_time_from_steps(leaf, start_vehicle):
     logs = [drive(leaf, speed, steps(angle), 30.0, sensors=Sensors(delay=0.03), seed=6)
             for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
-    start = replace(unknown, yaw_inertia=2300.0, steering_wheel_offset=leaf.steering_wheel_offset)
+    start = replace(start_vehicle, yaw_inertia=2300.0, steering_wheel_offset=leaf.steering_wheel_offset)
     found = identify_yaw_inertia(logs, start, "linear")
     inertia = found["yaw_inertia"]
     assert inertia.value == pytest.approx(leaf.yaw_inertia, rel=0.03)
@@ -136,7 +135,7 @@ def test_yaw_inertia_and_dead_time_from_steps(leaf, unknown):
     assert any("contradicts 2300" in warning for warning in found.warnings)
 
 
-def test_tyres_that_relax_do_not_pass_for_inertia(leaf):
+def test_tyre_relaxation_does_not_bias_yaw_inertia(leaf):
     relaxing = augment("linear", {"tyre_relaxation": {"length": 0.4}})
     logs = [drive(leaf, speed, steps(angle), 30.0, model=relaxing, seed=8)
             for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
@@ -148,8 +147,8 @@ def test_tyres_that_relax_do_not_pass_for_inertia(leaf):
     assert any(warning.startswith("tyre_relaxation = 0.") for warning in found.warnings)
 
 
-def test_an_inertia_no_car_has_is_none(leaf):
-    wide = replace(leaf, yaw_inertia=9000.0)
-    logs = [drive(wide, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
-    inertia = identify_yaw_inertia(logs, wide, "linear")["yaw_inertia"]
+def test_implausible_yaw_inertia_is_unidentifiable(leaf):
+    heavy = replace(leaf, yaw_inertia=9000.0)
+    logs = [drive(heavy, speed, steps(angle), 30.0, seed=9) for speed, angle in ((9.0, 0.05), (14.0, 0.03))]
+    inertia = identify_yaw_inertia(logs, heavy, "linear")["yaw_inertia"]
     assert inertia.status == "unidentifiable" and "k^2 / (l_f l_r) 3." in inertia.verdict

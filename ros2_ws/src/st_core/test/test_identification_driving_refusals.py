@@ -1,4 +1,4 @@
-"""Drives that cannot give a parameter: one line with the numbers, and what to do."""
+"""Drives from which a parameter cannot be identified: the error gives the numbers and the remedy."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def circle(leaf):
 
 @pytest.mark.parametrize("identify", [identify_stiffness, fit_stiffness, identify_steering_offset,
                                       identify_ins_mounting, identify_yaw_inertia])
-def test_no_drive_one_twice_and_too_short(identify, log, leaf):
+def test_missing_duplicate_and_short_drives_are_rejected(identify, log, leaf):
     with pytest.raises(IdentificationError, match="no drives were given"):
         identify([], leaf)
     with pytest.raises(IdentificationError, match="duplicate name"):
@@ -33,34 +33,29 @@ def test_no_drive_one_twice_and_too_short(identify, log, leaf):
 
 
 @pytest.mark.parametrize("identify", [identify_stiffness, fit_stiffness])
-def test_one_circle_is_too_thin_for_stiffness(identify, circle, leaf):
+def test_circle_has_too_little_excitation_for_stiffness(identify, circle, leaf):
     with pytest.raises(IdentificationError, match=r"excitation: lateral acceleration: 1 of 11 bins .* Drive bends"):
         identify([circle], leaf)
 
 
-def test_a_circle_has_no_straight_for_the_offset(circle, leaf):
+def test_circle_has_no_straight_driving_for_the_offset(circle, leaf):
     with pytest.raises(IdentificationError, match="straight driving: 0 windows of 2 s are straighter than R = 500 m"):
         identify_steering_offset([circle], leaf)
 
 
-def test_steady_bends_do_not_show_the_yaw_inertia(leaf):
+def test_slow_weaving_has_too_little_excitation_for_yaw_inertia(leaf):
     logs = [drive(leaf, speed, weave(0.05, 20.0), 40.0) for speed in (7.0, 12.0)]
     with pytest.raises(IdentificationError, match=r"excitation: yaw acceleration: .* drive steps, lane changes"):
         identify_yaw_inertia(logs, leaf)
 
 
-def test_one_speed_is_too_thin_for_the_steering_ratio(leaf):
+def test_one_speed_has_too_little_excitation_for_steering_ratio(leaf):
     logs = [drive(leaf, 9.0 + shift, weave(0.06), 40.0) for shift in (0.5, 1.0)]
     with pytest.raises(IdentificationError, match="too little excitation: speed: 1 of 8 bins"):
         fit_stiffness(logs, leaf, also=("steering_ratio",))
 
 
-def test_a_fast_drive_is_too_thin_for_the_mounting(log, leaf):
+def test_fast_drive_has_too_little_excitation_for_ins_mounting(leaf):
     fast = drive(leaf, 14.0, weave(0.03), 20.0)
     with pytest.raises(IdentificationError, match=r"too little excitation: speed: 0 of 4 bins .* Drive slowly"):
         identify_ins_mounting([fast], leaf)
-
-
-def test_unknown_parameter(log, leaf):
-    with pytest.raises(IdentificationError, match="cg_height: not identifiable from driving; choose from cornering"):
-        fit_stiffness([log, drive(leaf, 13.0, weave(0.04), 20.0)], leaf, also=("cg_height",))

@@ -1,6 +1,6 @@
-"""Parameters from experiments: the truth is found within its interval, and data that cannot give it are refused.
+"""Parameters from experiments: 95 % intervals contain the true values, and implausible data are rejected.
 
-Seeds 0 to 49 throughout. 40 of 50 would be the ninetieth percentile's lower end by chance; 45 are wanted.
+At least 45 of 50 intervals (seeds 0 to 49) must contain the true value; 47.5 are expected.
 """
 
 import math
@@ -17,10 +17,10 @@ from st_core.identification.steering_ratio import identify_steering_ratio
 from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
 
 SEEDS = range(50)
-NEEDED = 45
+REQUIRED_HITS = 45
 
 
-def within(estimate, truth):
+def contains(estimate, truth):
     return estimate.interval95[0] <= truth <= estimate.interval95[1]
 
 
@@ -29,83 +29,83 @@ def lifted(leaf):
     return LiftedCar(leaf.mass, leaf.wheelbase, leaf.cg_to_front_axle)
 
 
-def start_of(leaf, tyre):
-    """What somebody knows of a tyre before the test: its nominal load."""
+def start_tyre(leaf, tyre):
+    """Start values of the fit: only the nominal load is that of the true tyre."""
     return getattr(leaf, tyre)._replace(p_cy1=1.3, p_dy1=1.0, p_dy2=0.0, p_ey1=0.0, p_ey2=0.0, p_ky1=-15.0, p_ky2=1.5,
                                         p_ky4=2.0)
 
 
-def test_scales_find_mass_and_cg_within_their_intervals(leaf):
+def test_weighing_intervals_contain_mass_and_cg_position(leaf):
     found = [identify_mass_and_cg(weighings(leaf, seed), leaf.wheelbase) for seed in SEEDS]
     for key in ("mass", "cg_to_front_axle"):
         truth = getattr(leaf, key)
-        assert sum(within(one[key], truth) for one in found) >= NEEDED
-        assert max(abs(one[key].value / truth - 1.0) for one in found) < 0.005
+        assert sum(contains(result[key], truth) for result in found) >= REQUIRED_HITS
+        assert max(abs(result[key].value / truth - 1.0) for result in found) < 0.005
     assert found[0].estimates[0].unit == "kg" and found[0].used == ("1", "2", "3")
 
 
-def test_scales_that_err_alike_do_not_average_out(leaf):
+def test_common_scale_error_does_not_average_out(leaf):
     many = identify_mass_and_cg(weighings(leaf, 0, count=40), leaf.wheelbase)
-    assert many["mass"].standard_uncertainty > 2 * 0.5  # four scales of 0.5 kg, however often the car is weighed
+    assert many["mass"].standard_uncertainty > 2 * 0.5  # four scales of 0.5 kg
     assert many["mass"].standard_uncertainty < 1.1
 
 
-def test_weighings_with_another_loading_are_left_out(leaf):
+def test_weighings_with_another_loading_are_excluded(leaf):
     data = weighings(leaf, 0, count=4)
     found = identify_mass_and_cg(replace(data, loads=("driver", "driver", "two people", "driver")), leaf.wheelbase)
     assert found.used == ("1", "2", "4") and found.rejected == (("3", "another loading: two people"),)
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize(("change", "message"), [
     (lambda r: r[:, :3], "shape (3, 3): expected four wheels"),
     (lambda r: np.where(np.arange(4) == 1, np.nan, r), "weighing 1: front_right reads nan kg; all four wheels"),
     (lambda r: r * [1, 1, 1, 0], "weighing 1: rear_right reads 0 kg"),
     (lambda r: r[:, [0, 2, 1, 3]] * [1, 0.7, 1.2, 1], "the front wheels carry"),
     (lambda r: r * [[1.0], [1.0], [1.05]], "the weighings of one loading differ by "),
 ])
-def test_weighings_that_are_no_cars_are_refused(leaf, change, said):
+def test_implausible_weighings_are_rejected(leaf, change, message):
     data = weighings(leaf, 0)
     with pytest.raises(IdentificationError) as caught:
         identify_mass_and_cg(replace(data, readings=change(data.readings)), leaf.wheelbase)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_exchanged_axles_are_noticed_beside_the_vehicle_file(leaf):
+def test_swapped_axles_are_detected_from_the_vehicle_file(leaf):
     data = weighings(leaf, 0)
     found = identify_mass_and_cg(replace(data, readings=data.readings[:, [2, 3, 0, 1]]), leaf.wheelbase)
-    said = describe_swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
-    assert "the vehicle file has 1.176 m; with front and rear columns exchanged it would be 1.17" in said
+    message = describe_swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
+    assert "the vehicle file has 1.176 m; with front and rear columns exchanged it would be 1.17" in message
     right = identify_mass_and_cg(data, leaf.wheelbase)
     assert describe_swapped_axles(right, leaf.wheelbase, leaf.cg_to_front_axle) == ""
 
 
-def test_axle_lift_finds_the_height_within_its_interval(leaf, lifted):
+def test_axle_lift_intervals_contain_cg_height(leaf, lifted):
     found = [identify_cg_height(axle_lift(leaf, seed), lifted)["cg_height"] for seed in SEEDS]
-    assert sum(within(one, leaf.cg_height) for one in found) >= NEEDED
-    assert max(abs(one.value / leaf.cg_height - 1.0) for one in found) < 0.05
+    assert sum(contains(result, leaf.cg_height) for result in found) >= REQUIRED_HITS
+    assert max(abs(result.value / leaf.cg_height - 1.0) for result in found) < 0.05
 
 
-def test_exact_lift_gives_the_exact_height_at_every_pitch(leaf, lifted):
+def test_noise_free_lift_gives_exact_cg_height_at_every_pitch(leaf, lifted):
     data = axle_lift(leaf, 0)
     pitch = np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 15.0] * 2)
     share, radius = leaf.cg_to_front_axle / leaf.wheelbase, 0.3
     load = leaf.mass * (share + (leaf.cg_height - radius) / leaf.wheelbase * np.tan(pitch))
-    exact = replace(data, pitch=pitch, rear_load=load, front_radius=np.full(12, radius), rear_radius=np.full(12,
-                                                                                                             radius))
+    exact = replace(data, pitch=pitch, rear_load=load, front_radius=np.full(12, radius),
+                    rear_radius=np.full(12, radius))
     found = identify_cg_height(exact, lifted)
     assert found["cg_height"].value == pytest.approx(leaf.cg_height, rel=1e-9)
     assert found.figure["single"][found.figure["usable"]] == pytest.approx(leaf.cg_height, rel=1e-9)
 
 
-def test_pitch_from_the_lift_counts_the_tyres_deflection():
-    # 0.4 m under the front wheels of a 2.7 m wheelbase; rear tyres 20 mm lower then.
+def test_pitch_from_lift_includes_tyre_deflection():
+    # Front wheels raised by 0.4 m, wheelbase 2.7 m; the loaded radius of the rear tyres falls by 20 mm.
     lift, front, rear = np.array([0.0, 0.4]), np.array([0.3, 0.3]), np.array([0.3, 0.28])
     assert compute_pitch(lift, front, rear, 2.7)[1] == pytest.approx(math.asin(0.42 / 2.7))
     with pytest.raises(IdentificationError, match="lift of 400"):
         compute_pitch(lift * 1000.0, front, rear, 2.7)
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize(("change", "message"), [
     (lambda d: replace(d, pitch=np.degrees(d.pitch)), "limit 45 deg: is the unit in the header right"),
     (lambda d: replace(d, pitch=np.radians(d.pitch)), "pitch ranges over 0.26"),
     (lambda d: replace(d, pitch=d.rear_load, rear_load=np.degrees(d.pitch) + 1.0), "two columns exchanged"),
@@ -118,39 +118,39 @@ def test_pitch_from_the_lift_counts_the_tyres_deflection():
                        front_radius=d.front_radius[:2], rear_radius=d.rear_radius[:2]),
      "1 level rows and 1 lifted pitch"),
 ])
-def test_lifts_that_give_no_height_are_refused(leaf, lifted, change, said):
+def test_implausible_lifts_are_rejected(leaf, lifted, change, message):
     data = axle_lift(leaf, 0)
     pitch = np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 15.0] * 2)
     with pytest.raises(IdentificationError) as caught:
         identify_cg_height(change(replace(data, pitch=pitch)), lifted)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_pitch_that_falls_within_a_lift_is_a_warning_with_the_angles(leaf, lifted):
+def test_falling_pitch_within_a_lift_is_a_warning(leaf, lifted):
     data = axle_lift(leaf, 0)
     order = [0, 1, 3, 2, 4, 5]
     turned = replace(data, **{key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius",
                                                                         "rear_radius")}, lifts=data.lifts[:6])
-    said = " ".join(identify_cg_height(turned, lifted).warnings)
-    assert "it falls from 9.0 to 6.0 deg at row 4" in said
+    message = " ".join(identify_cg_height(turned, lifted).warnings)
+    assert "it falls from 9.0 to 6.0 deg at row 4" in message
     assert identify_cg_height(data, lifted).warnings == ()
 
 
-def test_a_car_that_was_loaded_differently_is_noticed(leaf):
+def test_different_load_during_the_lift_is_a_warning(leaf):
     car = LiftedCar(leaf.mass - 80.0, leaf.wheelbase, leaf.cg_to_front_axle)
     assert "give 657." in " ".join(identify_cg_height(axle_lift(leaf, 0), car).warnings)
 
 
-def test_turntables_find_the_ratio_within_its_interval(leaf):
+def test_turntable_intervals_contain_steering_ratio(leaf):
     found = [identify_steering_ratio(turntable(leaf, seed)) for seed in SEEDS]
-    values = [one["steering_ratio"] for one in found]
-    assert sum(within(one, leaf.steering_ratio) for one in values) >= NEEDED
-    assert max(abs(one.value / leaf.steering_ratio - 1.0) for one in values) < 0.005
-    # The F test calls a straight line bent in about one of a hundred.
-    assert sum(one.figure["significant"] for one in found) <= 3
+    values = [result["steering_ratio"] for result in found]
+    assert sum(contains(result, leaf.steering_ratio) for result in values) >= REQUIRED_HITS
+    assert max(abs(result.value / leaf.steering_ratio - 1.0) for result in values) < 0.005
+    # The F test rejects a constant ratio in about 1 % of the cases.
+    assert sum(result.figure["significant"] for result in found) <= 3
 
 
-def test_a_ratio_that_is_not_constant_is_said_with_its_centre(leaf):
+def test_variable_steering_ratio_is_reported_with_its_centre_value(leaf):
     data = turntable(leaf, 0)
     bent = 0.5 * (data.left + data.right) * (1.0 + 0.04 * (data.steering / data.steering.max()) ** 2)
     found = identify_steering_ratio(replace(data, left=bent, right=bent))
@@ -158,7 +158,7 @@ def test_a_ratio_that_is_not_constant_is_said_with_its_centre(leaf):
     assert found["steering_ratio"].value < 17.0
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize(("change", "message"), [
     (lambda d: replace(d, steering=np.radians(d.steering)), "the steering wheel ranges over 18.9 deg, at least 90"),
     (lambda d: replace(d, steering=np.degrees(d.steering)), "the steering wheel angle reaches 3.09"),
     (lambda d: replace(d, left=np.degrees(d.left)), "the left wheel angle reaches"),
@@ -173,79 +173,79 @@ def test_a_ratio_that_is_not_constant_is_said_with_its_centre(leaf):
     (lambda d: replace(d, steering=d.steering[:4], left=d.left[:4], right=d.right[:4], sweeps=d.sweeps[:4]),
      "4 rows, at least 5"),
 ])
-def test_turntable_data_that_give_no_ratio_are_refused(leaf, change, said):
+def test_implausible_turntable_data_are_rejected(leaf, change, message):
     with pytest.raises(IdentificationError) as caught:
         identify_steering_ratio(change(turntable(leaf, 0)))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_exchanged_wheels_are_a_warning(leaf):
+def test_swapped_wheels_are_a_warning(leaf):
     data = turntable(leaf, 0)
     found = identify_steering_ratio(replace(data, left=data.right, right=data.left))
     assert "The outer wheel turns further than the inner one" in " ".join(found.warnings)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)  # 20 s each on a machine that does nothing else
+@pytest.mark.timeout(1200)  # 20 s each on an idle machine
 @pytest.mark.parametrize("tyre", ["tyre_front", "tyre_rear"])
-def test_flat_plank_finds_forces_and_parameters(leaf, tyre):
-    """Forces within 1 % of D at every load and slip angle of the table; each parameter inside its interval."""
+def test_flat_plank_fit_recovers_forces_and_parameters(leaf, tyre):
+    """Forces within 1 % of D at every load and slip angle of the table; intervals contain each parameter."""
     truth = getattr(leaf, tyre)._replace(lambda_ky=1.0)
     hits: dict[str, int] = {}
     grid = np.radians(np.linspace(-12.0, 12.0, 49))
     worst = []
     for seed in SEEDS:
-        found = identify_magic_formula(flat_plank(leaf, tyre, seed), start_of(leaf, tyre))
+        found = identify_magic_formula(flat_plank(leaf, tyre, seed), start_tyre(leaf, tyre))
         for estimate in found.estimates:
             key = estimate.parameter.removeprefix(f"{tyre}.")
-            hits[key] = hits.get(key, 0) + within(estimate, getattr(truth, key))
+            hits[key] = hits.get(key, 0) + contains(estimate, getattr(truth, key))
         values = {e.parameter.removeprefix(f"{tyre}."): e.value for e in found.estimates}
-        fitted = start_of(leaf, tyre)._replace(lambda_ky=1.0, **values)
+        fitted = start_tyre(leaf, tyre)._replace(lambda_ky=1.0, **values)
         for load in (3300.0, 4250.0, 5200.0):
             peak = magic_formula_coefficients(load, truth)[1]
             worst.append(np.abs(tyre_force(grid, load, fitted) - tyre_force(grid, load, truth)).max() / peak)
     assert set(hits) == {"p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4"}
-    assert min(hits.values()) >= NEEDED, hits
+    assert min(hits.values()) >= REQUIRED_HITS, hits
     assert max(worst) < 0.01
 
 
-def test_stiffness_of_the_fit_and_its_uncertainty(leaf):
-    found = [fit_tyre(flat_plank(leaf, "tyre_front", seed), start_of(leaf, "tyre_front")) for seed in range(6)]
+def test_fitted_stiffness_scatters_by_its_uncertainty(leaf):
+    found = [fit_tyre(flat_plank(leaf, "tyre_front", seed), start_tyre(leaf, "tyre_front")) for seed in range(6)]
     truth = magic_formula_stiffness(4401.0, leaf.tyre_front._replace(lambda_ky=1.0))
-    values = np.array([one.compute_stiffness(4401.0) for one in found])
-    # p_ky1, p_ky2 and p_ky4 are known to a third each; the stiffness they make together to a hundredth.
+    values = np.array([result.compute_stiffness(4401.0) for result in found])
+    # p_ky1, p_ky2 and p_ky4 are each uncertain by a third, the stiffness they determine together by 1 %.
     assert np.abs(values[:, 0] / truth - 1.0).max() < 0.03
     assert 0.3 < values[:, 0].std() / values[:, 1].mean() < 3.0
 
 
 def test_fewer_loads_give_fewer_parameters(leaf):
     data = flat_plank(leaf, "tyre_front", 0)
-    start = start_of(leaf, "tyre_front")
+    start = start_tyre(leaf, "tyre_front")
 
     def of(*loads):
         rows = np.isin(np.round(data.load / 950.0), [round(load / 950.0) for load in loads])
         part = replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows])
         return identify_magic_formula(part, start)
 
-    one, two = of(4250.0), of(4250.0, 5200.0)
-    assert {e.parameter.partition(".")[2] for e in one.estimates} == {"p_cy1", "p_dy1", "p_ey1", "p_ky1"}
+    result, two = of(4250.0), of(4250.0, 5200.0)
+    assert {e.parameter.partition(".")[2] for e in result.estimates} == {"p_cy1", "p_dy1", "p_ey1", "p_ky1"}
     assert "p_ky4" not in {e.parameter.partition(".")[2] for e in two.estimates} and len(two.estimates) == 7
-    assert "only 1 load: p_dy2, p_ey2, p_ky2 and p_ky4 are taken" in one.warnings[0]
+    assert "only 1 load: p_dy2, p_ey2, p_ky2 and p_ky4 are taken" in result.warnings[0]
 
 
-def test_the_other_sign_of_the_slip_angle_gives_the_same_tyre(leaf):
-    data, start = flat_plank(leaf, "tyre_front", 0), start_of(leaf, "tyre_front")
+def test_opposite_slip_angle_sign_gives_the_same_tyre(leaf):
+    data, start = flat_plank(leaf, "tyre_front", 0), start_tyre(leaf, "tyre_front")
     turned = identify_magic_formula(replace(data, slip=-data.slip), start)
     found = identify_magic_formula(data, start)
     assert [e.value for e in turned.estimates] == pytest.approx([e.value for e in found.estimates])
     assert "has the same sign as the slip angle" in turned.warnings[0]
 
 
-def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
+def test_small_slip_angles_do_not_determine_the_peak(leaf):
     data = flat_plank(leaf, "tyre_front", 0)
     rows = np.abs(data.slip) < np.radians(3.5)
     found = identify_magic_formula(replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows]),
-                                   start_of(leaf, "tyre_front"))
+                                   start_tyre(leaf, "tyre_front"))
     doubtful = {e.parameter for e in found.estimates if e.status == "doubtful"}
     shape, curvature = (next(e for e in found.estimates if e.parameter == f"tyre_front.{name}")
                         for name in ("p_cy1", "p_ey1"))
@@ -254,7 +254,7 @@ def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
     assert all("bound" in e.verdict or "not determine" in e.verdict for e in found.estimates if e.parameter in doubtful)
 
 
-@pytest.mark.parametrize(("change", "said"), [
+@pytest.mark.parametrize(("change", "message"), [
     (lambda d: replace(d, slip=np.degrees(d.slip)), "at most 40 deg is possible: if the column is in degrees"),
     (lambda d: replace(d, slip=np.radians(d.slip)), "slip angle reaches only 0.209 deg"),
     (lambda d: replace(d, slip=0.0 * d.slip), "slip angle reaches only 0 deg"),
@@ -268,7 +268,7 @@ def test_a_tyre_that_never_slides_leaves_its_peak_open(leaf):
     (lambda d: replace(d, load=d.load[::4], slip=np.radians(8.0) * np.sign(d.slip[::4]), force=d.force[::4]),
      "different slip angles at"),
 ])
-def test_tables_that_are_no_tyres_are_refused(leaf, change, said):
+def test_implausible_tyre_tables_are_rejected(leaf, change, message):
     with pytest.raises(IdentificationError) as caught:
-        identify_magic_formula(change(flat_plank(leaf, "tyre_front", 0)), start_of(leaf, "tyre_front"))
-    assert said in str(caught.value) and str(caught.value).startswith("tyre_front: ")
+        identify_magic_formula(change(flat_plank(leaf, "tyre_front", 0)), start_tyre(leaf, "tyre_front"))
+    assert message in str(caught.value) and str(caught.value).startswith("tyre_front: ")

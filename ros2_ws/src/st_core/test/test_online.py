@@ -1,4 +1,4 @@
-"""Steering and stiffness while driving: found within their deviation, only after enough driving, and reset."""
+"""Online identification of steering and stiffness: accuracy, required driving, plausibility, reset."""
 
 import math
 from dataclasses import replace
@@ -26,8 +26,8 @@ def track(car, rows, tracker=None):
     return tracker
 
 
-def rows_of(logs):
-    """Of drives one after the other, INS and steering on the same instants."""
+def to_rows(logs):
+    """Rows of consecutive drives, INS and steering at the same instants."""
     parts, end = [], 0.0
     for log in logs:
         t = (log.ins_time_ns - log.start_ns) * 1e-9
@@ -47,45 +47,46 @@ def tracked(leaf, road):
     return track(leaf, road)
 
 
-def test_all_three_are_found_within_their_deviation(tracked):
-    for one, truth in zip(tracked.make_estimates(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
-        assert one.status == "estimated" and one.reason == ""
-        assert abs(one.value - truth) < 2.0 * one.deviation, one
+def test_estimates_lie_within_two_standard_deviations(tracked):
+    for estimate, truth in zip(tracked.make_estimates(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
+        assert estimate.status == "estimated" and estimate.reason == ""
+        assert abs(estimate.value - truth) < 2.0 * estimate.deviation, estimate
 
 
 @pytest.mark.slow
-def test_other_cars_on_other_roads(leaf):
+def test_estimates_of_other_cars_on_other_roads(leaf):
     random = np.random.default_rng(5)
     for seed in range(3):
         truth = Truth(math.radians(random.uniform(-6, 6)), 17.3 * random.uniform(0.93, 1.07),
                       random.uniform(0.75, 1.25))
         found = track(leaf, winding_road(leaf, truth, 90.0, seed).tolist()).make_estimates()
-        for one, value in zip(found, (truth.offset, truth.ratio, truth.scale), strict=True):
-            assert one.status == "estimated" and abs(one.value - value) < 2.0 * one.deviation, (seed, one)
+        for estimate, value in zip(found, (truth.offset, truth.ratio, truth.scale), strict=True):
+            assert estimate.status == "estimated", (seed, estimate)
+            assert abs(estimate.value - value) < 2.0 * estimate.deviation, (seed, estimate)
 
 
-def lagging_slalom(leaf, speeds):
-    """Of a car with steering lag, relaxing tyres and another front stiffness."""
-    real = replace(leaf, cornering_stiffness_front=1.2 * leaf.cornering_stiffness_front).with_derived_scales()
+def record_lagging_slalom(leaf, speeds):
+    """Rows of a car with 0.04 s steering lag, tyre relaxation and 20 % more front stiffness."""
+    car = replace(leaf, cornering_stiffness_front=1.2 * leaf.cornering_stiffness_front).with_derived_scales()
     model = augment("nonlinear", {"tyre_relaxation": {"length": 0.4}})
-    return rows_of([drive(real, speed, lambda t, a=angle: a * np.sin(2.5 * t), 50.0, model=model,
+    return to_rows([drive(car, speed, lambda t, a=angle: a * np.sin(2.5 * t), 50.0, model=model,
                           sensors=Sensors(delay=0.04), seed=2) for speed, angle in speeds])
 
 
-def test_a_slalom_at_one_speed_gives_no_ratio(leaf):
-    ratio = track(leaf, lagging_slalom(leaf, [(12.0, 0.045)])).make_estimates()[1]
+def test_slalom_at_one_speed_does_not_determine_the_ratio(leaf):
+    ratio = track(leaf, record_lagging_slalom(leaf, [(12.0, 0.045)])).make_estimates()[1]
     assert ratio.status == "unestimated" and "1 of 2 speeds" in ratio.reason
 
 
-def test_a_slalom_of_a_car_that_lags_gives_the_true_ratio_at_two_speeds(leaf):
-    ratio = track(leaf, lagging_slalom(leaf, [(8.0, 0.08), (14.5, 0.035)])).make_estimates()[1]
+def test_slalom_at_two_speeds_gives_the_true_ratio_despite_lag(leaf):
+    ratio = track(leaf, record_lagging_slalom(leaf, [(8.0, 0.08), (14.5, 0.035)])).make_estimates()[1]
     assert ratio.status == "estimated" and abs(ratio.value - leaf.steering_ratio) < 2.0 * ratio.deviation
 
 
-def test_nothing_counts_before_enough_driving(leaf, road):
-    start = track(leaf, road[:300]).make_estimates()  # 3 s
-    assert {one.status for one in start} == {"unestimated"}
-    assert start[0].reason.startswith("3 of 10 s of driving")
+def test_no_estimate_before_enough_driving(leaf, road):
+    estimates = track(leaf, road[:300]).make_estimates()  # 3 s
+    assert {estimate.status for estimate in estimates} == {"unestimated"}
+    assert estimates[0].reason.startswith("3 of 10 s of driving")
     stiffness = track(leaf, []).make_estimates()[2]
     assert stiffness.reason.startswith("0 of 3 s of left bends above 1.5 m/s^2; 0 of 3 s of right")
 
@@ -95,21 +96,21 @@ def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
     slow[:, 4:7] *= 0.2
     hard[:, 5:7] *= 2.5
     tracker = track(leaf, slow.tolist())
-    driven = tracker.driving_time
-    assert driven.used == 0.0 and driven.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
+    driving_time = tracker.driving_time
+    assert driving_time.used == 0.0 and driving_time.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
     assert track(leaf, hard[:3000].tolist()).driving_time.rejected["a_y"] > 3.0
 
 
-def test_values_no_car_has_are_not_estimated(leaf, road):
-    broken = np.array(road)
-    broken[:, 7] *= 0.5  # a sensor that counts half degrees
-    assert track(leaf, broken.tolist()).make_estimates()[1].status == "invalid"
+def test_implausible_values_are_not_estimated(leaf, road):
+    half_angle = np.array(road)
+    half_angle[:, 7] *= 0.5  # steering wheel angle with half the scale
+    assert track(leaf, half_angle.tolist()).make_estimates()[1].status == "invalid"
     noise = np.array(road)
-    noise[:, 6] += 0.15 * np.sin(np.arange(len(noise)) / 30.0)  # a yaw rate that is not this car's
-    assert "estimated" not in {one.status for one in track(leaf, noise.tolist()).make_estimates()[1:]}
+    noise[:, 6] += 0.15 * np.sin(np.arange(len(noise)) / 30.0)  # rad/s, unrelated to the steering
+    assert "estimated" not in {estimate.status for estimate in track(leaf, noise.tolist()).make_estimates()[1:]}
 
 
-def test_reset_forgets_everything_and_so_does_a_jump_of_time(leaf, tracked):
+def test_reset_and_backward_time_jump_discard_everything(leaf, tracked):
     other = replace(leaf, steering_ratio=15.0)
     fresh = OnlineIdentifier(other)
     tracked.reset(other)
@@ -120,7 +121,7 @@ def test_reset_forgets_everything_and_so_does_a_jump_of_time(leaf, tracked):
     assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.driving_time.used == 0.0
 
 
-def test_samples_that_are_not_finite_or_not_newer_are_refused(leaf):
+def test_non_finite_and_old_samples_are_rejected(leaf):
     tracker = OnlineIdentifier(leaf)
     assert tracker.add_ins(InsSample(1000, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0))
     assert not tracker.add_ins(InsSample(1000, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0))

@@ -1,6 +1,6 @@
-"""Intervals of the cornering stiffness hold the slope at zero slip of tyres of another curve than the vehicle file's.
+"""Cornering stiffness intervals contain the slope at zero slip of tyres with another curve than the vehicle file.
 
-The car is written here: two axles of brush tyres with parabolic pressure (Pacejka, Tire and Vehicle Dynamics, ch. 3).
+The car is defined here: two axles of brush tyres with parabolic pressure (Pacejka, Tire and Vehicle Dynamics, ch. 3).
 """
 
 from types import SimpleNamespace
@@ -40,7 +40,7 @@ def brush_car(car):
     return SimpleNamespace(rhs=rhs, parameters=lambda _: None, inputs=lambda angle, *_: angle, extra_states=())
 
 
-@pytest.fixture(scope="module", params=[SILENT, Sensors()], ids=["silent", "noise"])
+@pytest.fixture(scope="module", params=[SILENT, Sensors()], ids=["noise-free", "noise"])
 def logs(leaf, request):
     # 1.5 to 3.5 m/s^2: up to half of the friction.
     return [drive(leaf, speed, weave(angle), 40.0, model=brush_car(leaf), sensors=request.param, seed=3)
@@ -50,11 +50,11 @@ def logs(leaf, request):
 @pytest.mark.parametrize("identify", [
     identify_stiffness, lambda logs, car: fit_stiffness(logs, car, "linear"), fit_stiffness],
     ids=["regression", "linear prediction", "nonlinear prediction"])
-def test_interval_includes_the_slope_at_zero_slip(leaf, logs, identify):
+def test_interval_contains_the_slope_at_zero_slip(leaf, logs, identify):
     found = identify(logs, leaf)
     for name, slope in zip(STIFFNESSES, (FRONT, REAR), strict=True):
-        one = found[name]
-        assert one.value < 0.96 * slope  # the secant itself is 5 to 8 % below
-        assert one.interval95[0] < slope < one.interval95[1]
-        assert one.standard_uncertainty < 0.25 * one.value
-        assert "over slip angles up to" in one.verdict and "model error" in one.verdict
+        estimate = found[name]
+        assert estimate.value < 0.96 * slope  # the secant itself is 5 to 8 % below
+        assert estimate.interval95[0] < slope < estimate.interval95[1]
+        assert estimate.standard_uncertainty < 0.25 * estimate.value
+        assert "over slip angles up to" in estimate.verdict and "model error" in estimate.verdict
