@@ -1,4 +1,4 @@
-"""A whole drive at once against the live classes sample by sample, and against the paper's circle."""
+"""Evaluation of a log against the live classes sample by sample, and against the circle of the paper."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ MODELS = ("kinematic", "linear", "nonlinear")
 SHORT = PredictionSettings(horizon=1.0)
 
 
-def without(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog:
-    """The drive with what was measured in two spans (from, to) [s] left out."""
+def remove_spans(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog:
+    """The drive without the INS and steering samples of two spans (from, to) [s]."""
     ins, steering = (T0 + np.round(np.array(span) * 1e9).astype(np.int64) for span in (ins, steering))
     keep = (log.ins_time_ns < ins[0]) | (log.ins_time_ns >= ins[1])
     kept = (log.steering_time_ns < steering[0]) | (log.steering_time_ns >= steering[1])
@@ -26,7 +26,7 @@ def without(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog:
     return DriveLog(log.name, log.ins_time_ns[keep], *columns, log.steering_time_ns[kept], log.road_wheel_angle[kept])
 
 
-def play(log: DriveLog, car, settings):
+def score_live(log: DriveLog, car, settings):
     """Scores of the live classes, by (model, mode, start), with a prediction asked for every 100 ms."""
     predictor, evaluator = Predictor(car, MODELS, settings), Evaluator(car, settings)
     ins = [(t, InsSample(t, *row)) for t, *row in zip(
@@ -47,9 +47,9 @@ def play(log: DriveLog, car, settings):
 
 
 @pytest.mark.parametrize("gap", [{}, {"ins": (5.0, 5.3)}, {"steering": (6.0, 6.4)}], ids=["whole", "INS", "steering"])
-def test_same_errors_as_the_live_classes_start_by_start(leaf, gap):
-    log = without(wavy_drive(), **gap)
-    scores = play(log, leaf, SHORT)
+def test_errors_equal_the_live_classes_start_by_start(leaf, gap):
+    log = remove_spans(wavy_drive(), **gap)
+    scores = score_live(log, leaf, SHORT)
     starts = np.array(sorted({start for _, _, start in scores}))
     result = evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
     assert result.starts_ns.tolist() == starts.tolist() and len(starts) > 80 and not result.skipped
@@ -59,11 +59,11 @@ def test_same_errors_as_the_live_classes_start_by_start(leaf, gap):
         expected = [[s.longitudinal_mean, s.lateral_mean, s.yaw_mean] for s in live]
         np.testing.assert_allclose(errors.mean, expected, rtol=0.0, atol=1e-9)
         assert errors.complete.any() and not errors.complete.all()
-    for model in MODELS:  # what was measured decides, and that is the same for all
+    for model in MODELS:  # completeness depends on the measurements only
         assert np.array_equal(result.errors[model, "hindsight"].complete, result.errors["linear", "hindsight"].complete)
 
 
-def test_a_step_that_is_no_whole_number_of_nanoseconds(leaf):
+def test_step_need_not_be_a_whole_number_of_nanoseconds(leaf):
     settings = EvaluationSettings(PredictionSettings(step=1.0 / 30.0))
     one, three = (evaluate_log(["linear"], leaf, wavy_drive(), settings, T0 + 10**9 * (1 + np.arange(count)))
                   for count in (1, 3))
@@ -71,15 +71,15 @@ def test_a_step_that_is_no_whole_number_of_nanoseconds(leaf):
         np.testing.assert_allclose(one.errors["linear", mode].mean, three.errors["linear", mode].mean[:1], atol=1e-9)
 
 
-def test_statistics_are_those_of_the_live_evaluator(leaf):
+def test_statistics_equal_those_of_the_live_evaluator(leaf):
     log = wavy_drive()
-    scores = play(log, leaf, SHORT)
+    scores = score_live(log, leaf, SHORT)
     starts = np.array(sorted({start for _, _, start in scores}))
     result = evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
     for (model, mode), errors in result.errors.items():
         live, samples = ErrorStatistics(), {axis: Statistic() for axis in AXES}
-        for (its_model, its_mode, _), score in scores.items():
-            if (its_model, its_mode) == (model, mode):
+        for (score_model, score_mode, _), score in scores.items():
+            if (score_model, score_mode) == (model, mode):
                 live.add(score)
                 for axis in AXES if score.complete else ():
                     samples[axis].add(getattr(score, axis))
@@ -99,15 +99,15 @@ def circle_log(circle: Circle, angle: float, seconds=8.0) -> DriveLog:
 
 @pytest.mark.parametrize("inputs", ["interpolate", "hold"])
 @pytest.mark.parametrize("acceleration", ["causal", "zero_phase"])
-def test_circle_of_the_paper(leaf, inputs, acceleration):
-    # S3, see test_paper.py; with constant inputs no setting the paper leaves open may change the answer.
+def test_circle_matches_the_paper_for_every_setting(leaf, inputs, acceleration):
+    # S3, see test_paper.py; with constant inputs the settings that the paper leaves open have no influence.
     radius, v_y = 11.5, 0.63
     v_x = np.sqrt(3.77 * radius)
     circle = Circle(v_x, v_y, v_x / radius, leaf.cg_to_ins_x)
     settings = EvaluationSettings(acceleration=acceleration, inputs=inputs)
     result = evaluate_log(MODELS, leaf, circle_log(circle, np.radians(14.20)), settings)
-    printed = {"kinematic": (0.83, 1.22), "linear": (-0.20, -0.31), "nonlinear": (-0.23, -0.35)}
-    for model, expected in printed.items():
+    published = {"kinematic": (0.83, 1.22), "linear": (-0.20, -0.31), "nonlinear": (-0.23, -0.35)}
+    for model, expected in published.items():
         for mode in MODES:
             for axis, value in zip(AXES, expected, strict=False):
                 assert result.errors[model, mode].statistics(axis)[0] == pytest.approx(value, abs=0.015)
@@ -115,7 +115,7 @@ def test_circle_of_the_paper(leaf, inputs, acceleration):
     np.testing.assert_allclose(result.conditions["heading_change"][:10], 5.0 * v_x / radius, rtol=1e-3)
 
 
-def test_holding_the_inputs_over_a_step_is_the_same_to_first_order(leaf):
+def test_zero_order_hold_converges_to_interpolated_inputs(leaf):
     log = wavy_drive()
     fine = EvaluationSettings(PredictionSettings(horizon=1.0, step=0.005), inputs="hold")
     coarse = EvaluationSettings(SHORT, inputs="hold")
@@ -123,12 +123,12 @@ def test_holding_the_inputs_over_a_step_is_the_same_to_first_order(leaf):
     starts = T0 + np.arange(1, 9) * 1_000_000_000
     at_end = [evaluate_log(["linear"], leaf, log, s, starts).errors["linear", "hindsight"].at_seconds[:, 0, 1]
               for s in (reference, coarse, fine)]
-    far, near = (np.abs(other - at_end[0]).max() for other in at_end[1:])
-    assert 0.0 < near < 0.2 * far < 0.2 * 0.1
+    coarse_error, fine_error = (np.abs(other - at_end[0]).max() for other in at_end[1:])
+    assert 0.0 < fine_error < 0.2 * coarse_error < 0.2 * 0.1
 
 
-def test_starts_that_cannot_be_used_are_counted(leaf):
-    log = without(wavy_drive(), ins=(5.0, 5.5), steering=(7.0, 7.4))
+def test_unusable_starts_are_counted_by_reason(leaf):
+    log = remove_spans(wavy_drive(), ins=(5.0, 5.5), steering=(7.0, 7.4))
     result = evaluate_log(["kinematic"], leaf, log, EvaluationSettings(SHORT))
     assert result.skipped["INS not known"] in (5, 6, 7) and result.skipped["steering not known"] in (3, 4, 5)
     assert len(result.starts_ns) + sum(result.skipped.values()) == len(regular_starts(log, 0.1))
@@ -140,7 +140,7 @@ def test_starts_that_cannot_be_used_are_counted(leaf):
     assert evaluate_log(["kinematic"], leaf, log, slow).skipped["slower than 9 m/s"] > 20
 
 
-def test_a_drive_longer_than_a_block_gives_the_same(leaf):
+def test_drive_longer_than_a_block_equals_its_parts(leaf):
     log = wavy_drive()
     starts = T0 + np.linspace(1e9, 10e9, BLOCK_SIZE + 50).astype(np.int64)
     whole = evaluate_log(["linear"], leaf, log, EvaluationSettings(SHORT), starts)
@@ -152,20 +152,20 @@ def test_a_drive_longer_than_a_block_gives_the_same(leaf):
     assert calls == [(len(p), len(p)) for p in np.array_split(starts, 3)]
 
 
-def test_nothing_to_evaluate_is_an_empty_result(leaf):
+def test_log_without_complete_starts_gives_an_empty_result(leaf):
     log = wavy_drive(seconds=3.0)
-    apart = DriveLog("apart", *(getattr(log, n) for n in ("ins_time_ns", *InsSample._fields[1:])),
+    disjoint = DriveLog("disjoint", *(getattr(log, n) for n in ("ins_time_ns", *InsSample._fields[1:])),
                      log.steering_time_ns + 10**12, log.road_wheel_angle)
-    for one in (log, apart):
-        result = evaluate_log(MODELS, leaf, one)  # shorter than the horizon; never both known
+    for unusable in (log, disjoint):  # shorter than the horizon; INS and steering do not overlap
+        result = evaluate_log(MODELS, leaf, unusable)
         assert not result.errors["linear", "hindsight"].n_starts
         assert np.isnan(result.errors["linear", "hindsight"].statistics("lateral")).all()
         assert np.isnan(result.errors["linear", "hindsight"].profile_rmse).all()
         assert bin_starts(result) == []
-    assert not len(regular_starts(apart, 0.1))
+    assert not len(regular_starts(disjoint, 0.1))
 
 
-def test_bins_hold_every_complete_start_once_per_quantity(leaf):
+def test_bins_contain_every_complete_start_once_per_quantity(leaf):
     result = evaluate_log(["kinematic"], leaf, wavy_drive(), EvaluationSettings(SHORT))
     complete = result.errors["kinematic", "hindsight"].complete
     by_quantity: dict[str, np.ndarray] = {}
@@ -177,17 +177,17 @@ def test_bins_hold_every_complete_start_once_per_quantity(leaf):
     assert {b.label for b in bin_starts(result) if b.quantity == "direction"} == {"left", "straight", "right"}
 
 
-def test_signals_are_not_known_across_a_gap(leaf):
-    log = without(wavy_drive(), ins=(5.0, 5.5))
+def test_signals_are_nan_within_a_gap(leaf):
+    log = remove_spans(wavy_drive(), ins=(5.0, 5.5))
     signals = LogSignals(log, 0.1, 5.0)
-    wanted = T0 + np.array([[4_900_000_000, 5_250_000_000], [6_000_000_000, 90_000_000_000]])
-    x, dot = signals.ins_at(wanted, "x", "velocity_x_dot")
+    times_ns = T0 + np.array([[4_900_000_000, 5_250_000_000], [6_000_000_000, 90_000_000_000]])
+    x, dot = signals.ins_at(times_ns, "x", "velocity_x_dot")
     assert x.shape == (2, 2) and np.isnan(x).tolist() == np.isnan(dot).tolist() == [[False, True], [False, True]]
     sample = int(log.ins_time_ns[70])
     assert signals.ins_at(np.array([sample]), "x")[0][0] == log.x[70]
 
 
 @pytest.mark.parametrize(("key", "value"), [("interval", 0.0), ("acceleration", "none"), ("inputs", "none")])
-def test_settings_say_what_is_wrong(key, value):
+def test_invalid_settings_are_rejected_by_name(key, value):
     with pytest.raises(ConfigurationError, match=key):
         EvaluationSettings(**{key: value})

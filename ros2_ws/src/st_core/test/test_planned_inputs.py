@@ -1,4 +1,4 @@
-"""Plans: true inputs as a plan give hindsight; bad plans are refused with a reason; live and offline agree."""
+"""Planned inputs: plans of the true inputs equal hindsight, invalid plans are rejected with a reason."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
 MODELS = ("kinematic", "linear", "nonlinear")
 SHORT = PredictionSettings(horizon=1.0)
-STATE, HELD = VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.1), ControlInput(0.02, 0.5)
+STATE, INPUTS = VehicleState(0.0, 0.0, 10.0, 0.0, 0.0, 0.1), ControlInput(0.02, 0.5)
 START = T0 + 10**9
 
 
@@ -24,7 +24,7 @@ def plan(seconds=6.0, points=61, **changes) -> PlannedInputs:
     return replace(PlannedInputs(START, time, np.full(points, 0.02), np.full(points, 0.5)), **changes)
 
 
-def test_true_inputs_as_a_plan_give_hindsight_to_a_millimetre(leaf):
+def test_plan_of_the_true_inputs_equals_hindsight(leaf):
     settings = EvaluationSettings(SHORT)
     signals = settings.signals(wavy_drive())
     log = signals.log
@@ -33,15 +33,15 @@ def test_true_inputs_as_a_plan_give_hindsight_to_a_millimetre(leaf):
     planned = recorded_plan(times, inputs, SHORT.steps, SHORT.step, 0.1)
     result = evaluate_log(MODELS, leaf, signals, settings, future_inputs={"plan": planned})
     for model in MODELS:
-        hindsight, plan_errors, held = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))
+        hindsight, plan_errors, forecast = (result.errors[model, mode] for mode in ("hindsight", "plan", "forecast"))
         both = hindsight.complete & plan_errors.complete
         assert both.sum() > 90
         assert np.abs(hindsight.at_seconds - plan_errors.at_seconds)[both].max() < 1e-3
-        assert np.abs(held.at_seconds - plan_errors.at_seconds)[both].max() > 0.1
+        assert np.abs(forecast.at_seconds - plan_errors.at_seconds)[both].max() > 0.1
 
 
-def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
-    """A plan of another speed profile and curvature: the predictor's path and the evaluator's score of mode `plan`."""
+def test_live_plan_is_predicted_and_scored_separately(leaf):
+    """A path with constant speed and curvature: trajectory of the predictor and score of mode `plan`."""
     log = wavy_drive()
     predictor, evaluator = Predictor(leaf, MODELS, SHORT), Evaluator(leaf, SHORT)
     for core in (predictor, evaluator):
@@ -61,14 +61,14 @@ def test_live_scores_of_a_plan_are_those_of_its_trajectory(leaf):
     issued = predictor.run(start, "linear", ahead)
     expected = predict("linear", leaf, start.state, ahead, SHORT.horizon, SHORT.step)
     np.testing.assert_array_equal(issued.states, expected.states)
-    evaluator.add_prediction("linear", start.time_ns, issued, "plan")  # whether or not a forecast arrives
+    evaluator.add_prediction("linear", start.time_ns, issued, "plan")  # scored independently of the forecast
     evaluator.add_prediction("linear", start.time_ns, predictor.run(start, "linear"))
     modes = {score.mode: score for score in evaluator.flush()}
     assert set(modes) == {"forecast", "plan", "hindsight"} and all(score.complete for score in modes.values())
     assert not np.array_equal(modes["plan"].lateral, modes["forecast"].lateral)
 
 
-def test_a_steady_turn_follows_the_planned_curvature(leaf):
+def test_steady_turn_follows_the_planned_curvature(leaf):
     speed, curvature = 12.0, 0.02
     angle = float(steady_state_steering(np.array(speed), np.array(curvature), leaf))
     end = predict("linear", leaf, VehicleState(0, 0, speed, 0, 0, 0), ControlInput(angle, 0.0)).states[-1]
@@ -78,7 +78,7 @@ def test_a_steady_turn_follows_the_planned_curvature(leaf):
 @pytest.mark.parametrize(("model", "slip_free"), [
     ("kinematic", True), ("nonlinear", False), (augment("kinematic", ["steering_lag"]), True),
     (augment("nonlinear", ["steering_lag"]), False), (augment("kinematic", {"tyre_slip": {"share": 1.0}}), False)])
-def test_a_path_has_slip_free_steering_only_for_models_without_tyres(leaf, model, slip_free):
+def test_slip_free_steering_is_used_only_by_models_without_tyres(leaf, model, slip_free):
     path = PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(61, 0.02), leaf)
     planned = path.sequence(START, 20, 0.05)
     used = select_inputs(get_model(model), planned).road_wheel_angle
@@ -106,6 +106,6 @@ def test_a_path_has_slip_free_steering_only_for_models_without_tyres(leaf, model
     ({"velocity_x_dot": np.full(61, -4.0)}, "velocity_x_dot is -4 m/s^2 at the start, but 0.5 m/s^2 was measured"),
     ({"speed": np.full(61, 15.0)}, "speed is 15 m/s at the start, but 10 m/s was measured"),
 ])
-def test_bad_plans_are_refused_with_the_reason(leaf, changes, reason):
-    found = find_plan_problem(plan(**changes), START, STATE, HELD, 5.0, leaf)
+def test_invalid_plans_are_rejected_with_a_reason(leaf, changes, reason):
+    found = find_plan_problem(plan(**changes), START, STATE, INPUTS, 5.0, leaf)
     assert reason in found and bool(found) == bool(reason)
