@@ -1,4 +1,4 @@
-"""Bands: the conformal factor, the scale, what is refused, and that held-out runs are covered as promised."""
+"""Bands: conformal factor, scale, rejected inputs, and coverage of held-out runs at the stated level."""
 
 import numpy as np
 import pytest
@@ -14,44 +14,39 @@ from st_core.models import get_model
 from st_core.vehicle import VehicleParameters
 from support import ROOT
 
-QUESTION = ("linear", "hindsight")
+PAIR = ("linear", "hindsight")
 SETTINGS = EvaluationSettings()
 TIME = make_times(5.0, 0.05)
 FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
-@pytest.fixture(scope="module")
-def leaf():
-    return VehicleParameters.from_yaml(FILE.read_text())
-
-
 def true_scale(conditions):
-    """m, m, rad: grows with time, speed and lateral acceleration."""
+    """(n, times, 3) [m, m, rad]: grows with time, speed and lateral acceleration."""
     size = 0.05 * (conditions[:, 0] / 10.0) * (1.0 + conditions[:, 1])
     return size[:, None, None] * TIME[:, None] ** 1.5 * np.array([0.5, 1.0, 0.1])
 
 
-def drawn(number, windows=120, spread=0.3):
-    """A run: one direction of error for the whole path of a window; a size of its own for the run."""
+def draw_run(number, windows=120, spread=0.3):
+    """A run with a common error magnitude; within a window all errors have a fixed ratio to the true scale."""
     draw = np.random.default_rng([5, number])
     conditions = np.stack([draw.uniform(4, 16, windows), draw.uniform(0, 4, windows), draw.uniform(0, 1, windows),
                            draw.uniform(0.0, 0.1, windows)], axis=1)
     size = np.exp(spread * draw.standard_normal()) * draw.standard_normal((windows, 1, 3))
-    return ErrorSamples(f"run {number}", conditions, {QUESTION: (size * true_scale(conditions)).astype(np.float32)})
+    return ErrorSamples(f"run {number}", conditions, {PAIR: (size * true_scale(conditions)).astype(np.float32)})
 
 
-def test_one_window_a_run_is_the_split_conformal_quantile_of_crepes():
+def test_factor_with_one_window_per_run_equals_crepes():
     crepes = pytest.importorskip("crepes", reason="crepes is not installed")
     residuals = np.random.default_rng(1).standard_normal(39)
     regressor = crepes.ConformalRegressor().fit(residuals)
-    # Levels that leave whole numbers of 40 without rounding: crepes cuts 0.2 * 40 off to 7.
+    # Levels that are exact multiples of 1/40: crepes truncates 0.2 * 40 to 7.
     for level in (0.5, 0.75, 0.875, 0.975):
         low, high = regressor.predict_int(np.zeros(1), confidence=level)[0]
-        mine, = compute_conformal_factors([np.abs([r]) for r in residuals], [level])
-        assert mine == pytest.approx(0.5 * (high - low), rel=1e-12)
+        factor, = compute_conformal_factors([np.abs([r]) for r in residuals], [level])
+        assert factor == pytest.approx(0.5 * (high - low), rel=1e-12)
 
 
-def test_a_run_to_come_is_covered_as_promised_though_windows_repeat_each_other():
+def test_new_run_is_covered_at_the_level_despite_correlated_windows():
     draw = np.random.default_rng(2)
     covered = {0.5: [], 0.9: []}
     for _ in range(400):
@@ -62,7 +57,7 @@ def test_a_run_to_come_is_covered_as_promised_though_windows_repeat_each_other()
         assert np.mean(shares) == pytest.approx(level, abs=0.03)
 
 
-def test_more_than_the_runs_can_promise_is_refused():
+def test_level_above_what_the_runs_support_is_rejected():
     assert compute_highest_level(8) == pytest.approx(8 / 9)
     assert count_runs_needed(0.9) == 9 and count_runs_needed(0.5) == 1
     with pytest.raises(StCoreError, match=r"^8 runs support at most 88\.9%.*give 9 runs") as caught:
@@ -73,9 +68,9 @@ def test_more_than_the_runs_can_promise_is_refused():
         compute_conformal_factors([np.array([1.0, np.nan])] * 9, [0.5])
 
 
-def test_the_scale_that_errors_were_drawn_with_is_found():
-    runs = [drawn(k, 300, 0.0) for k in range(20)]
-    scale = fit_scale([r.conditions for r in runs], [r.errors[QUESTION] for r in runs], TIME)
+def test_fitted_scale_matches_the_true_scale():
+    runs = [draw_run(k, 300, 0.0) for k in range(20)]
+    scale = fit_scale([r.conditions for r in runs], [r.errors[PAIR] for r in runs], TIME)
     probe = np.array([[6.0, 1.0, 0.5, 0.03], [12.0, 3.0, 0.5, 0.03]])
     for second in (1.0, 2.0, 5.0):
         point = int(np.abs(TIME - second).argmin())
@@ -83,40 +78,40 @@ def test_the_scale_that_errors_were_drawn_with_is_found():
         assert np.hypot(true, compute_floor(scale.floor, TIME)[point]) == pytest.approx(found, rel=0.25)
 
 
-def test_bands_cover_runs_they_were_not_learnt_from_and_not_everything():
-    # Runs much alike, so that one set of them says what the method does: 0.1/sqrt(24) moves a coverage by 0.02.
-    band = calibrate([drawn(k, spread=0.1) for k in range(24)], QUESTION, TIME)
-    scores = [(np.abs(r.errors[QUESTION]) / band.scale(r.conditions)).max(axis=(1, 2))
-              for r in (drawn(100 + k, spread=0.1) for k in range(60))]
+def test_bands_cover_held_out_runs_at_their_level():
+    # Similar runs, so that one calibration set is representative: 0.1/sqrt(24) changes the coverage by 0.02.
+    band = calibrate([draw_run(k, spread=0.1) for k in range(24)], PAIR, TIME)
+    scores = [(np.abs(r.errors[PAIR]) / band.scale(r.conditions)).max(axis=(1, 2))
+              for r in (draw_run(100 + k, spread=0.1) for k in range(60))]
     shares = {level: np.mean([(one <= band.factors[level]).mean() for one in scores]) for level in (0.5, 0.9)}
     assert shares[0.9] == pytest.approx(0.9, abs=0.04) and shares[0.5] == pytest.approx(0.5, abs=0.06)
     factors = list(band.factors.values())
     assert factors == sorted(factors) and max(band.factors) <= compute_highest_level(24)
 
 
-def test_no_band_of_few_runs_or_errors_that_are_not_finite():
+def test_too_few_runs_and_non_finite_errors_are_rejected():
     with pytest.raises(StCoreError, match=r"^2 runs: each run is scored with bands of two others; give 3 or more"):
-        calibrate([drawn(k) for k in range(2)], QUESTION, TIME, (0.5,))
+        calibrate([draw_run(k) for k in range(2)], PAIR, TIME, (0.5,))
     with pytest.raises(StCoreError, match="5 runs support at most 83"):
-        calibrate([drawn(k) for k in range(5)], QUESTION, TIME)
-    runs = [drawn(k) for k in range(9)]
-    runs[3].errors[QUESTION][7, 50, 1] = np.inf
+        calibrate([draw_run(k) for k in range(5)], PAIR, TIME)
+    runs = [draw_run(k) for k in range(9)]
+    runs[3].errors[PAIR][7, 50, 1] = np.inf
     with pytest.raises(StCoreError, match=r"^run 3: errors of linear are not finite; correct"):
-        calibrate(runs, QUESTION, TIME)
+        calibrate(runs, PAIR, TIME)
 
 
-def test_runs_whose_conditions_no_other_has_do_not_count():
-    runs = [drawn(k) for k in range(9)]
-    lonely = drawn(9)
-    lonely.conditions[:, 0] += 30.0
+def test_runs_with_unshared_conditions_are_not_counted():
+    runs = [draw_run(k) for k in range(9)]
+    isolated = draw_run(9)
+    isolated.conditions[:, 0] += 30.0
     with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs support"):
-        calibrate([*runs[:8], lonely, ErrorSamples("far", drawn(8).conditions + np.array([0, 8, 0, 0]),
-                                                   drawn(8).errors)],
-                  QUESTION, TIME)
+        calibrate([*runs[:8], isolated, ErrorSamples("far", draw_run(8).conditions + np.array([0, 8, 0, 0]),
+                                                   draw_run(8).errors)],
+                  PAIR, TIME)
 
 
-def test_errors_are_turned_into_the_predicted_frame():
-    # Measured heading north, predicted one 0.1 rad to the left of it; predicted 2 m ahead.
+def test_errors_are_rotated_into_the_predicted_frame():
+    # Measured heading north, predicted heading 0.1 rad further left; predicted position 2 m ahead.
     along, across, yaw = to_predicted_frame(np.array([2.0, 0.0, 0.1]))
     predicted = np.array([0.0, 2.0])
     heading = np.pi / 2 + 0.1
@@ -124,7 +119,7 @@ def test_errors_are_turned_into_the_predicted_frame():
     assert (along, across, yaw) == pytest.approx((predicted @ forward, predicted @ left, 0.1))
 
 
-def test_a_run_shorter_than_the_horizon_is_refused(leaf):
+def test_run_shorter_than_the_horizon_is_rejected(leaf):
     time = np.arange(0, 4_000_000_000, 20_000_000)
     zero = np.zeros(len(time))
     log = DriveLog("short", time, time * 1e-8, zero, zero, zero + 10.0, zero, zero, time, zero)
@@ -134,24 +129,24 @@ def test_a_run_shorter_than_the_horizon_is_refused(leaf):
 
 @pytest.fixture(scope="module")
 def bands(leaf):
-    runs = [drawn(k) for k in range(12)]
+    runs = [draw_run(k) for k in range(12)]
     settings = SETTINGS.as_dict()
     other = ("linear", "forecast")
-    band = calibrate(runs, QUESTION, TIME)
+    band = calibrate(runs, PAIR, TIME)
     return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12,
                  CalibrationDomain.of([r.conditions for r in runs]),
-                 {QUESTION: band, other: band}, {"linear": hash_configuration(leaf, settings, "")})
+                 {PAIR: band, other: band}, {"linear": hash_configuration(leaf, settings, "")})
 
 
-def test_a_file_is_read_back_and_an_edited_one_refused(bands):
+def test_file_round_trip_and_rejection_of_edited_files(bands):
     text = bands.to_yaml()
-    again = Bands.from_yaml(text)
+    reloaded = Bands.from_yaml(text)
     probe = np.array([[8.0, 1.0, 0.2, 0.02], [40.0, 1.0, 0.2, 0.02]])
-    widths = again.half_widths("linear", "hindsight", probe, 0.9)
+    widths = reloaded.half_widths("linear", "hindsight", probe, 0.9)
     assert np.array_equal(widths, bands.half_widths("linear", "hindsight", probe, 0.9), equal_nan=True)
     assert widths.shape == (2, 101, 3) and (widths[0, 0] == 0).all() and np.isnan(widths[1]).all()
     assert (widths[0, 1:] > bands.half_widths("linear", "hindsight", probe, 0.5)[0, 1:]).all()
-    assert again.to_yaml() == text
+    assert reloaded.to_yaml() == text
     with pytest.raises(ConfigurationError, match="x: hash: the content was edited"):
         Bands.from_yaml(text.replace("runs: 12", "runs: 99"), "x")
     for broken in ("", "schema: 1", text[:len(text) // 2], "[1, 2]"):
@@ -160,46 +155,46 @@ def test_a_file_is_read_back_and_an_edited_one_refused(bands):
         assert "\n" not in str(caught.value)
 
 
-def test_conditions_never_seen_are_named(bands):
-    why = bands.domain.describe_outside
-    assert why(np.array([8.0, 1.0, 0.2, 0.02])) == ""
-    assert why(np.array([40.0, 1.0, 0.2, 0.02])) == (
+def test_conditions_outside_the_calibration_are_described(bands):
+    describe = bands.domain.describe_outside
+    assert describe(np.array([8.0, 1.0, 0.2, 0.02])) == ""
+    assert describe(np.array([40.0, 1.0, 0.2, 0.02])) == (
         "40.0 m/s with 1.0 m/s^2 lateral acceleration was driven in fewer than 2 calibration runs")
-    assert why(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s exceeds the calibrated 0.0")
-    assert why(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity is unknown"
+    assert describe(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s exceeds the calibrated 0.0")
+    assert describe(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity is unknown"
 
 
-def test_what_one_run_alone_did_is_not_calibrated():
+def test_conditions_of_a_single_run_are_outside_the_calibration():
     slow, fast = (np.tile([speed, 1.5, 0.2, 0.02], (400, 1)) for speed in (8.0, 22.0))
-    few = fast[:9]
     probe = np.stack([slow[0], fast[0]])
     assert CalibrationDomain.of([slow, np.concatenate([slow, fast])])(probe).tolist() == [True, False]
-    thin = CalibrationDomain.of([np.concatenate([slow, few]), np.concatenate([slow, fast])])
-    assert thin(probe).tolist() == [True, False]
+    # Fewer than 10 windows of a run do not count.
+    sparse = CalibrationDomain.of([np.concatenate([slow, fast[:9]]), np.concatenate([slow, fast])])
+    assert sparse(probe).tolist() == [True, False]
     assert CalibrationDomain.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])(probe).all()
 
 
-def test_bands_of_another_car_model_or_configuration_are_refused(bands, leaf):
+def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):
     bands.check(leaf, {"linear": ""}, SETTINGS)
     other = VehicleParameters.from_yaml(FILE.read_text().replace("steering_ratio: {value: 17.3",
                                                                  "steering_ratio: {value: 16.3"))
-    for refused, words in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
+    for arguments, message in (((other, {"linear": ""}, SETTINGS), "vehicle: the bands are for"),
                            ((leaf, {"nonlinear": ""}, SETTINGS), "nonlinear: missing"),
-                           ((leaf, {"linear": "f" * 64}, SETTINGS), "another model file"),
-                           ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
-        with pytest.raises(ConfigurationError, match=words):
-            bands.check(*refused)
+                               ((leaf, {"linear": "f" * 64}, SETTINGS), "another model file"),
+                               ((leaf, {"linear": ""}, EvaluationSettings(acceleration="zero_phase")), "acceleration")):
+        with pytest.raises(ConfigurationError, match=message):
+            bands.check(*arguments)
 
 
-def test_half_widths_as_a_casadi_function_are_those_of_the_band(bands, leaf):
+def test_casadi_half_widths_equal_those_of_the_band(bands, leaf):
     casadi = pytest.importorskip("casadi", reason="casadi is not installed")
     from st_offline.model_export import make_half_width_function
 
-    band = bands.bands[QUESTION]
+    band = bands.bands[PAIR]
     function = casadi.Function.deserialize(make_half_width_function(band, 0.9, leaf).serialize())
     for velocity, rate, acceleration, activity in ((12.0, 0.2, -1.0, 0.03), (0.0,) * 4, (30.0, -0.2, 3.0, 0.2)):
-        here = np.abs([[velocity, velocity * rate, acceleration, activity]])
+        conditions = np.abs([[velocity, velocity * rate, acceleration, activity]])
         found = function([0.0, 0.0, velocity, 0.1, 0.5, rate], [0.02, acceleration], activity)
-        np.testing.assert_allclose(np.asarray(found), band.half_widths(here, 0.9)[0], rtol=1e-9)
+        np.testing.assert_allclose(np.asarray(found), band.half_widths(conditions, 0.9)[0], rtol=1e-9)
     with pytest.raises(ConfigurationError, match="bands have"):
         make_half_width_function(band, 0.99, leaf)

@@ -1,4 +1,4 @@
-"""Adaptive factors: long-run coverage whatever the errors do, delayed scores, restart, bad input."""
+"""Adaptive factors: long-run coverage for any errors, delayed scores, restart, invalid input."""
 
 import math
 
@@ -14,29 +14,29 @@ STEP = 100_000_000
 CONDITION = np.array([10.0, 1.0, 0.2, 0.02])
 
 
-def band(half=2.0, ninety=4.0) -> Band:
+def unit_band(half=2.0, ninety=4.0) -> Band:
     """A scale of 1 everywhere."""
     knots = make_knots(5.0)
     coefficients = np.zeros((3, len(knots), compute_features(np.zeros((1, 4))).shape[1]))
     return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: half, 0.9: ninety}, np.ones((3, 19)))
 
 
-def drive(seconds, size, seed=3):
-    """Errors of windows every 0.1 s with a common factor that changes slowly; size: of the time, a function."""
+def draw_errors(seconds, magnitude, seed=3):
+    """Errors of windows every 0.1 s, slowly varying, times magnitude(elapsed share of the drive)."""
     rng = np.random.default_rng(seed)
     count = 10 * seconds
     slow = np.convolve(rng.normal(size=count + 50), np.ones(51) / math.sqrt(51.0), mode="valid")
     shape = np.ones((count, len(TIME), 3)) * np.abs(slow)[:, None, None]
-    return STEP * np.arange(count), shape * np.array([size(k / count) for k in range(count)])[:, None, None]
+    return STEP * np.arange(count), shape * np.array([magnitude(k / count) for k in range(count)])[:, None, None]
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
-@pytest.mark.parametrize("size", [lambda t: 0.2, lambda t: 20.0, lambda t: 1.0 if t < 0.5 else 5.0,
+@pytest.mark.parametrize("magnitude", [lambda t: 0.2, lambda t: 20.0, lambda t: 1.0 if t < 0.5 else 5.0,
                                   lambda t: 1.0 + math.sin(20.0 * t)], ids=["narrow", "wide", "step", "waves"])
-def test_long_run_coverage_is_the_level_whatever_the_errors_do(calibrated, size):
-    starts, errors = drive(900, size)
-    one = AdaptiveBand(TIME, band() if calibrated else None)
-    factors, scales = one.follow(starts, np.tile(CONDITION, (len(starts), 1)), errors)
+def test_long_run_coverage_equals_the_level_for_any_errors(calibrated, magnitude):
+    starts, errors = draw_errors(900, magnitude)
+    adaptive = AdaptiveBand(TIME, unit_band() if calibrated else None)
+    factors, scales = adaptive.follow(starts, np.tile(CONDITION, (len(starts), 1)), errors)
     scores = (np.abs(errors) / scales).max(axis=(1, 2))
     for level, tolerance in ((0.9, 0.03), (0.5, 0.05)):
         bound = (math.log(MAX_FACTOR / MIN_FACTOR) + START_GAIN * 5.0) / (GAIN * 900.0)
@@ -45,47 +45,47 @@ def test_long_run_coverage_is_the_level_whatever_the_errors_do(calibrated, size)
     assert (factors[0.5] <= factors[0.9]).all()
 
 
-def test_scores_count_only_when_their_horizon_has_passed():
-    starts, errors = drive(60, lambda t: 50.0)
-    one, conditions = AdaptiveBand(TIME, band()), np.tile(CONDITION, (len(starts), 1))
-    parts = [one.follow(starts[rows], conditions[rows], errors[rows])[0][0.9] for rows in (slice(70), slice(70, None))]
-    whole = AdaptiveBand(TIME, band()).follow(starts, conditions, errors)[0]
+def test_scores_count_only_after_their_horizon():
+    starts, errors = draw_errors(60, lambda t: 50.0)
+    adaptive, conditions = AdaptiveBand(TIME, unit_band()), np.tile(CONDITION, (len(starts), 1))
+    parts = [adaptive.follow(starts[rows], conditions[rows], errors[rows])[0][0.9]
+             for rows in (slice(70), slice(70, None))]
+    whole = AdaptiveBand(TIME, unit_band()).follow(starts, conditions, errors)[0]
     np.testing.assert_array_equal(np.concatenate(parts), whole[0.9])
-    factors = whole
-    assert (factors[0.9][:50] == 4.0).all() and (np.diff(factors[0.9][49:60]) > 0.0).all()
+    assert (whole[0.9][:50] == 4.0).all() and (np.diff(whole[0.9][49:60]) > 0.0).all()
     # A restart begins with the calibrated factors.
-    assert AdaptiveBand(TIME, band()).factors == {0.5: 2.0, 0.9: 4.0}
+    assert AdaptiveBand(TIME, unit_band()).factors == {0.5: 2.0, 0.9: 4.0}
 
 
-def test_errors_that_are_not_finite_unknown_starts_and_time_jumping_back_change_nothing():
-    one = AdaptiveBand(TIME, band())
-    one.issue(1000, CONDITION)
-    one.issue(2000, CONDITION)
-    assert one.observe(500, np.zeros((10, 3))) == {}
-    assert one.observe(1000, np.full((10, 3), np.nan)) == {} and one.factors == {0.5: 2.0, 0.9: 4.0}
-    assert one.observe(2000, np.full((10, 3), 3.0)) == {0.5: False, 0.9: True}
-    one.issue(1500, CONDITION)
-    before = one.factors
-    assert one.observe(1500, np.full((10, 3), 99.0)) == {0.5: False, 0.9: False} and one.factors == before
+def test_non_finite_errors_unknown_starts_and_time_jumps_change_nothing():
+    adaptive = AdaptiveBand(TIME, unit_band())
+    adaptive.issue(1000, CONDITION)
+    adaptive.issue(2000, CONDITION)
+    assert adaptive.observe(500, np.zeros((10, 3))) == {}
+    assert adaptive.observe(1000, np.full((10, 3), np.nan)) == {} and adaptive.factors == {0.5: 2.0, 0.9: 4.0}
+    assert adaptive.observe(2000, np.full((10, 3), 3.0)) == {0.5: False, 0.9: True}
+    adaptive.issue(1500, CONDITION)
+    before = adaptive.factors
+    assert adaptive.observe(1500, np.full((10, 3), 99.0)) == {0.5: False, 0.9: False} and adaptive.factors == before
 
 
-def test_a_level_that_the_runs_did_not_support_starts_in_proportion():
-    few = band()
-    few.factors.pop(0.9)
-    assert AdaptiveBand(TIME, few).factors == {0.5: 2.0, 0.9: pytest.approx(2.0 * 3.0 / 1.6)}
+def test_uncalibrated_level_starts_in_proportion_to_a_calibrated_one():
+    half_only = unit_band()
+    half_only.factors.pop(0.9)
+    assert AdaptiveBand(TIME, half_only).factors == {0.5: 2.0, 0.9: pytest.approx(2.0 * 3.0 / 1.6)}
 
 
-def test_bands_of_a_run_without_a_file_are_stated_after_the_warm_up_and_then_cover():
-    starts, errors = drive(600, lambda t: 1.0 + 3.0 * (t > 300.0))
+def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
+    starts, errors = draw_errors(600, lambda t: 1.0 + 3.0 * (t > 300.0))
     bands = AdaptiveBands(TIME, ["linear"], ["forecast", "course"])
     stated, inside = [], []
     waiting = {}
-    for start, one in zip(starts.tolist(), errors, strict=True):
-        ended = start - round(TIME[-1] * 1e9)
-        if ended in waiting:
-            path, widths = waiting.pop(ended)
-            whole = np.concatenate([np.zeros((1, 3)), path])
-            bands.observe(make_score("linear", "forecast", ended, TIME[1] - TIME[0], whole.T))
+    for start, adaptive in zip(starts.tolist(), errors, strict=True):
+        scored_start = start - round(TIME[-1] * 1e9)
+        if scored_start in waiting:
+            path, widths = waiting.pop(scored_start)
+            errors_from_start = np.concatenate([np.zeros((1, 3)), path])
+            bands.observe(make_score("linear", "forecast", scored_start, TIME[1] - TIME[0], errors_from_start.T))
             if widths is not None:
                 inside.append((np.abs(path) <= widths).all())
         found, reason = bands.issue(start, (10.0, 0.0, 0.0, 0.0), ("forecast", "course"))
@@ -93,9 +93,9 @@ def test_bands_of_a_run_without_a_file_are_stated_after_the_warm_up_and_then_cov
         stated.append(bool(found))
         # Small angles: the frame of the prediction is that of the measurement.
         issued = bands.half_widths["linear"]["forecast", 0.9][1:].copy() if found else None
-        waiting[start] = one * (1.0, 1.0, 1.0e-3), issued
+        waiting[start] = adaptive * (1.0, 1.0, 1.0e-3), issued
     seconds = (starts - starts[0]) * 1e-9
     assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
-    n, kept = bands.counts["linear", "forecast"]
-    assert n == len(inside) and kept[0.9] == pytest.approx(sum(inside), abs=0.01 * n)
-    assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and kept[0.5] < kept[0.9]
+    n, covered = bands.counts["linear", "forecast"]
+    assert n == len(inside) and covered[0.9] == pytest.approx(sum(inside), abs=0.01 * n)
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and covered[0.5] < covered[0.9]

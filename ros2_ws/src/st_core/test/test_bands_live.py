@@ -1,4 +1,4 @@
-"""Bands while driving: the same numbers as offline, and how soon and how often a loss of coverage is told."""
+"""Live bands: same numbers as offline; delay and false alarm rate of the warning of lost coverage."""
 
 import math
 from itertools import count
@@ -25,8 +25,6 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.measurement_history import MeasurementHistory
 from st_core.models import get_model
 from st_core.types import InsSample
-from st_core.vehicle import VehicleParameters
-from support import ROOT
 from winding_road import Truth, winding_road
 
 MODELS = ("kinematic", "linear")
@@ -35,13 +33,8 @@ SECOND = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
-def leaf():
-    return VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
-
-
-@pytest.fixture(scope="module")
 def logs(leaf):
-    """Ten drives of one car and one more."""
+    """Ten drives for calibration and one for the comparison, all with the same car."""
     truth = Truth(0.0, leaf.steering_ratio, 0.95)
     rows = [winding_road(leaf, truth, 25.0, seed) for seed in range(11)]
     return [DriveLog(f"road {k}", *_columns(one, leaf)) for k, one in enumerate(rows)]
@@ -63,7 +56,7 @@ def bands(leaf, logs):
     return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, domain, found, hashes)
 
 
-def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
+def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
     log, live = logs[10], LiveBands(bands, MODELS)
     history = MeasurementHistory(2.0, SETTINGS.prediction.maximum_gap, SETTINGS.prediction.filter_cutoff)
     signals, compared = SETTINGS.signals(log), 0
@@ -74,18 +67,20 @@ def test_live_states_what_the_file_states_of_the_recorded_drive(bands, logs):
         if k < 120 or k % 50:
             continue
         start_ns = time_ns - 3_000_000  # between two samples
-        here, = conditions_at(signals, np.array([start_ns]))
-        assert conditions_now(history, start_ns) == pytest.approx(here, rel=1e-6, abs=1e-9)
-        found = live(here.tolist())
-        assert found == bool(bands.domain(here[None])[0]) == (live.domain.describe_outside(here) == "")
-        for model, stated in live.half_widths.items() if found else ():
+        conditions, = conditions_at(signals, np.array([start_ns]))
+        assert conditions_now(history, start_ns) == pytest.approx(conditions, rel=1e-6, abs=1e-9)
+        calibrated = live(conditions.tolist())
+        assert calibrated == bool(bands.domain(conditions[None])[0])
+        assert calibrated == (live.domain.describe_outside(conditions) == "")
+        for model, stated in live.half_widths.items() if calibrated else ():
             for (mode, level), widths in stated.items():
-                assert widths == pytest.approx(bands.half_widths(model, mode, here, level)[0], rel=2e-7)  # float32
+                from_file = bands.half_widths(model, mode, conditions, level)[0]
+                assert widths == pytest.approx(from_file, rel=2e-7)  # float32
                 compared += 1
     assert compared > 100
 
 
-def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_never_calibrated(bands):
+def test_no_band_with_unknown_steering_or_uncalibrated_conditions(bands):
     live = LiveBands(bands, MODELS)
     assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
     assert "steering activity is unknown" in live.domain.describe_outside((10.0, 1.0, 0.5, math.nan))
@@ -95,7 +90,7 @@ def test_no_band_where_the_steering_before_is_not_known_or_the_conditions_were_n
 
 
 @pytest.mark.parametrize("maximum_gap", [0.02, 0.1, 2.0])
-def test_the_angles_before_a_start_are_those_of_the_history_with_gaps_and_without(maximum_gap):
+def test_live_steering_activity_equals_that_of_the_history_with_gaps(maximum_gap):
     draw, found = np.random.default_rng(7), set()
     for _ in range(200):
         history = MeasurementHistory(3.0, maximum_gap, 5.0)
@@ -109,64 +104,66 @@ def test_the_angles_before_a_start_are_those_of_the_history_with_gaps_and_withou
     assert found == {True, False}
 
 
-def a_score(start_ns, errors, complete=True):
-    nothing = [np.full(3, math.nan)] * 3
-    return make_score("linear", "forecast", start_ns, 2.5, list(errors.T) if complete else nothing)
+def forecast_score(start_ns, errors, complete=True):
+    missing = [np.full(3, math.nan)] * 3
+    return make_score("linear", "forecast", start_ns, 2.5, list(errors.T) if complete else missing)
 
 
-def test_a_path_is_inside_when_all_points_and_axes_are_in_the_predicted_frame():
+def test_path_is_inside_if_all_points_are_within_the_widths_in_the_predicted_frame():
     widths = np.array([[0, 0, 0], [1, 0.1, 0.3], [2, 0.2, 0.3]], float)
-    # 1 m ahead along a measured heading 0.2 rad to the right of the predicted one: 0.2 m to the side of that.
+    # 1 m along the measured heading, 0.2 rad right of the predicted one, is 0.2 m lateral in the predicted frame.
     cases = (([0.9, 0.0, 0.0], True), ([0.9, 0.0, 0.2], False), ([1.1, 0.0, 0.0], False), ([0.0, 0.0, 0.4], False))
-    coverages = CoverageMonitor()
+    monitor = CoverageMonitor()
     for k, (point, _) in enumerate(cases):
-        coverages.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
-        coverages.add(a_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
-    one = coverages.by_pair["linear", "forecast"]
-    assert one.n == 4 and one.inside[0.9] == sum(inside for _, inside in cases) and one.coverage_at(0.5) == 0.0
-    coverages.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
-    coverages.add(a_score(9 * SECOND, widths, complete=False))
-    coverages.add(a_score(10 * SECOND, widths))  # nothing was stated of it
-    assert one.n == 4
+        monitor.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
+        monitor.add(forecast_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
+    coverage = monitor.by_pair["linear", "forecast"]
+    assert coverage.n == 4 and coverage.inside[0.9] == sum(inside for _, inside in cases)
+    assert coverage.coverage_at(0.5) == 0.0
+    monitor.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
+    monitor.add(forecast_score(9 * SECOND, widths, complete=False))
+    monitor.add(forecast_score(10 * SECOND, widths))  # no band was stated for this start
+    assert coverage.n == 4
 
 
-def driven(generator, coverage, seconds, one, times):
-    """Ten windows a second, alike for a horizon, each kept with a probability; the second of the first warning."""
+def seconds_until_warning(generator, probability, seconds, coverage, times):
+    """Time of the first warning [s] or None: ten windows per second, equal within a horizon, inside at random."""
     for k in range(round(10 * seconds)):
         if k % 50 == 0:
-            kept = bool(generator.random() < coverage)
-        one.add(next(times), 5.0, {0.5: kept, 0.9: kept})
-        if one.warns:
+            inside = bool(generator.random() < probability)
+        coverage.add(next(times), 5.0, {0.5: inside, 0.9: inside})
+        if coverage.warns:
             return 0.1 * k
     return None
 
 
-def test_a_band_that_holds_is_not_warned_of_and_one_that_does_not_is_within_a_minute():
+def test_loss_of_coverage_is_warned_of_within_a_minute_with_few_false_alarms():
     generator = np.random.default_rng(4)
-    false = 0
+    false_alarms = 0
     for _ in range(15):
-        false += driven(generator, 0.9, 3600.0, BandCoverage(), count(0, SECOND // 10)) is not None
-    assert false <= 2  # 15 hours, at most one in ten hours on average
+        coverage, times = BandCoverage(), count(0, SECOND // 10)
+        false_alarms += seconds_until_warning(generator, 0.9, 3600.0, coverage, times) is not None
+    assert false_alarms <= 2  # 15 h, at most one per ten hours on average
     for _ in range(20):
-        one, times = BandCoverage(), count(0, SECOND // 10)
-        assert driven(generator, 0.95, 600.0, one, times) is None
-        # The score is there a horizon after the start: 55 s leave a minute.
-        assert driven(generator, 0.0, 55.0, one, times) < 55.0
-        one.add(next(times), 5.0, {0.9: True})
-        assert one.warns  # not over at once
+        coverage, times = BandCoverage(), count(0, SECOND // 10)
+        assert seconds_until_warning(generator, 0.95, 600.0, coverage, times) is None
+        # Scores arrive one horizon (5 s) after the start: 55 s make up a minute.
+        assert seconds_until_warning(generator, 0.0, 55.0, coverage, times) < 55.0
+        coverage.add(next(times), 5.0, {0.9: True})
+        assert coverage.warns  # the warning does not end with the first window inside
         for _ in range(900):
-            one.add(next(times), 5.0, {0.9: True})
-        assert not one.warns
+            coverage.add(next(times), 5.0, {0.9: True})
+        assert not coverage.warns
 
 
-def test_the_evidence_is_a_likelihood_ratio_that_is_one_on_average():
+def test_evidence_is_a_log_likelihood_ratio_per_horizon():
     p, q = 0.9, 0.9 * ALTERNATIVE_RATIO
     assert p * (q / p) + (1 - p) * ((1 - q) / (1 - p)) == pytest.approx(1.0)
-    one = BandCoverage()
-    one.add(0, 5.0, {0.9: False})
-    assert one.evidence == 0.0  # nothing is known of how much of a horizon it stands for
-    one.add(5 * SECOND, 5.0, {0.9: False})
-    assert one.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
-    one.add(4 * SECOND, 5.0, {0.9: False})  # a replay that starts over
-    assert one.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
-    assert math.log(HORIZONS) > 5 * one.evidence
+    coverage = BandCoverage()
+    coverage.add(0, 5.0, {0.9: False})
+    assert coverage.evidence == 0.0  # the first window has no interval to its predecessor
+    coverage.add(5 * SECOND, 5.0, {0.9: False})
+    assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
+    coverage.add(4 * SECOND, 5.0, {0.9: False})  # a replay that restarts
+    assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
+    assert math.log(HORIZONS) > 5 * coverage.evidence

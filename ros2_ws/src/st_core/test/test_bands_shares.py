@@ -1,4 +1,4 @@
-"""Shares of the error against causes that are known: a parameter, a start state, noise."""
+"""Shares of the error by cause, for known causes: a parameter, the start state, noise."""
 
 from dataclasses import replace
 
@@ -9,15 +9,17 @@ from st_core.bands.shares import PARAMETERS, SENSORS, sum_squared_contributions
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
+from st_core.prediction import predict
 from st_core.provenance import Provenance
 from st_core.regression import white_noise
+from st_core.types import ControlInput, VehicleState
 
 SETTINGS = EvaluationSettings()
 SPEED, SECONDS = 10.0, 20.0
 
 
-def straight(noise: float = 0.0, offset: float = 0.0) -> DriveLog:
-    """Straight on at a constant speed; white noise [m, m/s, rad, ...] on all INS signals; steering off by `offset`."""
+def straight_drive(noise: float = 0.0, offset: float = 0.0) -> DriveLog:
+    """Straight at constant speed; white noise [m, m/s, rad, ...] on all INS signals; steering error `offset` [rad]."""
     time = np.arange(0.0, SECONDS, 0.01)
     draw, zero = np.random.default_rng(3), np.zeros(len(time))
     ns = np.round(time * 1e9).astype(np.int64)
@@ -31,14 +33,14 @@ def shares(model, vehicle, log, intervals=None):
     return total / count, {cause: squares / count for cause, squares in parts.items()}
 
 
-def test_white_noise_is_found_in_a_moving_car_and_motion_is_none():
-    log = straight(0.02)
+def test_white_noise_is_estimated_without_the_motion():
+    log = straight_drive(0.02)
     assert all(white_noise(getattr(log, name)) == pytest.approx(0.02, rel=0.1) for name in INS_SIGNALS)
     assert white_noise(np.sin(2.0 * np.arange(0.0, 20.0, 0.01))) < 1e-5
 
 
-def test_the_start_state_moves_the_end_of_the_path_by_its_lever(leaf):
-    _, parts = shares("kinematic", leaf, straight(0.01))
+def test_start_state_noise_propagates_to_the_end_of_the_path(leaf):
+    _, parts = shares("kinematic", leaf, straight_drive(0.01))
     yaw = np.sqrt(parts[SENSORS, "yaw at the start"])
     assert yaw[4, 1] == pytest.approx(0.01 * SPEED * 5.0, rel=0.15)
     assert yaw[0, 1] == pytest.approx(0.01 * SPEED * 1.0, rel=0.2)
@@ -48,9 +50,9 @@ def test_the_start_state_moves_the_end_of_the_path_by_its_lever(leaf):
     assert np.sqrt(parts[SENSORS, "pose at the end"])[0, 0] == pytest.approx(0.01, rel=0.15)
 
 
-def test_an_error_of_a_parameter_as_large_as_stated_is_all_of_the_error(leaf):
-    """A wheelbase of the file that is off by its own standard deviation: error and share are equal, to first order."""
-    radius_log = circle(leaf, 0.06)
+def test_parameter_error_of_one_standard_deviation_explains_the_whole_error(leaf):
+    """Wheelbase wrong by its own standard deviation: error and share are equal to first order."""
+    radius_log = circle_drive(leaf, 0.06)
     stated = replace(leaf.with_values({"wheelbase": leaf.wheelbase * 1.02}),
                      provenance={"wheelbase": Provenance(0.02 * leaf.wheelbase)})
     total, parts = shares("kinematic", stated, radius_log)
@@ -59,11 +61,8 @@ def test_an_error_of_a_parameter_as_large_as_stated_is_all_of_the_error(leaf):
     assert sum(one[4, 1] for cause, one in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
 
 
-def circle(vehicle, angle: float) -> DriveLog:
-    """The kinematic car itself on a circle, seen at the INS point, without noise."""
-    from st_core.prediction import predict
-    from st_core.types import ControlInput, VehicleState
-
+def circle_drive(vehicle, angle: float) -> DriveLog:
+    """The kinematic car on a circle, measured at the INS point without noise."""
     rear = vehicle.wheelbase - vehicle.cg_to_front_axle
     slip = np.arctan(rear / vehicle.wheelbase * np.tan(angle))
     rate = SPEED / vehicle.wheelbase * np.tan(angle)
@@ -75,19 +74,19 @@ def circle(vehicle, angle: float) -> DriveLog:
                     yaw, v_x - r * d_y, v_y + r * d_x, r, ns, np.full(len(x), angle))
 
 
-def test_an_interval_of_a_model_file_counts_as_its_standard_deviation(leaf):
+def test_interval_of_a_model_file_counts_as_a_standard_deviation(leaf):
     model = augment("kinematic", {"steering_offset": {"angle": 0.01}})
-    _, parts = shares(model, leaf, straight(), {("steering_offset", "angle"): (0.01 - 0.00196, 0.01 + 0.00196)})
-    # 0.001 rad at the wheels bends the path by v^2 t^2 / (2 L) of it.
+    _, parts = shares(model, leaf, straight_drive(), {("steering_offset", "angle"): (0.01 - 0.00196, 0.01 + 0.00196)})
+    # Lateral deviation for 0.001 rad at the wheels: v^2 t^2 / (2 L) times the angle.
     expected = 0.001 * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
     assert np.sqrt(parts[PARAMETERS, "steering_offset.angle"][4, 1]) == pytest.approx(expected, rel=0.05)
 
 
-def test_a_steering_offset_of_the_vehicle_file_counts_where_the_wheel_angle_was_recorded(leaf):
-    log = straight()
+def test_steering_offset_counts_if_the_steering_wheel_angle_was_recorded(leaf):
+    log = straight_drive()
     uncertain = replace(leaf, provenance={"steering_wheel_offset": Provenance(0.01)})
     assert not [c for c in shares("kinematic", uncertain, log)[1] if c[0] == PARAMETERS]
-    wheel = replace(log, steering_wheel_angle=np.full(len(log.road_wheel_angle), leaf.steering_wheel_offset))
-    found = shares("kinematic", uncertain, wheel)[1][PARAMETERS, "steering_wheel_offset"]
+    with_wheel_angle = replace(log, steering_wheel_angle=np.full(len(log.road_wheel_angle), leaf.steering_wheel_offset))
+    found = shares("kinematic", uncertain, with_wheel_angle)[1][PARAMETERS, "steering_wheel_offset"]
     expected = 0.01 / leaf.steering_ratio * SPEED**2 * 25.0 / (2.0 * leaf.wheelbase)
     assert np.sqrt(found[4, 1]) == pytest.approx(expected, rel=0.05)
