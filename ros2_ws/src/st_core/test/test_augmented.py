@@ -1,4 +1,4 @@
-"""Models with effects added: what is refused, what a fit may change, and that nothing is made anew for new values."""
+"""Models with effects: rejected values, free parameters, and functions that are shared between values."""
 
 import pickle
 from dataclasses import replace
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.composition import AugmentedParameters
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import applicable
 from st_core.errors import ConfigurationError
 from st_core.models import MODELS, get_model
 from st_core.prediction import predict
 from st_core.types import ControlInput, VehicleState
 
-STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
+STATE, INPUTS = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0.5)
 
 
 @pytest.mark.parametrize(("base", "effects", "message"), [
@@ -29,30 +29,31 @@ STATE, HELD = VehicleState(0.0, 0.0, 12.0, 0.1, 0.3, 0.2), ControlInput(0.08, -0
     ("linear", {"mass": {"factor": True}}, "effect mass: factor: True is not a number"),
     ("linear", {"mass": {"factor": 1.0, "faktor": 1.0}}, "effect mass: faktor: unknown parameter; it has factor"),
 ])
-def test_what_is_refused(base, effects, message):
+def test_invalid_effects_and_values_are_rejected(base, effects, message):
     with pytest.raises(ConfigurationError, match=message):
         augment(base, effects)
 
 
-def test_effects_that_make_no_car_are_refused_by_name_of_the_quantity(leaf):
-    short = replace(leaf, cg_to_front_axle=0.4)
+def test_values_outside_vehicle_bounds_name_the_quantity(leaf):
+    car = replace(leaf, cg_to_front_axle=0.4)
     with pytest.raises(ConfigurationError, match="cg_to_front_axle"):
-        predict(augment("linear", {"cg_position": {"shift": 0.5}}), short, STATE, HELD)
+        predict(augment("linear", {"cg_position": {"shift": 0.5}}), car, STATE, INPUTS)
 
 
-def test_a_lift_opens_the_effects_of_the_kind_it_leads_to(leaf):
+def test_kinematic_model_with_tyres_accepts_effects_of_the_nonlinear_model(leaf):
     model = augment("kinematic", ["tyre_slip", "tyre_saturation", "friction", "tyre_relaxation", "mass"])
     expected = augment("nonlinear", ["friction", "tyre_relaxation", "mass"])
-    np.testing.assert_allclose(predict(model, leaf, STATE, HELD).states, predict(expected, leaf, STATE, HELD).states,
-                               rtol=1e-12, atol=1e-12)
+    paths = [predict(m, leaf, STATE, INPUTS).states for m in (model, expected)]
+    np.testing.assert_allclose(*paths, rtol=1e-12, atol=1e-12)
 
 
-def test_parameters_nobody_fits_may_be_left_out_or_given(leaf):
-    short = augment("nonlinear", {"roll_steer": {"gradient": 0.001}})
-    whole = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 2.0, "damping": 0.4}})
-    assert short.values == whole.values
-    slow = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 1.0}})
-    assert not np.allclose(predict(slow, leaf, STATE, HELD).states, predict(short, leaf, STATE, HELD).states)
+def test_parameters_that_are_not_fitted_are_optional(leaf):
+    defaults = augment("nonlinear", {"roll_steer": {"gradient": 0.001}})
+    explicit = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 2.0, "damping": 0.4}})
+    assert defaults.values == explicit.values
+    slower_roll = augment("nonlinear", {"roll_steer": {"gradient": 0.001, "frequency": 1.0}})
+    paths = [predict(model, leaf, STATE, INPUTS).states for model in (defaults, slower_roll)]
+    assert not np.allclose(*paths)
 
 
 @pytest.mark.parametrize(("effect", "key", "value"), [
@@ -63,12 +64,11 @@ def test_parameters_nobody_fits_may_be_left_out_or_given(leaf):
     ({"crosswind": {"wind_x": 0.0, "wind_y": 9.0}}, "side_area", 5.0),
     ({"crosswind": {"wind_x": 0.0, "wind_y": 9.0}}, "side_force_arm", -0.3),
 ])
-def test_constants_come_from_the_car(leaf, effect, key, value):
-    other, power = replace(leaf, **{key: value}), ControlInput(0.1, 1.5)
-    paths = [predict(augment("nonlinear", effect), car, STATE, power).states for car in (leaf, other)]
+def test_effect_constants_come_from_the_vehicle(leaf, effect, key, value):
+    cars, inputs = (leaf, replace(leaf, **{key: value})), ControlInput(0.1, 1.5)
+    paths = [predict(augment("nonlinear", effect), car, STATE, inputs).states for car in cars]
     assert np.abs(paths[0] - paths[1]).max() > 1e-3
-    bare = [predict("nonlinear", car, STATE, power).states for car in (leaf, other)]
-    np.testing.assert_array_equal(*bare)  # nothing else reads it
+    np.testing.assert_array_equal(*(predict("nonlinear", car, STATE, inputs).states for car in cars))
 
 
 def test_free_parameters_as_a_vector():
@@ -86,7 +86,7 @@ def test_free_parameters_as_a_vector():
         model.with_values({"mass": {"factor": 1.1}})
 
 
-def test_new_values_make_no_new_functions(leaf):
+def test_new_values_reuse_the_same_functions(leaf):
     model = augment("nonlinear", ["friction", "tyre_relaxation", "steering_offset"])
     for other in (model.with_vector(0.9 * model.vector), set_effects_to_null(model),
                   augment("nonlinear", ["steering_offset", "tyre_relaxation", "friction"])):
@@ -97,13 +97,13 @@ def test_new_values_make_no_new_functions(leaf):
 
 
 @pytest.mark.parametrize("names", [["mass"], ["friction", "steering_delay"], ["sensor_lever_arm", "yaw_rate_bias"]])
-def test_effects_beside_the_equations_leave_those_of_the_base(leaf, names):
+def test_effects_outside_the_equations_keep_the_base_functions(leaf, names):
     model, base = augment("nonlinear", names), MODELS["nonlinear"]
     assert model.rhs is base.rhs and model.inputs is base.inputs
     assert type(model.parameters(leaf)) is type(base.parameters(leaf))
 
 
-def test_parameters_hold_floats_and_travel_between_processes(car):
+def test_parameters_contain_only_floats_and_can_be_pickled(car):
     def leaves(p):
         return [x for part in p for x in leaves(part)] if isinstance(p, tuple) else [p]
 
@@ -115,60 +115,59 @@ def test_parameters_hold_floats_and_travel_between_processes(car):
 
 
 @pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])
-def test_one_set_of_functions_serves_every_choice_of_effects(leaf, base):
-    everything = set_effects_to_null(augment(base, applicable(base)))
-    plain = predict(base, leaf, STATE, HELD)
-    np.testing.assert_array_equal(predict(everything, leaf, STATE, HELD).states, plain.states)
-    assert not everything.has_steering_dynamics and not everything.has_sensor_effects
-    assert everything.effective_vehicle(leaf) is leaf
+def test_model_with_all_effects_at_null_serves_every_single_effect(leaf, base):
+    all_at_null = set_effects_to_null(augment(base, applicable(base)))
+    plain = predict(base, leaf, STATE, INPUTS)
+    np.testing.assert_array_equal(predict(all_at_null, leaf, STATE, INPUTS).states, plain.states)
+    assert not all_at_null.has_steering_dynamics and not all_at_null.has_sensor_effects
+    assert all_at_null.effective_vehicle(leaf) is leaf
     for name in applicable(base):
-        alone = augment(base, [name])
-        chosen = everything.with_values({name: alone.values[name]})
-        assert chosen.rhs is everything.rhs
-        assert chosen.has_steering_dynamics == alone.has_steering_dynamics
-        assert chosen.has_sensor_effects == alone.has_sensor_effects
-        np.testing.assert_allclose(predict(chosen, leaf, STATE, HELD).states, predict(alone, leaf, STATE, HELD).states,
-                                   rtol=1e-13, atol=1e-13)
+        single = augment(base, [name])
+        model = all_at_null.with_values({name: single.values[name]})
+        assert model.rhs is all_at_null.rhs
+        assert model.has_steering_dynamics == single.has_steering_dynamics
+        assert model.has_sensor_effects == single.has_sensor_effects
+        paths = [predict(m, leaf, STATE, INPUTS).states for m in (model, single)]
+        np.testing.assert_allclose(*paths, rtol=1e-13, atol=1e-13)
 
 
-def test_without_costly_effects_at_null_the_same_is_predicted(leaf):
-    everything = set_effects_to_null(augment("nonlinear", applicable("nonlinear")))
-    chosen = everything.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
-    lean = chosen.without_null_effects()
-    left_out = {e.name for e in chosen.effects} - {e.name for e in lean.effects}
-    assert left_out == {"lateral_load_transfer", "longitudinal_load_transfer"}  # the compliance is not at null
-    np.testing.assert_array_equal(predict(lean, leaf, STATE, HELD).states, predict(chosen, leaf, STATE, HELD).states)
-    assert {"steering_compliance"} == {e.name for e in lean.effects if e.costly}
+def test_removing_costly_null_effects_keeps_the_prediction(leaf):
+    all_at_null = set_effects_to_null(augment("nonlinear", applicable("nonlinear")))
+    model = all_at_null.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
+    reduced = model.without_null_effects()
+    removed = {e.name for e in model.effects} - {e.name for e in reduced.effects}
+    assert removed == {"lateral_load_transfer", "longitudinal_load_transfer"}  # the compliance is not at null
+    np.testing.assert_array_equal(*(predict(m, leaf, STATE, INPUTS).states for m in (reduced, model)))
+    assert {"steering_compliance"} == {e.name for e in reduced.effects if e.costly}
 
 
-def test_a_linear_car_does_without_tyres_that_saturate_at_null(leaf):
-    everything = set_effects_to_null(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
-    lean = everything.without_null_effects()
-    assert {e.name for e in everything.effects} - {e.name for e in lean.effects} >= {"tyre_saturation"}
-    states = [predict(model, leaf, STATE, HELD).states for model in (lean, everything)]
+def test_linear_model_drops_tyre_saturation_at_null(leaf):
+    all_at_null = set_effects_to_null(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
+    reduced = all_at_null.without_null_effects()
+    assert {e.name for e in all_at_null.effects} - {e.name for e in reduced.effects} >= {"tyre_saturation"}
+    states = [predict(model, leaf, STATE, INPUTS).states for model in (reduced, all_at_null)]
     np.testing.assert_array_equal(*states)
-    saturated = everything.with_values({"tyre_saturation": {"share": 0.5}}).without_null_effects()
+    saturated = all_at_null.with_values({"tyre_saturation": {"share": 0.5}}).without_null_effects()
     assert "tyre_saturation" in {e.name for e in saturated.effects}
 
 
-def test_more_effects_on_a_model_that_has_some(leaf):
+def test_augmenting_an_augmented_model_adds_effects(leaf):
     first = augment("linear", {"mass": {"factor": 1.2}})
     both = augment(first, {"yaw_inertia": {"factor": 0.9}})
     assert both.base is MODELS["linear"] and dict(both.values["mass"]) == {"factor": 1.2}
     expected = augment("linear", {"mass": {"factor": 1.2}, "yaw_inertia": {"factor": 0.9}})
-    np.testing.assert_array_equal(predict(both, leaf, STATE, HELD).states, predict(expected, leaf, STATE, HELD).states)
+    np.testing.assert_array_equal(*(predict(model, leaf, STATE, INPUTS).states for model in (both, expected)))
     with pytest.raises(ConfigurationError, match="effect mass: already in the model"):
         augment(first, ["mass"])
 
 
-def test_no_effect_at_all_is_the_base(leaf):
+def test_augmented_model_without_effects_equals_the_base(leaf):
     model = augment("nonlinear", [])
     assert isinstance(model, AugmentedModel) and get_model(model) is model
-    plain = predict("nonlinear", leaf, STATE, HELD)
-    np.testing.assert_array_equal(predict(model, leaf, STATE, HELD).states, plain.states)
+    plain = predict("nonlinear", leaf, STATE, INPUTS)
+    np.testing.assert_array_equal(predict(model, leaf, STATE, INPUTS).states, plain.states)
 
 
-def test_effects_are_sorted_by_the_order_they_act_in():
+def test_steering_effects_are_sorted_by_order_of_action():
     model = augment("linear", ["steering_lag", "steering_backlash", "steering_delay"])
     assert [e.name for e in model.effects] == ["steering_delay", "steering_backlash", "steering_lag"]
-    assert sorted(EFFECTS, key=lambda n: EFFECTS[n].order).index("tyre_relaxation") < 20

@@ -1,5 +1,4 @@
-"""Requirements on an effect: the library meets them all, and each violation is detected."""
-
+"""Requirements on an effect: built-in effects meet them all, and each violation is detected."""
 
 import numpy as np
 import pytest
@@ -16,27 +15,27 @@ GAIN = Parameter("gain", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), source="
 registry = pytest.fixture(autouse=True)(restored)
 
 
-def broken(effect, leaf) -> dict[str, str]:
+def find_violations(effect, leaf) -> dict[str, str]:
     return {text: problem for text, problem in check_effect(effect, leaf).items() if problem}
 
 
-def made(parameter=GAIN, **hooks):
-    texts = {"name": "tried", "physics": "y = gain u", "excited_by": "driving", "kind": "physics", "slot": "body",
+def register_effect(parameter=GAIN, **hooks):
+    texts = {"name": "trial", "physics": "y = gain u", "excited_by": "driving", "kind": "physics", "slot": "body",
              "applies_to": DYNAMIC, "parameters": (parameter,)}
-    return register(type("Tried", (Effect,), texts | {k: staticmethod(f) for k, f in hooks.items()}))
+    return register(type("Trial", (Effect,), texts | {k: staticmethod(f) for k, f in hooks.items()}))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_library_meets_every_requirement(leaf, name):
-    assert broken(EFFECTS[name], leaf) == {}
+def test_built_in_effect_meets_every_requirement(leaf, name):
+    assert find_violations(EFFECTS[name], leaf) == {}
 
 
-def of(acceleration):
+def yaw_acceleration(acceleration):
     return lambda instant, prepared, theta: (
         0.0 * instant.yaw_rate, 0.0 * instant.yaw_rate, acceleration(instant, theta))
 
 
-@pytest.mark.parametrize(("acceleration", "requirement", "words"), [
+@pytest.mark.parametrize(("acceleration", "requirement", "message"), [
     (lambda at, t: (1e-9 + t.gain) * at.yaw_rate, "at null it changes nothing", "to the last bit"),
     (lambda at, t: 0.0 * at.yaw_rate, "at its initial values it changes something", "it changes nothing"),
     (lambda at, t: -t.gain * at.yaw_rate / at.velocity_x, "finite at its bounds", "division by zero"),
@@ -45,27 +44,28 @@ def of(acceleration):
     (lambda at, t: 20.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "grows at"),
     (lambda at, t: -99.0 * t.gain * at.yaw_rate, "it does not make the car unstable", "too fast for steps"),
 ])
-def test_a_violated_requirement_is_named(leaf, acceleration, requirement, words):
-    found = broken(made(acceleration=of(acceleration)), leaf)
-    kept = next(what for what in REQUIREMENTS if what.startswith(requirement))
-    assert words in found[kept]
+def test_violated_requirement_is_named(leaf, acceleration, requirement, message):
+    found = find_violations(register_effect(acceleration=yaw_acceleration(acceleration)), leaf)
+    key = next(text for text in REQUIREMENTS if text.startswith(requirement))
+    assert message in found[key]
 
 
-def test_a_declared_sign_is_no_violation(leaf):
+def test_parameter_declared_odd_violates_nothing(leaf):
     push = Parameter("gain", "rad/s^2", null=0.0, initial=0.1, bounds=(-1.0, 1.0), source="theory", meaning="left +",
                      odd=True)
-    assert broken(made(push, acceleration=of(lambda at, t: t.gain + 0.0 * at.yaw_rate)), leaf) == {}
+    effect = register_effect(push, acceleration=yaw_acceleration(lambda at, t: t.gain + 0.0 * at.yaw_rate))
+    assert find_violations(effect, leaf) == {}
 
 
-def test_a_sensor_that_is_not_undone(leaf):
-    def shown(measured, theta):
+def test_correct_that_does_not_invert_observe_is_named(leaf):
+    def scale_yaw_rate(measured, theta):
         return measured._replace(yaw_rate=measured.yaw_rate * (1.0 + theta.gain))
 
-    found = broken(made(observe=shown, correct=shown), leaf)
+    found = find_violations(register_effect(observe=scale_yaw_rate, correct=scale_yaw_rate), leaf)
     assert list(found) == ["correct() inverts observe()"]
 
 
-def test_one_file_of_a_folder_is_loaded_and_the_others_are_left_alone(tmp_path, leaf):
+def test_load_file_loads_only_that_file(tmp_path, leaf):
     (tmp_path / "broken.py").write_text("import nothing_of_this_name\n")
     (tmp_path / "good.py").write_text('''
 from st_core.effects import Effect, Parameter, register
@@ -84,7 +84,7 @@ class Good(Effect):
         return 0.0 * instant.yaw_rate, 0.0 * instant.yaw_rate, -theta.gain * instant.yaw_rate
 ''')
     effect, = load_file(str(tmp_path), "good")
-    assert broken(effect, leaf) == {"the equation is written in the file": "no docstring; write one with the equation, "
-                                    "units and signs"}
+    assert find_violations(effect, leaf) == {
+        "the equation is written in the file": "no docstring; write one with the equation, units and signs"}
     with pytest.raises(ConfigurationError, match=r"broken.py: cannot be loaded"):
         load_file(str(tmp_path), "broken")

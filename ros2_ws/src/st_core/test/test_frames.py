@@ -1,4 +1,4 @@
-"""Frames and lever arms: round trips, directions, the paper's printed formulas."""
+"""Frames and lever arms: round trips, signs, formulas of the paper."""
 
 import math
 
@@ -28,7 +28,7 @@ def test_wrapped_angle_is_the_same_direction(angle):
     assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_wrapping_knows_its_ends_and_nan():
+def test_wrap_angle_at_its_limits_and_nan():
     assert wrap_angle(math.pi) == -math.pi
     assert wrap_angle(-math.pi) == -math.pi
     assert math.isnan(wrap_angle(math.nan))
@@ -42,11 +42,11 @@ def test_body_and_map_round_trip(x, y, yaw):
 @given(st.builds(VehicleState, finite, finite, finite, finite, st.floats(-7.0, 7.0), st.floats(-3.0, 3.0)),
        st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
 def test_lever_arm_round_trip(state, arm_x, arm_y):
-    again = ins_to_cg(cg_to_ins(state, 7, arm_x, arm_y), arm_x, arm_y)
-    assert again.as_tuple() == pytest.approx(state.as_tuple(), abs=1e-9)
+    result = ins_to_cg(cg_to_ins(state, 7, arm_x, arm_y), arm_x, arm_y)
+    assert result.as_tuple() == pytest.approx(state.as_tuple(), abs=1e-9)
 
 
-def test_lever_arm_as_printed_in_the_paper():
+def test_lever_arm_formulas_of_the_paper():
     sample = InsSample(0, 10.0, 20.0, 0.3, 8.0, -0.2, 0.5)
     state = ins_to_cg(sample, -0.398)
     assert state.velocity_y == pytest.approx(-0.2 + 0.5 * 0.398)
@@ -59,21 +59,23 @@ def test_lever_arm_as_printed_in_the_paper():
 
 
 def test_lever_arm_acceleration_is_the_derivative_of_the_velocity():
-    # A turning, accelerating body: velocities of the INS point along its path, differentiated in the map frame.
+    # A turning, accelerating body: the velocity of the INS point, differentiated in the map frame.
     arm = (-0.398, 0.2)
-    step = 1e-5
+    t, step = 0.4, 1e-5
 
-    def at(t):
+    def state_at(t):
         return VehicleState(0.0, 0.0, 8.0 + 1.5 * t, 0.3 - 0.4 * t, 0.2 * t + 0.35 * t * t, 0.2 + 0.7 * t)
 
-    def map_velocity(state):
+    def cg_velocity(t):
+        state = state_at(t)
         return np.array(body_to_map(state.velocity_x, state.velocity_y, state.yaw))
 
     def ins_velocity(t):
-        sample = cg_to_ins(at(t), 0, *arm)
+        sample = cg_to_ins(state_at(t), 0, *arm)
         return np.array(body_to_map(sample.velocity_x, sample.velocity_y, sample.yaw))
 
-    t = 0.4
-    ins = map_to_body(*((ins_velocity(t + step) - ins_velocity(t - step)) / (2 * step)), at(t).yaw)
-    cg = map_to_body(*((map_velocity(at(t + step)) - map_velocity(at(t - step))) / (2 * step)), at(t).yaw)
-    assert ins_to_cg_acceleration(*ins, at(t).yaw_rate, 0.7, *arm) == pytest.approx(cg, abs=1e-6)
+    def body_acceleration(velocity):
+        return map_to_body(*((velocity(t + step) - velocity(t - step)) / (2 * step)), state_at(t).yaw)
+
+    ins, cg = body_acceleration(ins_velocity), body_acceleration(cg_velocity)
+    assert ins_to_cg_acceleration(*ins, state_at(t).yaw_rate, 0.7, *arm) == pytest.approx(cg, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Runge-Kutta: order 4, the written-out step equals the general one, inputs are taken at their own instants."""
+"""Runge-Kutta: order 4, the unrolled step equals the general one, inputs are evaluated at their own instants."""
 
 import math
 
@@ -22,8 +22,8 @@ def test_oscillator_converges_with_order_four():
     assert orders == pytest.approx([4.0, 4.0], abs=0.15)
 
 
-def test_a_cubic_input_is_integrated_exactly():
-    # Simpson's rule: exact for the cubic only when start, middle and end of each step are taken from their own places.
+def test_cubic_input_is_integrated_exactly():
+    # Simpson's rule is exact for a cubic only with inputs at the start, middle and end of each step.
     step, steps = 0.5, 4
     grid = [(0.5 * step * i) ** 3 for i in range(2 * steps + 1)]
     end = rk4(lambda state, w, p: (w,), (0.0,), grid, None, step)[-1]
@@ -34,8 +34,9 @@ def test_written_out_step_equals_general_step():
     def derivative(s, w, p):
         return (s[1] * w, math.sin(s[2]), s[3] - s[0], s[4] * s[5] * p, math.cos(s[0]), -s[1])
 
-    state, rest = (0.3, -1.2, 0.5, 2.0, 0.1, -0.7), (1.0, 1.5, 2.0, 0.3, 0.1)
-    assert _step_of_six(derivative, state, *rest) == pytest.approx(rk4_step(derivative, state, *rest), rel=1e-14)
+    state, arguments = (0.3, -1.2, 0.5, 2.0, 0.1, -0.7), (1.0, 1.5, 2.0, 0.3, 0.1)
+    expected = rk4_step(derivative, state, *arguments)
+    assert _step_of_six(derivative, state, *arguments) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("model", ["kinematic", "linear", "nonlinear"])

@@ -1,4 +1,4 @@
-"""DriveLog: its rules are kept, slices keep both time bases, steering can be recomputed."""
+"""DriveLog: validation, slices on both time bases, recomputed steering."""
 
 import dataclasses
 
@@ -7,7 +7,6 @@ import pytest
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from support import ROOT
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -23,14 +22,14 @@ def make_log(n: int = 101, m: int = 201, **changes) -> DriveLog:
     return DriveLog(**{**log, **changes})
 
 
-def test_spans() -> None:
+def test_duration_and_overlap() -> None:
     log = make_log()
     assert log.duration == pytest.approx(1.0)
     assert (log.start_ns, log.end_ns) == (START_NS - 500_000_000, START_NS + 1_500_000_000)
     assert log.overlap == pytest.approx(1.0)
 
 
-def test_an_empty_log_has_no_duration() -> None:
+def test_empty_log_has_no_duration() -> None:
     log = make_log(0, 0)
     assert (log.duration, log.overlap, log.start_ns) == (0.0, 0.0, 0)
 
@@ -45,20 +44,20 @@ def test_an_empty_log_has_no_duration() -> None:
         ({"acceleration_x": np.zeros(5)}, "acceleration_x has 5 values"),
     ],
 )
-def test_broken_rules_are_named(change: dict, message: str) -> None:
+def test_invalid_columns_are_named(change: dict, message: str) -> None:
     with pytest.raises(StCoreError, match=message):
         make_log(**change)
 
 
-def test_arrays_cannot_be_written_and_the_callers_stay_his() -> None:
+def test_arrays_are_read_only_and_those_of_the_caller_stay_writeable() -> None:
     x = np.zeros(101)
     log = make_log(x=x)
     with pytest.raises(ValueError, match="read-only"):
         log.x[0] = 1.0
-    x[0] = 1.0  # still writeable: only the view in the log is not
+    x[0] = 1.0  # only the view in the log is read-only
 
 
-def test_slice_is_inclusive_and_cuts_both_time_bases() -> None:
+def test_slice_includes_both_ends_on_both_time_bases() -> None:
     part = make_log().slice(START_NS + 100_000_000, START_NS + 200_000_000, name="part")
     assert part.name == "part"
     for time in (part.ins_time_ns, part.steering_time_ns):
@@ -67,8 +66,7 @@ def test_slice_is_inclusive_and_cuts_both_time_bases() -> None:
     assert part.acceleration_x is None
 
 
-def test_steering_recomputed_from_the_wheel() -> None:
-    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
+def test_road_wheel_angle_is_recomputed_from_the_steering_wheel(leaf: VehicleParameters) -> None:
     log = make_log().with_steering(leaf)
     np.testing.assert_allclose(log.road_wheel_angle, (log.steering_wheel_angle + np.radians(2.7)) / 17.3, rtol=1e-12)
     with pytest.raises(StCoreError, match="without a steering wheel angle"):

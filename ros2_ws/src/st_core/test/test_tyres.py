@@ -1,4 +1,4 @@
-"""Tyre forces: sign, slope at zero, the printed scales, symmetry, limits."""
+"""Tyre forces: sign, initial slope, published stiffness scales, symmetry, limits."""
 
 import math
 
@@ -14,18 +14,17 @@ def force(slip, load, tyre):
 
 def test_stiffness_scales_of_the_paper(leaf):
     assert leaf.tyre_front.lambda_ky == pytest.approx(0.4231, abs=0.0005)
-    assert leaf.tyre_front.lambda_ky == pytest.approx(0.423, abs=0.0005)  # as printed
-    # Printed 0.959; the printed parameters, themselves rounded, give 0.962.
+    # Published: 0.423 and 0.959; the published, rounded parameters give 0.962 for the rear.
     assert leaf.tyre_rear.lambda_ky == pytest.approx(0.9624, abs=0.0005)
 
 
-def test_scale_belongs_to_the_static_load_not_to_the_nominal_one(leaf):
+def test_stiffness_scale_refers_to_the_static_load(leaf):
     at_nominal = tyres.stiffness_scale(leaf.cornering_stiffness_front, leaf.tyre_front.nominal_load, leaf.tyre_front)
     assert at_nominal == pytest.approx(0.426, abs=0.0005)
     assert abs(at_nominal - leaf.tyre_front.lambda_ky) > 0.002
 
 
-def test_both_tyre_models_have_the_same_slope_at_zero(car):
+def test_both_tyre_models_have_the_same_initial_slope(car):
     axles = ((car.tyre_front, car.static_tyre_load_front, car.cornering_stiffness_front),
              (car.tyre_rear, car.static_tyre_load_rear, car.cornering_stiffness_rear))
     for tyre, load, stiffness in axles:
@@ -38,7 +37,7 @@ def test_both_tyre_models_have_the_same_slope_at_zero(car):
 
 @pytest.mark.parametrize("slip", [0.001, 0.02, 0.1, 0.5])
 @pytest.mark.parametrize("load", [500.0, 3300.0, 4403.0, 7000.0])
-def test_force_opposes_the_slip_and_is_odd(leaf, slip, load):
+def test_force_is_odd_and_opposes_the_slip(leaf, slip, load):
     for tyre in (leaf.tyre_front, leaf.tyre_rear):
         assert force(slip, load, tyre) < 0.0
         assert force(-slip, load, tyre) == -force(slip, load, tyre)
@@ -52,7 +51,7 @@ def test_force_stays_below_the_friction_limit(leaf):
         assert np.abs(force(slip, np.full_like(slip, load), tyre)).max() <= friction * load * (1.0 + 1e-12)
 
 
-def test_asymmetric_curvature_uses_the_sign_of_the_slip(leaf):
+def test_asymmetric_curvature_depends_on_the_sign_of_the_slip(leaf):
     tyre = leaf.tyre_front._replace(p_ey3=0.5)
     b, d, e = magic_formula_coefficients(4250.0, tyre)
     for slip in (0.2, -0.2):
