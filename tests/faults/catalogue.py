@@ -230,7 +230,7 @@ INS = (
           ANY),
     Fault("second unit on the port", 4.0, add_second_car(OTHER_UNIT, 6400.0), "ignored, counted by address"),
     Fault("two cars on one address", 4.0, add_second_car(LOOPBACK, 640.0), "the first sender is kept; reported", SOURCE,
-          "second sender", short=True),
+          "other ports", short=True),
     Fault("second publisher of ins/odometry", 4.0, add_second_publisher, "reported at once by name; not used",
           PUBLISHERS, "/intruder"),
     *(Fault(f"position jumps by {size:g} m, and back", 3.0,

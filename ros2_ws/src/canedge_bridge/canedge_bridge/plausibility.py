@@ -11,7 +11,7 @@ from .signals import MessageSpec, SignalSpec
 # until MAX_IMPLAUSIBLE consecutive values are plausible: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
-Reference = tuple[int, float]  # time [ns] and value, in the unit of the table, of an earlier frame
+Reference = tuple[int, float]  # time [ns] and value, in the unit of the signal, of an earlier frame
 
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
@@ -38,13 +38,13 @@ class Plausibility:
         self._last_plausible: Reference | None = None
         self._recent: deque[bool] = deque(maxlen=PLAUSIBILITY_FRAMES)
 
-    def accepts(self, si: float, time_ns: int) -> bool:
+    def accepts(self, value_si: float, time_ns: int) -> bool:
         """Whether this value [SI] is in range and reachable from the previous value or from the last plausible one.
 
         A single outlier or a true step therefore invalidates only one frame. Values out of range are never a reference.
         """
         signal = self._signal
-        value = si / signal.factor
+        value = value_si / signal.factor
         in_range = signal.minimum <= value <= signal.maximum
         plausible = in_range and _is_reachable(signal, self._message, value, time_ns,
                                                (self._previous, self._last_plausible))

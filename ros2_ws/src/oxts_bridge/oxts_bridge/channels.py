@@ -35,7 +35,8 @@ class Validity:
 
     text: the condition in words, for error messages. accepts: tests the field's raw number and the channel's 8 bytes.
     invalid_raw: raw number written for an invalid value. flag_byte: index of the byte that declares a group of fields
-    valid (its value is then flag_valid) or invalid (0xFF); None if the raw number alone decides.
+    valid (its value is then flag_valid) or invalid (0xFF); None if the raw number alone decides. fresh: whether the
+    age in byte 6 must be below 150 although flag_byte is None.
     """
 
     text: str
@@ -43,6 +44,7 @@ class Validity:
     invalid_raw: int = -1
     flag_byte: int | None = None
     flag_valid: int = 0
+    fresh: bool = False
 
 
 ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
@@ -143,8 +145,7 @@ class Field:
 
 
 F = Field  # abbreviation in the table
-_FRESH_TEXT = "b6 < 150"
-FRESH = Validity(_FRESH_TEXT, lambda raw, data: data[6] < 150, flag_byte=6)
+FRESH = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag_byte=6)
 B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag_byte=6)
 B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag_byte=6)
 HIGH_BIT_CLEAR = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, invalid_raw=0xFF)
@@ -154,18 +155,15 @@ BIT0_SET = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), invalid_raw=0)
 WITHIN_MINUTE = Validity("< 60000", lambda raw, data: raw < 60000, invalid_raw=0xFFFF)
 GPS_MINUTE = Validity(">= 1000", lambda raw, data: raw >= 1000, invalid_raw=0)
 OMNISTAR_STATUS = Validity("b4 < 255", lambda raw, data: data[4] < 255, flag_byte=4)
-INVERTED_B6 = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag_byte=6, flag_valid=0x7F)
-INVERTED_B7 = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag_byte=7, flag_valid=0x7F)
-LONG_RANGE = Validity(f"{_FRESH_TEXT} and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
+B6_BIT7_CLEAR = Validity("bit 7 of b6 = 0", lambda raw, data: data[6] < 0x80, flag_byte=6, flag_valid=0x7F)
+B7_BIT7_CLEAR = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, flag_byte=7, flag_valid=0x7F)
+LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
 
 
 def unless(*codes: int, fresh: bool = False) -> Validity:
-    """Valid unless the raw number is one of the codes; the first code is written for an invalid value.
-
-    fresh: valid only while the age in byte 6 is below 150.
-    """
-    return Validity(f"{_FRESH_TEXT} and " * fresh + f"not {', '.join(map(str, codes))}",
-                    lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0])
+    """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
+    text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
+    return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0], fresh=fresh)
 
 
 BYTE = unless(0xFF)
@@ -296,7 +294,7 @@ TABLE: dict[int, list[Field]] = {
          F("OsScriptId", "digits6", 3, validity=NOT_NEGATIVE), _word("SerialNumber", 6)],
     31: [_byte("ImuType", 0), _byte("GpsPrimary.Type", 1), _byte("GpsSecondary.Type", 2), _byte("InterPcbType", 3),
          _byte("FrontPcbType", 4), _byte("InterSwId", 5), _byte("HwConfig", 6),
-         *(F(name, f"ibits{bit}+1", 7, validity=INVERTED_B7) for name, bit in (
+         *(F(name, f"ibits{bit}+1", 7, validity=B7_BIT7_CLEAR) for name, bit in (
              ("PsrDiffEnabled", 0), ("SBASEnabled", 1), ("OmniVBSEnabled", 3), ("OmniHPEnabled", 4),
              ("L1DiffEnabled", 5), ("L1L2DiffEnabled", 6)))],
     32: [*_innovations("InnZeroVelX", "InnZeroVelY", "InnZeroVelZ", "InnNoSlipH", "InnHeadingH", "InnWSpeed"),
@@ -355,7 +353,7 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(5, "GpsPrimary.RawRate", "GpsSecondary.RawRate"),
          # By the vendor's convention, a unit that sends this channel has GPS but not BeiDou; no bit encodes either.
          F("GnssGpsEnabled", "bits0+0", 6, offset=1), F("GnssBeiDouEnabled", "bits0+0", 6, offset=0),
-         *(F(name, f"ibits{bit}+1", 6, validity=INVERTED_B6) for bit, name in enumerate(
+         *(F(name, f"ibits{bit}+1", 6, validity=B6_BIT7_CLEAR) for bit, name in enumerate(
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),
          _byte("ProductType", 7)],
@@ -455,7 +453,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         if any(is_set) and not all(is_set):
             raise NcomError(f"channel {channel}: give all or none of {', '.join(f.name for f in group)}")
         buffer[flag] = group[0].validity.flag_valid if any(is_set) else 0xFF
-    if any(f.validity.text.startswith(_FRESH_TEXT) and values.get(f.name) is not None for f in fields.values()):
+    if any(f.validity.fresh and values.get(f.name) is not None for f in fields.values()):
         buffer[6] = 0
     if channel == LONG_RANGE_CHANNEL:
         buffer[7] = 1

@@ -23,7 +23,7 @@ from tf2_msgs.msg import TFMessage
 from .channels import Value
 from .geometry import Quaternion, Vector, flu_from_frd
 from .motion import Accuracy, Motion, compute_variances
-from .ncom import BY_STATUS, Counters, describe_mode, get_fix_status
+from .ncom import STATUS_RULES, Counters, describe_mode, get_fix_status
 from .status import StatusTracker
 from .stream import ReceivedPacket
 
@@ -189,7 +189,7 @@ class Publishers:
         message = InsStatus(
             header=Header(frame_id=self._settings.ins_frame),
             navigation_status=navigation_status,
-            navigation_status_text=BY_STATUS[navigation_status].text,
+            navigation_status_text=STATUS_RULES[navigation_status].text,
             satellites=_to_integer(get("GpsNumObs")),
             position_accuracy_north=north, position_accuracy_east=east, position_accuracy_down=up,
             velocity_accuracy_north=velocity_north, velocity_accuracy_east=velocity_east,

@@ -8,10 +8,10 @@ from typing import TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .channels import FIELDS, INVERTED_B6, Value
+from .channels import B6_BIT7_CLEAR, FIELDS, Value
 from .derived import Settings, compute_gps_seconds, derive_columns
-from .file_decoder import EMPTY, KINDS, STATUS, TRIGGER, UNKNOWN_TIME, Columns, decode_file
-from .ncom import NcomError
+from .file_decoder import EMPTY, KINDS, REGULAR, TRIGGER, UNKNOWN_TIME, Columns, decode_file
+from .ncom import RAW_IMU, NcomError
 from .packet_time import WEEK_MS
 from .status import RAW_FIELDS, StatusTracker
 
@@ -24,7 +24,7 @@ _LARGEST_UMAC_STATUS = 10
 # In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
-    if name.startswith("Inn") or name == "Undulation" or field.validity is INVERTED_B6)
+    if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
 _SETTINGS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
              63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
 """Status channel -> fields that derived columns depend on."""
@@ -75,8 +75,8 @@ def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
     for i in np.flatnonzero(columns.kind == TRIGGER):
         out_type[i] = TRIGGER_NAMES[int(columns.channel[i])]
     heading = degrees(columns.heading)
-    navigation = (columns.kind != EMPTY) & (columns.kind != STATUS) & (columns.navigation_status > 1)
-    quality = np.where(navigation, np.where(columns.approximate, "approx", "valid"), "")
+    has_navigation = np.isin(columns.kind, (REGULAR, TRIGGER)) & (columns.navigation_status != RAW_IMU)
+    quality = np.where(has_navigation, np.where(columns.approximate, "approx", "valid"), "")
     return {
         "pkt": np.arange(n),
         "start_offset": columns.offset,

@@ -13,7 +13,7 @@ from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times
 
 from . import ncom, packet_time
 from .channels import FIELDS, UTC_CHANNEL, decode_event_time, decode_utc_offset
-from .ncom import BATCH_S, BY_STATUS, PACKET_SIZE, Counters, NcomError, Packet, find_next_packet, is_valid_position
+from .ncom import BATCH_S, PACKET_SIZE, STATUS_RULES, Counters, NcomError, Packet, find_next_packet, is_valid_position
 
 CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
 """First bytes of a network capture: pcap in either byte order with times in us or ns, and pcapng."""
@@ -33,12 +33,12 @@ _FIELDS = np.dtype({
                 ncom.CHANNEL_AT, ncom.BATCH_S_AT),
     "itemsize": PACKET_SIZE})
 
-# ncom.BY_STATUS as arrays, indexed by navigation status.
-_KIND = np.array([KINDS.index(rule.kind) for rule in BY_STATUS], np.int8)
+# ncom.STATUS_RULES as arrays, indexed by navigation status.
+_KIND = np.array([KINDS.index(rule.kind) for rule in STATUS_RULES], np.int8)
 _HAS_TIME, _HAS_STATUS, _IS_DEFINED = (
-    np.array([getattr(rule, part) for rule in BY_STATUS]) for part in ("has_time", "has_status", "is_defined"))
-_HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in BY_STATUS])
-_IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in BY_STATUS])
+    np.array([getattr(rule, part) for rule in STATUS_RULES]) for part in ("has_time", "has_status", "is_defined"))
+_HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in STATUS_RULES])
+_IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in STATUS_RULES])
 _SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
 _IS_KNOWN_CHANNEL = np.isin(np.arange(256), list(FIELDS))
 _INVALID_UTC_OFFSET = 1  # s; UTC - GPS is never positive

@@ -7,7 +7,7 @@ from typing import Any
 from st_ros.diagnostics import ERROR, OK, WARN, Check
 
 from .motion import UNIT, Accuracy, Origin, compute_variances
-from .ncom import BLOCKED, BY_STATUS, EXPIRED, LOCKED, LOCKING, describe_mode, rank_mode
+from .ncom import BLOCKED, EXPIRED, LOCKED, LOCKING, STATUS_RULES, describe_mode, rank_mode
 from .sources import SourceStatus
 from .status import StatusTracker
 from .stream import NcomParser, StreamStatistics
@@ -24,14 +24,16 @@ _NEVER = float("-inf")
 class Health:
     """Builds diagnostic checks from the counts of the parser, the status and the source.
 
-    The node sets navigation_status; last_packet_at: time of receipt on the monotonic clock [s]; minute_from_host:
-    whether the GPS minute is taken from the host's clock; failures: number of packets that could not be published;
-    incomplete: number of packets with a fix, but with an invalid position, velocity, angle or rate.
+    live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
+    ellipsoidal altitude. silence_after: time without a packet that is an error [s].
+
+    The node updates the public attributes. last_packet_at: time of receipt on the monotonic clock [s].
+    minute_from_host: whether the GPS minute is taken from the host's clock. failures: number of packets that could not
+    be published. incomplete: number of packets with a fix, but with an invalid position, velocity, angle or rate.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
                  source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
-        """live: packets come from a unit, so their stamps can be compared with the host's clock."""
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
         self.minute_from_host = False
@@ -66,7 +68,7 @@ class Health:
             return Check("source", OK, f"{source.name}: replay finished", values)
         ignored, self._previous_ignored = source.ignored_ports - self._previous_ignored, source.ignored_ports
         if ignored > 0:
-            text = f"{ignored} datagrams of a second sender on {source.sender} ignored since the last report"
+            text = f"{ignored} datagrams from other ports of {source.sender} ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
         if source.ignored and not source.sender:
             return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}; "
@@ -129,7 +131,7 @@ class Health:
             "IMU temperature [degC]": get("ImuTemperature"),
         }
         values = {key: value for key, value in values.items() if value not in (None, "")}
-        text = BY_STATUS[self.navigation_status].text
+        text = STATUS_RULES[self.navigation_status].text
         if self.navigation_status == LOCKED:
             mode = get("GpsPosMode")
             self._best_mode = max(self._best_mode, mode, key=rank_mode)

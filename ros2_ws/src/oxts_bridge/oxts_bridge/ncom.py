@@ -68,10 +68,10 @@ class StatusRule(NamedTuple):
         return self.kind != "empty"
 
 
-INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 2, 3, 4, 6, 7, 10
-RULES: dict[int, StatusRule] = {
+RAW_IMU, INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 1, 2, 3, 4, 6, 7, 10
+_DEFINED: dict[int, StatusRule] = {
     0: StatusRule("nothing valid"),
-    1: StatusRule("raw IMU", "regular"),
+    RAW_IMU: StatusRule("raw IMU", "regular"),
     INITIALISING: StatusRule("initialising", "regular", "approximate", has_time=True),
     LOCKING: StatusRule("locking", "regular", "valid", has_time=True),
     LOCKED: StatusRule("locked", "regular", "valid", has_time=True),
@@ -84,8 +84,8 @@ RULES: dict[int, StatusRule] = {
     21: StatusRule("trigger while locking", "trigger", "valid"),
     22: StatusRule("trigger while locked", "trigger", "valid"),
 }
-BY_STATUS: tuple[StatusRule, ...] = tuple(
-    RULES.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
+STATUS_RULES: tuple[StatusRule, ...] = tuple(
+    _DEFINED.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
 # Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; raw
 # IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
@@ -132,7 +132,7 @@ class Packet:
     milliseconds: into the GPS minute, 0..59999; a larger number is kept, but gives no time.
     acceleration: specific force x, y, z [m/s^2], z about -9.81 at rest; each at most 838.8607.
     angular_rate: x, y, z [rad/s] relative to inertial space; each at most 83.88607.
-    navigation_status: 0..255, see RULES.
+    navigation_status: 0..255, see STATUS_RULES.
     latitude, longitude: geodetic [rad].  altitude: [m], above the geoid unless the unit is configured otherwise.
     velocity_ned: north, east, down [m/s]; each at most 838.8607.
     heading: clockwise from true north [rad].  pitch: nose up + [rad].  roll: right side down + [rad].
@@ -254,7 +254,7 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
                 break
             if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT]:
                 status = raw[STATUS_AT]
-                if in_sync or status == STRUCTURE_B or (BY_STATUS[status].is_defined and inner_checksums_match(raw)):
+                if in_sync or status == STRUCTURE_B or (STATUS_RULES[status].is_defined and inner_checksums_match(raw)):
                     return start, True
             counters.checksum_errors += in_sync
         found = data.find(_SYNC, start + 1)

@@ -85,7 +85,7 @@ class NcomParser:
             return None
         if not ncom.inner_checksums_match(raw):
             counters.inner_checksum_warnings += 1
-        rule = ncom.BY_STATUS[status]
+        rule = ncom.STATUS_RULES[status]
         packet = ncom.decode(raw)
         kind, order = rule.kind, NEW
         gps_ns: int | None = None

@@ -30,7 +30,7 @@ STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide 
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with a given offset [ns], of unknown uncertainty (NaN). signals: used to check it within 5 s."""
+    """Alignment with the offset [ns] given for the log time at_ns; its uncertainty is NaN. signals: to check it."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
     given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
@@ -186,9 +186,9 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     lags = measure_window_lags(pairs, solution.offset, search)
     step = find_clock_step(lags)
     if step:
-        reason = describe_step(step[1], other_ns * 1e-9 + step[0] - result.at_ns * 1e-9)
+        reason = describe_step(step.size, other_ns * 1e-9 + step.time - result.at_ns * 1e-9)
         # All other doubts are consequences of the step.
-        refusals, doubts = ([reason], []) if abs(step[1]) > MAX_STEP else ([], [reason])
+        refusals, doubts = ([reason], []) if abs(step.size) > MAX_STEP else ([], [reason])
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
     return result.with_doubts(*doubts)
@@ -219,7 +219,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Residual offsets of windows of 30 s after an alignment, searched within 2 s; time [s] since `at_ns`."""
+    """Offsets that remain in windows of 30 s with an alignment, searched within 2 s; time [s] since `at_ns`."""
     fine, reference_ns, other_ns = _make_fine_pairs(signals)
     if not fine:
         return []
@@ -246,7 +246,7 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
 
 
 def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """((offset [s], drift), residuals [s], their scale [s], covariance of both), by reweighted least squares."""
+    """((offset [s], drift), residuals [s], their scale [s], covariance of offset and drift), by a reweighted fit."""
     design = np.stack([np.ones_like(time), time], axis=1)
     weight = np.ones_like(time)
     for _ in range(20):
@@ -292,8 +292,8 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - median), scale)
             for a, b in pairwise(edges)]
     step = find_clock_step(lags)
-    if step and abs(step[1]) > MAX_STEP:
-        return replace(result, verdict=Verdict.REFUSED, reasons=(describe_step(step[1], step[0]),))
+    if step and abs(step.size) > MAX_STEP:
+        return replace(result, verdict=Verdict.REFUSED, reasons=(describe_step(step.size, step.time),))
     doubts = []
     worst = int(np.argmax(np.abs(residual)))
     if abs(residual[worst]) > MAX_TIME_FRAME_RESIDUAL:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from .clock_fit import STEP, Pair, Resampled, find_peaks, fit
 
 WINDOW = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
-MIN_CORRELATION, MAX_PEAK_RATIO = 0.9, 0.97  # of the highest peak, and of the second to it, in a window that is used
+MIN_CORRELATION, MAX_PEAK_RATIO = 0.9, 0.97  # of the highest peak; of the second peak to it, in a window that is used
 MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
@@ -24,6 +25,11 @@ class WindowLag:
     time: float  # middle of the window [s, other clock]
     lag: float  # s
     deviation: float  # standard deviation [s]
+
+
+class ClockStep(NamedTuple):
+    time: float  # s, other clock
+    size: float  # increase of the lag [s]
 
 
 def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
@@ -60,10 +66,10 @@ def _cut(signal: Resampled, start: float, end: float) -> Resampled:
     return Resampled(signal.origin + low * STEP, signal.values[low:high], signal.known[low:high])
 
 
-def find_clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
-    """(time, size) [s] of the step that explains the window lags far better than a straight line; None without one.
+def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:
+    """The step that explains the window lags far better than a straight line; None if there is no such step.
 
-        lag(t) = a + b t          against          lag(t) = a + b t + size (t > time),        b about 0 +/- 50 ppm
+        lag(t) = a + b t     against     lag(t) = a + b t + size [t > time],     prior of b: 0 +/- 50 ppm
 
     There must be at least two windows on each side; a step below 10 ms is ignored.
     """
@@ -75,15 +81,13 @@ def find_clock_step(lags: Sequence[WindowLag]) -> tuple[float, float] | None:
     time = time - time.mean()
     line = np.stack([np.ones_like(time), time], axis=1)
     cost_without_step, _ = _fit_with_drift_prior(line, lag, deviation)
-    best: tuple[float, float, float] | None = None
+    fits = []
     for k in range(2, len(lags) - 1):
         after = (np.arange(len(lags)) >= k).astype(float)
         cost, solution = _fit_with_drift_prior(np.column_stack([line, after]), lag, deviation)
-        if best is None or cost < best[0]:
-            best = (cost, (lags[k - 1].time + lags[k].time) / 2, float(solution[2]))
-    if best is None or cost_without_step - best[0] < MIN_STEP_EVIDENCE or abs(best[2]) < MIN_STEP:
-        return None
-    return best[1], best[2]
+        fits.append((cost, ClockStep((lags[k - 1].time + lags[k].time) / 2, float(solution[2]))))
+    cost, step = min(fits, key=lambda fit: fit[0])
+    return step if cost_without_step - cost >= MIN_STEP_EVIDENCE and abs(step.size) >= MIN_STEP else None
 
 
 def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:

@@ -69,7 +69,7 @@ class Alignment:
     verdict: Verdict
     reasons: tuple[str, ...] = ()
     signals: tuple[SignalLag, ...] = ()
-    peak: Peak | None = None  # of the coarse search; None without one
+    peak: Peak | None = None  # of the coarse search; None if it was not run
     second_peak: Peak | None = None
     overlap: float = 0.0  # common time [s]
 

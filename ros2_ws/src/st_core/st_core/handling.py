@@ -23,7 +23,8 @@ def rear_slip_coefficient(car: VehicleParameters) -> float:
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of d/dt (v_y, r) = A (v_y, r) + B delta, linearised about straight driving at `speed` [m/s].
 
-    Below minimum_slip_speed the tyre terms use that speed, as the models do. Source: Guiggiani, ch. 6.
+    delta: road wheel angle [rad]. Below minimum_slip_speed the tyre terms use that speed, as the models do.
+    Source: Guiggiani, ch. 6.
     """
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
     l_f, l_r, v = car.cg_to_front_axle, car.cg_to_rear_axle, max(speed, car.minimum_slip_speed)

@@ -14,7 +14,7 @@ def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step:
 
     grid: w at 0, step/2, step, ... (2 * steps + 1). step > 0. Global error O(step^4). Checked by: test_integrate.py.
     """
-    advance = _step_of_six if len(state) == 6 else rk4_step
+    advance = _rk4_step_six_states if len(state) == 6 else rk4_step
     states = [state]
     for k in range(0, len(grid) - 2, 2):
         state = advance(derivative, state, grid[k], grid[k + 1], grid[k + 2], p, step)
@@ -32,7 +32,7 @@ def rk4_step(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, 
     return tuple([s + sixth * (i + 2.0 * (j + k) + m) for s, i, j, k, m in zip(state, a, b, c, d, strict=True)])
 
 
-def _step_of_six(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
+def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_middle: Any, w_end: Any, p: Any,
                  step: float) -> tuple:
     # rk4_step written out for six states: twice as fast on floats, which the live predictor uses without numba.
     half, sixth = 0.5 * step, step / 6.0

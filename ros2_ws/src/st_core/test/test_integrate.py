@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from st_core.integrate import _step_of_six, rk4, rk4_step
+from st_core.integrate import _rk4_step_six_states, rk4, rk4_step
 from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
@@ -36,7 +36,7 @@ def test_written_out_step_equals_general_step():
 
     state, arguments = (0.3, -1.2, 0.5, 2.0, 0.1, -0.7), (1.0, 1.5, 2.0, 0.3, 0.1)
     expected = rk4_step(derivative, state, *arguments)
-    assert _step_of_six(derivative, state, *arguments) == pytest.approx(expected, rel=1e-14)
+    assert _rk4_step_six_states(derivative, state, *arguments) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("model", ["kinematic", "linear", "nonlinear"])

@@ -28,11 +28,11 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    about: further entries of summary.json. Status 0: every process ended normally, and a horizon was scored or the user
-    ended the run; 130: the user ended the run before the first data; 1: all other cases.
+    about: further entries of summary.json, with the title `what`. Status 0: every process ended normally, and a horizon
+    was scored or the user ended the run; 130: the user ended the run before the first data arrived; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("the run was ended before the first data")
+        console.print("the run was ended before the first data arrived")
         return 130
     _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
@@ -109,7 +109,7 @@ def _draw_map(axes: Axes, results: Results) -> None:
         along, across = segment.longitudinal, segment.lateral
         axes.plot(x + along * np.cos(yaw) - across * np.sin(yaw), y + along * np.sin(yaw) + across * np.cos(yaw),
                   color=MODEL_COLOUR[model], ls=MODEL_LINE[model], zorder=3)
-    starts = results.starts_drawn()
+    starts = results.drawn_starts()
     for start_ns in starts:
         x, y = (np.interp(start_ns, track.time_ns, v) for v in (track.x, track.y))
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)

@@ -73,7 +73,7 @@ class Results:
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
 
-    def starts_drawn(self) -> list[int]:
+    def drawn_starts(self) -> list[int]:
         return sorted({start_ns for _, start_ns in self.segments})
 
 

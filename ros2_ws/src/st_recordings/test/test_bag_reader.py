@@ -139,7 +139,7 @@ def test_unusable_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     assert len(drive.log.steering_time_ns) == N - 51
     assert any(f"50 of {N} steering messages (10 %) have no usable value" in w for w in drive.warnings)
     assert drive.auxiliary.missing == {"road_wheel_angle": 50} and len(drive.auxiliary.stamps["steering"]) == N
-    assert any("steering messages (0.22 %) have no later time" in w for w in drive.warnings)
+    assert any("steering messages (0.22 %) are not later" in w for w in drive.warnings)
 
 
 def test_bag_with_raw_packets_is_a_drive_if_it_has_steering(tmp_path: Path) -> None:

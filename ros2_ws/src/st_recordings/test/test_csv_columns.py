@@ -290,7 +290,7 @@ def test_rows_without_a_valid_time_or_out_of_order_are_counted(tmp_path: Path) -
     assert drive.auxiliary.missing == {"time": 2}
     stamps = drive.auxiliary.stamps["INS"]
     assert len(stamps) == N - 2 and (np.diff(stamps) == 0).sum() == 1 and (np.diff(stamps) < 0).sum() == 1
-    assert any("2 of 58 rows (3.4 %) have no later time than all before" in w for w in drive.warnings)
+    assert any("2 of 58 rows (3.4 %) are not later than those before them" in w for w in drive.warnings)
     assert any("time (column t): 2 of 60 rows (3.3 %) have no number; these rows" in w for w in drive.warnings)
 
 

@@ -62,7 +62,7 @@ def test_unusable_rows_are_left_out_and_counted(tmp_path: Path) -> None:
     assert len(log.ins_time_ns) == 98
     assert [w.split(": ", 1)[1] for w in warnings] == [
         "the last row is truncated and was left out",
-        "1 of 100 rows (1 %) have no later time than all before; they were left out",
+        "1 of 100 rows (1 %) are not later than those before them; they were left out",
         "velocity_x (column vx): 1 of 100 rows (1 %) have no number; these INS samples were left out",
     ]
 
@@ -138,7 +138,7 @@ def test_rows_with_repeated_times_are_left_out(tmp_path: Path) -> None:
     lines = [line for line in rows(40) for _ in range(3)]
     drive = read_csv(write(tmp_path, [HEADER, *lines]))
     assert len(drive.log.ins_time_ns) == 40
-    assert "80 of 120 rows (67 %) have no later time" in drive.warnings[0]
+    assert "80 of 120 rows (67 %) are not later" in drive.warnings[0]
 
 
 @pytest.mark.parametrize("row", [f"[],{','.join(['[m]'] * 2)},[rad],,,,,,[deg]", "-,m,m,rad,,,,,,deg"])

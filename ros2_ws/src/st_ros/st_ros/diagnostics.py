@@ -39,8 +39,8 @@ class Diagnostics:
         message.header.stamp = self._node.get_clock().now().to_msg()
         current = scheduling.read_scheduling()
         values = {"policy": current.policy, "priority": current.priority, "nice": current.nice}
-        if current.autogroup is not None:
-            values["autogroup"] = current.autogroup
+        if current.autogroup_nice is not None:
+            values["autogroup"] = current.autogroup_nice
         for check in (*self._collect(), Check("scheduling", OK, current.text, values)):
             status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
                                       hardware_id=self._hardware_id, level=bytes([check.level]))

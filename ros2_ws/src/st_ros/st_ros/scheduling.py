@@ -22,19 +22,19 @@ _ATTEMPTS, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts on
 class Scheduling:
     """Scheduling parameters of a process.
 
-    priority: of a real-time policy; 0 for other policies. autogroup: nice value of the autogroup, None without one.
+    priority: of a real-time policy; 0 for other policies. autogroup_nice: None without an autogroup.
     """
 
     policy: str
     priority: int
     nice: int
-    autogroup: int | None
+    autogroup_nice: int | None
 
     @property
     def text(self) -> str:
         if self.priority:
             return f"real time, {self.policy}, priority {self.priority}"
-        group = "" if self.autogroup is None else f", autogroup {self.autogroup}"
+        group = "" if self.autogroup_nice is None else f", autogroup {self.autogroup_nice}"
         return f"{self.policy}, nice {self.nice}{group}"
 
 

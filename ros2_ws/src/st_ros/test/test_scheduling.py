@@ -33,8 +33,8 @@ LOWER = [sys.executable, "-c",
 def test_lowering_reaches_the_group_of_an_own_session_only():
     nice = max(7, os.getpriority(os.PRIO_PROCESS, 0))
     # The system's first session has no group: whether there are groups, a session of its own says.
-    say = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.read_scheduling().autogroup)"]
+    say = [sys.executable, "-c", "from st_ros import scheduling; print(scheduling.read_scheduling().autogroup_nice)"]
     groups = subprocess.run(say, capture_output=True, text=True, check=True, start_new_session=True).stdout != "None\n"
-    for own_session, group in ((True, 7 if groups else None), (False, scheduling.read_scheduling().autogroup)):
+    for own_session, group in ((True, 7 if groups else None), (False, scheduling.read_scheduling().autogroup_nice)):
         said = subprocess.run(LOWER, capture_output=True, text=True, check=True, start_new_session=own_session).stdout
         assert said == f"{scheduling.Scheduling('normal', 0, nice, group)}\n"

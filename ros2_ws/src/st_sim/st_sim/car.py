@@ -95,7 +95,7 @@ def _read_tyre(document: Mapping[str, Any], key: str, path: Path, axle_stiffness
         unscaled = values["p_ky1"] * nominal_load * load_factor
         lambda_ky = axle_stiffness / (2 * abs(unscaled))
     except ArithmeticError:
-        raise SimulationError(f"{path}: {key}: p_ky1, p_ky2, p_ky4 and nominal_load give zero stiffness") from None
+        raise SimulationError(f"{path}: {key}: no stiffness from p_ky1, p_ky2, p_ky4 and nominal_load") from None
     return Tyre(lambda_ky=lambda_ky, **values)
 
 

@@ -1,4 +1,7 @@
-"""Statistics of one effect in a set of effects, from which `decision` draws the conclusions."""
+"""Statistics of one effect in a set of effects, from which `decision` draws the conclusions.
+
+Shapes: n windows, b blocks of windows, p parameters of the library, a free parameters of a fit, k of one effect.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,7 +22,7 @@ MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
 MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
-Sensors = Mapping[str, tuple[float, float, float]]  # (value, low, high) from redundant sensors, by "effect.parameter"
+Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (value, ends of its 95 % interval)
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,10 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with blocks and with whole runs held out. healthy_gain [1]: largest gain between drives of the healthy
-    car. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: p-value of the start
-    values. shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by
-    the noise). position [m]: reduction of the mean held-out position error at the end of the horizon.
+    two values, with blocks and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
+    drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
+    shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the
+    noise). position [m]: reduction of the mean held-out position error at the end of the horizon.
     position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the bound is largest.
     noise_ratio [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances
     to the nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of
@@ -147,33 +150,33 @@ def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: 
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
-        known = information[effect] > min_information
-        ratios += list(2.0 * np.square(s).sum(axis=0)[known] / information[effect][known])
+        informative = information[effect] > min_information
+        ratios += list(2.0 * np.square(s).sum(axis=0)[informative] / information[effect][informative])
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
     return Scores(by_effect, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
-def library_p_value(best: np.ndarray, gain: np.ndarray, scores: Scores, library: int) -> float:
+def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Scores, library: int) -> float:
     """p-value of the gain of the best effect of the library: the smaller of the p-values of two tests.
 
     Sign-flip test: the score statistic is compared with the largest of the library under random signs of the blocks,
     and the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood-ratio test: twice the
     gain divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
-    distribution is F instead of chi-square, because the design effect is estimated. best: (b, k) scores of the effect.
-    gain: (b,). library: number of effects.
+    distribution is F instead of chi-square, because the design effect is estimated. block_scores: (b, k). block_gain:
+    (b,). library: number of effects.
     """
-    blocks, values = best.shape
+    blocks, values = block_scores.shape
     if blocks < 2:
         return 1.0
-    p_score = (1 + int((scores.largest >= score_statistic(best)).sum())) / (1 + len(scores.largest))
-    ratio = 2.0 * max(float(gain.sum()), 0.0) / scores.design_effect
+    p_score = (1 + int((scores.largest >= score_statistic(block_scores)).sum())) / (1 + len(scores.largest))
+    ratio = 2.0 * max(float(block_gain.sum()), 0.0) / scores.design_effect
     p_ratio = library * float(stats.f.sf(ratio / values, values, blocks - 1))
-    return min(max(p_score, p_no_worse(gain)), p_ratio, 1.0)
+    return min(max(p_score, p_no_worse(block_gain)), p_ratio, 1.0)
 
 
 def p_no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that one loss is not higher than another. difference: (b,) by block."""
+    """p-value of the hypothesis that a loss is not higher than another. difference: (b,) the loss minus the other."""
     deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
@@ -190,13 +193,17 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
     reduction = problem.position_error(before) - problem.position_error(after)
     if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
         before = problem.errors.at(problem.vector_without(fit, effect))
-    return Evidence(effect, min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
-                    library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
-                    null_p_value(problem, fit, effect), column_shares(problem, before, after),
-                    *error_reductions(reduction, partitions.get("condition")), residual_over_noise(problem, after),
-                    distance_to_bound(problem, fit, effect), problem.healthy_gain, float(size),
-                    *sensor_p_values(problem, fit, effect, sensors), compare_with_file(problem, fit, effect),
-                    {name: compare_parts(problem, fit, effect, *partition) for name, partition in partitions.items()})
+    position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
+    sensors_p_value, sensors_null = sensor_p_values(problem, fit, effect, sensors)
+    return Evidence(
+        effect, gain=min(float(gain.sum()) / problem.residual_count, problem.held_out_gain(without, fit)),
+        p_value=library_p_value(block_scores, gain, scores, len(problem.space.hypotheses)),
+        null_p_value=null_p_value(problem, fit, effect), shares=column_shares(problem, before, after),
+        position=position, position_in_condition=position_in_condition, noise_ratio=residual_over_noise(problem, after),
+        bound_distance=distance_to_bound(problem, fit, effect), healthy_gain=problem.healthy_gain, size=float(size),
+        sensors_p_value=sensors_p_value, sensors_null_p_value=sensors_null,
+        file_comparison=compare_with_file(problem, fit, effect),
+        agreement={name: compare_parts(problem, fit, effect, *part) for name, part in partitions.items()})
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
@@ -233,13 +240,13 @@ def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivitie
 def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
     """(mean reduction of an error, largest lower 95 % bound of the mean in one driving condition). reduction: (n,) by
     window."""
-    known = np.isfinite(reduction)
-    if not known.any():
+    finite = np.isfinite(reduction)
+    if not finite.any():
         return 0.0, 0.0
-    overall = float(reduction[known].mean())
+    overall = float(reduction[finite].mean())
     if condition is None:
         return overall, overall
-    parts = [reduction[known & (condition[0] == k)] for k in np.unique(condition[0])]
+    parts = [reduction[finite & (condition[0] == k)] for k in np.unique(condition[0])]
     bounds = [float(p.mean() - 1.645 * p.std(ddof=1) / np.sqrt(len(p))) for p in parts if len(p) > 2]
     return overall, max(bounds, default=overall)
 
@@ -252,7 +259,7 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
-    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None without one."""
+    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None if none."""
     moved = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
@@ -281,8 +288,8 @@ def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float |
 def _sensor_estimates(space: Space, effect: str, sensors: Sensors) -> list[tuple[int, float, float]]:
     """(index, value, standard deviation) of the parameters that redundant sensors measure."""
     keys = {i: f"{effect}.{space.free[i].parameter}" for i in space.indices(effect)}
-    known = [(i, *sensors[key]) for i, key in keys.items() if key in sensors]
-    return [(i, value, (high - low) / (2.0 * Z95)) for i, value, low, high in known]
+    measured = [(i, *sensors[key]) for i, key in keys.items() if key in sensors]
+    return [(i, value, (high - low) / (2.0 * Z95)) for i, value, low, high in measured]
 
 
 def _two_sided_p_value(distance: float, deviation: float) -> float:
@@ -363,7 +370,8 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the hypothesis that an effect has its start values: Hotelling's T^2 test with sandwich covariance."""
+    """p-value of the hypothesis that an effect has its start values (null, or those of the healthy car), by Hotelling's
+    T^2 test with sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)
     variance = covariance(problem, fit)[np.ix_(columns, columns)]

@@ -109,7 +109,7 @@ class Problem:
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
     parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
     accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column due to noise alone
-    [SI]. healthy_gain [1]: largest gain per residual between drives of the healthy car.
+    [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: number of residuals that count as

@@ -39,16 +39,17 @@ def run_command(request: Request, console: Console) -> int:
     """Run the command. Returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
     wrong options and unusable recordings, StCoreError if a search is not possible."""
     check_formats(request.formats)
-    own_effects: dict[str, str] = {}  # sha256 of each file of user-defined effects
+    effect_hashes: dict[str, str] = {}  # sha256 of each file of user-defined effects
     if request.effects is not None:
         load_folder(str(request.effects.absolute()))
-        own_effects = {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(request.effects.glob("*.py"))}
+        effect_hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
+                         for file in sorted(request.effects.glob("*.py"))}
     base = load_base_model(request.base, request.vehicle, request.vehicle_file)
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
     with make_progress_bars(console) as progress:
         drives, reference = _read_runs(request, progress)
-        request = replace(request, drives=drives, reference_drives=reference, own_effects=own_effects)
+        request = replace(request, drives=drives, reference_drives=reference, effect_hashes=effect_hashes)
         times.append(time.perf_counter())
         found, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
@@ -147,7 +148,7 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
 
     logs, reference, sensors = _logs(request.drives), _logs(request.reference_drives), sensor_estimates(request.drives)
     clocks = clock_deviations((*request.drives, *request.reference_drives))
-    key = result_key(logs, reference, request.vehicle, base, request.settings, request.own_effects, sensors, clocks)
+    key = result_key(logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{key}.json" if folder else None
     if file and (cached := read_result(file)) is not None:

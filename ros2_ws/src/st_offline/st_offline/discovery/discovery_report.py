@@ -65,7 +65,7 @@ def collect_provenance(found: Discovery, request: Request, seconds: Mapping[str,
         "reference": {d.name: d.about for d in request.reference_drives if d.log is not None},
         "refused": {d.name: d.about["findings"] for d in all_drives if d.problem and d.about},
         "not_used": {d.name: d.problem for d in all_drives if d.problem},
-        "effects_of_the_user": dict(request.own_effects),
+        "effects_of_the_user": dict(request.effect_hashes),
         "versions": collect_versions(),
         "seconds": dict(seconds),
     }

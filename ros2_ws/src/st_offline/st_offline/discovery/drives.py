@@ -49,7 +49,7 @@ class Request:
 
     base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: of the search. runs,
     reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects: folder
-    of user-defined effects; own_effects: sha256 of each file in it. output: folder, None for runs/discover-<time>.
+    of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for runs/discover-<time>.
     jobs: number of processes. formats: of figure files. report: whether to write a page. cached: whether to use a
     cached result. force: whether to use runs with errors. propose: whether to search for a relation beyond the library;
     if None, this depends on the size of the residual.
@@ -73,7 +73,7 @@ class Request:
     propose: bool | None = None
     drives: Sequence[Drive] = ()
     reference_drives: Sequence[Drive] = ()
-    own_effects: Mapping[str, str] = field(default_factory=dict)
+    effect_hashes: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,

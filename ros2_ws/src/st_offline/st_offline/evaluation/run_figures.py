@@ -169,7 +169,8 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
 
 
 def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    gap = max(1.0, 3.0 * float(np.ptp(evaluation.time)) / 600.0)
+    # Two points of a reduced line are at most 1/225 of the run apart.
+    gap = max(1.0, float(np.ptp(evaluation.time)) / 200.0)
     return cut_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
@@ -238,7 +239,7 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
             grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **get_line_style(model.name))
             grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **get_line_style(model.name))
         front, rear = (f"{np.degrees(s[-1]):.2f}°" for s in slips)
-        ends.append(f"{model.name} {front} front and {rear} rear slip, {1e-3 * sum(f[-1] for f in forces):.1f} kN")
+        ends.append(f"{model.name} {front} front and {rear} rear slip, force {sum(f[-1] for f in forces) / 1e3:.1f} kN")
     for column, axle in enumerate(AXLES):
         for axes in grid[:, column]:
             axes.axhline(0, color=TEXT, lw=0.6)
@@ -250,9 +251,9 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     add_legend(figure, drawing, [measured_line], models=models)
     title = f"{evaluation.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
-    peak = np.degrees(np.nanmax(np.abs(measured_slip)))
-    caption = (f"Slip angles and forces that the models predict with the measured inputs; measured slip angles reach "
-               f"{peak:.1f}°. Start: the requested one, else the one with the largest lateral acceleration.")
+    choice = "as requested" if len(drawing.starts) == 1 else "with the largest lateral acceleration"
+    caption = (f"Slip angles and forces that the models predict with the measured inputs, from the start {choice}; "
+               f"measured slip angles reach {np.degrees(np.nanmax(np.abs(measured_slip))):.1f}°.")
     return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 

@@ -64,7 +64,7 @@ class BagDrive:
     records: Mapping[str, Mapping[str, str]]  # metadata records, name -> {key: text}
     warnings: tuple[str, ...]
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
-    frame: str = ""  # frame_id of the first odometry
+    frame: str = ""  # frame_id of the first odometry message
     unknown: tuple[str, ...] = ()  # "topic (type)" of topics that were not read and that the suite does not publish
     origin: tuple[float, float, float] | None = None  # of the map: latitude, longitude [rad], altitude [m]
 
@@ -131,24 +131,24 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if steering is None and (reconstruction.has(STEERING) or not reconstruction.has(CAN_FRAMES)):
         required[_find_topic(path, all_topics, STEERING)] = _STEERING_FIELDS
     optional = choose_auxiliary_fields(all_topics)
-    uniform = storage.columns({**required, **optional}, store)
-    columns = {topic.type_name: uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
+    by_topic = storage.columns({**required, **optional}, store)
+    columns = {topic.type_name: by_topic.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
                for topic, fields in required.items()}
     topics = {topic.type_name: topic.name for topic in required}
     if not reads_odometry:
         columns[ODOMETRY] = reconstruction.reconstruct_odometry(_ODOMETRY_FIELDS)
         topics[ODOMETRY] = reconstruction.find_topic(NCOM).name + RECONSTRUCTED
     if steering is not None:
-        named = find_steering_topic(path, all_topics, steering, store)
-        columns[STEERING], topics[STEERING] = read_steering_columns(path, storage, named, steering, store), named.name
+        topic = find_steering_topic(path, all_topics, steering, store)
+        columns[STEERING], topics[STEERING] = read_steering_columns(path, storage, topic, steering, store), topic.name
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.reconstruct_steering()
         topics[STEERING] = reconstruction.find_topic(CAN_FRAMES).name + RECONSTRUCTED
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns)]
     log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    extras = collect_auxiliary_data(storage, all_topics, {t: uniform[t.name] for t in optional if t.name in uniform},
-                                    stamps, missing, store, reconstruction)
+    recorded = {topic: by_topic[topic.name] for topic in optional if topic.name in by_topic}
+    auxiliary = collect_auxiliary_data(storage, all_topics, recorded, stamps, missing, store, reconstruction)
     unknown = tuple(f"{t.name} ({t.type_name})" for t in all_topics if t.count and not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
     frame = reconstruction.map_frame()
@@ -158,8 +158,8 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     origin = reconstruction.read_origin()
     if origin is not None:
         origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]
-    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *row_notes)), extras, frame,
-                    unknown, origin)
+    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *row_notes)), auxiliary,
+                    frame, unknown, origin)
 
 
 def read_odometry(path: Path, odometry: str | None = None, splits: Sequence[Path] = ()) -> InsLog:
@@ -228,8 +228,8 @@ def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
 def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
                 store: Typestore) -> dict[str, np.ndarray]:
     """Reads numeric fields (cdr.Layout) of all messages of a topic. Raises RunError."""
-    uniform = storage.columns({topic: fields}, store)
-    return uniform.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
+    by_topic = storage.columns({topic: fields}, store)
+    return by_topic.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
@@ -253,8 +253,8 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
                 with file.open("rb") as stream:
                     records.update({m.name: dict(m.metadata) for m in make_reader(stream).iter_metadata()})
             except READ_ERRORS as error:
-                what = f"its metadata records are damaged ({type(error).__name__})"
-                raise RunError(file, what, "repair the bag with `st recover`") from None
+                problem = f"its metadata records are damaged ({type(error).__name__})"
+                raise RunError(file, problem, "repair the bag with `st recover`") from None
     return records
 
 
@@ -265,8 +265,8 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
         named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
         if named in found:
             return named
-        what = f"is of type {named.type_name}" if named else "has no messages in the recording"
-        raise RunError(path, f"--odometry-topic: {name} {what}",
+        problem = f"is of type {named.type_name}" if named else "has no messages in the recording"
+        raise RunError(path, f"--odometry-topic: {name} {problem}",
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
         recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
@@ -289,7 +289,7 @@ def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequenc
                 for _, message in deserialise(path, storage, topic, store)]
     except AttributeError as error:
         raise RunError(path, f"its definition of {topic.type_name} differs from the ROS 2 definition: {shorten(error)}",
-                       "name a topic whose type has the definition of ROS 2") from None
+                       "use a topic whose message type is defined as in ROS 2") from None
     return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 

@@ -17,7 +17,7 @@ _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_fr
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
-MAX_LOST_SHARE = 0.01  # of the rows; if more have no later time than all before, the clock was set back
+MAX_LOST_SHARE = 0.01  # of the rows; if more are not later than those before them, the clock was set back
 MAX_END_STEP = 10.0  # 95th percentiles of all time steps; after a longer first or last step, that stamp is wrong
 
 
@@ -125,7 +125,7 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
         notes.append(f"the clock was set back {times}by {back[0]:.3f} s: "
                      f"{format_share(n - len(rows), n, what)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{format_share(lost, n, what)} have no later time than all before; they were left out")
+        notes.append(f"{format_share(lost, n, what)} are not later than those before them; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, notes

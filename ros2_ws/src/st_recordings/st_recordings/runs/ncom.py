@@ -9,7 +9,7 @@ from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.motion import Motion
-from oxts_bridge.ncom import BATCH_S, BY_STATUS, NcomError
+from oxts_bridge.ncom import BATCH_S, STATUS_RULES, NcomError
 from st_core.checks import InsQuality
 
 from .errors import RunError, check_readable, format_share
@@ -43,19 +43,19 @@ def read_ncom(file: Path) -> NcomLog:
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
         counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)
-        statuses = ", ".join(f"{status} ({BY_STATUS[status].text}) in {count} packets" for status, count in counts)
+        statuses = ", ".join(f"{status} ({STATUS_RULES[status].text}) in {count} packets" for status, count in counts)
         raise RunError(file, f"no packet has a fix; navigation status: {statuses}",
                        "record again after the unit has locked (status 4), or post-process the raw data")
     timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     if not timed.any():
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it at least every 200 packets")
-    found, total = np.flatnonzero(timed), int(regular.sum())
-    if (lost := total - len(found)) > MAX_LOST_SHARE * total:
+    samples, total = np.flatnonzero(timed), int(regular.sum())
+    if (lost := total - len(samples)) > MAX_LOST_SHARE * total:
         warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; "
                         "they were left out")
-    usable, notes = select_usable_rows(columns.utc_ns[found], "packets")
-    rows = found[usable]
+    usable, notes = select_usable_rows(columns.utc_ns[samples], "packets")
+    rows = samples[usable]
     warnings += [f"{file}: {note}" for note in notes]
     motion = Motion.from_packet(columns.take(rows))
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
@@ -85,7 +85,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = format_share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} have no later time than all before, but other content; they were left out; if "
+        notes.append(f"{file}: {count} are neither later than those before them nor duplicates; they were left out; if "
                      "two units were recorded, export the packets of one (tshark -Y 'ip.src == ADDRESS')")
     return notes
 
@@ -94,10 +94,10 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
     """(indices of the packets that carry a status channel, its values (n, len(names)), NaN where invalid)."""
     packets = np.flatnonzero((columns.channel == channel) & columns.has_status)
     batches = np.ascontiguousarray(columns.raw[packets, BATCH_S]).view("<u8").ravel()
-    different, which = np.unique(batches, return_inverse=True)
-    fields = [decode_channel(channel, batch.tobytes()) for batch in different.astype("<u8")]
+    distinct, inverse = np.unique(batches, return_inverse=True)
+    fields = [decode_channel(channel, batch.tobytes()) for batch in distinct.astype("<u8")]
     values = np.array([[field.get(name) for name in names] for field in fields], float).reshape(-1, len(names))
-    return packets, values[which]
+    return packets, values[inverse]
 
 
 def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
