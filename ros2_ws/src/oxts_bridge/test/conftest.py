@@ -1,4 +1,4 @@
-"""A drive as the unit would send it."""
+"""Packets of a drive as a unit sends them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,24 +9,16 @@ import pytest
 from oxts_bridge import ncom
 from oxts_bridge.channels import encode_channel
 
-# A machine under load is no reason for a failure.
+# A loaded machine must not cause failures.
 hypothesis.settings.register_profile("no deadline", deadline=None)
 hypothesis.settings.load_profile("no deadline")
 
 # 2025-09-03T12:00:34.560 GPS time is in this minute.
 MINUTE = 24_015_600
 LOCKED = ncom.Packet(
-    navigation_status=4,
-    acceleration=(0.1, -0.2, -9.81),
-    angular_rate=(0.001, 0.002, 0.1),
-    latitude=radians(52.0),
-    longitude=radians(-1.25),
-    altitude=100.5,
-    velocity_ned=(10.0, 5.0, -0.5),
-    heading=radians(30.0),
-    pitch=radians(5.0),
-    roll=radians(-10.0),
-)
+    navigation_status=4, acceleration=(0.1, -0.2, -9.81), angular_rate=(0.001, 0.002, 0.1), latitude=radians(52.0),
+    longitude=radians(-1.25), altitude=100.5, velocity_ned=(10.0, 5.0, -0.5), heading=radians(30.0),
+    pitch=radians(5.0), roll=radians(-10.0))
 MODES = {"GpsNumObs": 14, "GpsPosMode": 6, "GpsVelMode": 6, "GpsAttMode": 6}
 ACCURACY = {
     3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05},
@@ -52,7 +44,7 @@ def packet() -> Callable[..., bytes]:
 
 @pytest.fixture(scope="session")
 def drive() -> Callable[..., list[bytes]]:
-    """drive(count, start_ms, step_ms, every): packets of a steady drive, channel 0 in every `every`-th (0: never)."""
+    """drive(count, start_ms, step_ms, every): packets of a steady drive, channel 0 in every `every`-th (0: none)."""
 
     def make(count: int, start_ms: int = MINUTE * 60_000 + 1_000, step_ms: int = 4, every: int = 10) -> list[bytes]:
         others = [3, 4, 5]

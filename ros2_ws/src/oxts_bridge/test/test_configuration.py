@@ -1,4 +1,4 @@
-"""Starting and ending the node process; parameters that make no sense."""
+"""Start and end of the node process; invalid parameters."""
 
 import math
 import signal
@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-pytest.importorskip("rclpy", reason="no ROS here")
-pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
-from ins_rig import free_port, launch
+from ins_rig import free_port
+from node_rig import launch
 from oxts_bridge.node import PARAMETERS, check
 from ros_processes import free_domain
 from st_ros.parameters import ConfigurationError
@@ -20,8 +21,8 @@ from st_ros.parameters import ConfigurationError
 pytestmark = pytest.mark.ros
 
 
-def test_sigterm_is_a_clean_end_too(tmp_path):
-    process = launch({"udp_port": free_port()}, tmp_path, free_domain())
+def test_sigterm_ends_the_node_with_status_0(tmp_path):
+    process = launch("oxts_bridge", {"udp_port": free_port()}, tmp_path, free_domain())
     assert "reading udp" in process.stderr.readline()
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=20)
@@ -37,8 +38,8 @@ def test_sigterm_is_a_clean_end_too(tmp_path):
         ({"replay_file": __file__}, "no NCOM packet in"),
     ],
 )
-def test_wrong_configuration_is_refused_in_one_line(parameters, text, tmp_path):
-    process = launch(parameters, tmp_path, free_domain())
+def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path):
+    process = launch("oxts_bridge", parameters, tmp_path, free_domain())
     try:
         _, errors = process.communicate(timeout=30)
     except subprocess.TimeoutExpired:
@@ -58,10 +59,10 @@ def test_wrong_configuration_is_refused_in_one_line(parameters, text, tmp_path):
         ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),
         ("topics", ["odometry", "odo"], "topics: 'odo' is not one of"),
         ("odom_frame", "map", "must differ"),
-        ("replay_file", "gone.ncom", "replay_file: gone.ncom is not a file"),
+        ("replay_file", "missing.ncom", "replay_file: missing.ncom is not a file"),
     ],
 )
-def test_parameters_that_do_not_fit_together_are_refused_by_name(key, value, text):
+def test_inconsistent_parameters_are_refused_by_name(key, value, text):
     settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in PARAMETERS})
     check(settings, "oxts_bridge")
     setattr(settings, key, value)
@@ -70,9 +71,7 @@ def test_parameters_that_do_not_fit_together_are_refused_by_name(key, value, tex
     assert text in str(error.value) and str(error.value).startswith("oxts_bridge.")
 
 
-def test_every_parameter_stands_in_the_parameter_file_with_its_default():
+def test_parameter_file_lists_every_parameter_with_its_default():
     written = yaml.safe_load((Path(__file__).resolve().parents[4] / "config" / "nodes.yaml").read_text())
-    wanted = {parameter.name: parameter.default for parameter in PARAMETERS}
     assert {name: repr(value) for name, value in written["oxts_bridge"]["ros__parameters"].items()} == {
-        name: repr(value) for name, value in wanted.items()
-    }
+        parameter.name: repr(parameter.default) for parameter in PARAMETERS}

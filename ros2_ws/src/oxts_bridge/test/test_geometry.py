@@ -1,5 +1,5 @@
-"""Axes and signs (worked examples, and R_enu_flu = T R_no F as matrix product), and earth to
-local frame against closed forms and the radii of the ellipsoid.
+"""Axes and signs against examples and the matrix product R_enu_flu = T R_no F; conversion from the earth to the local
+frame against closed forms and the radii of the ellipsoid.
 """
 
 import math
@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from oxts_bridge.geometry import Attitude, LocalFrame, compute_radii, flu_from_frd, to_ecef, yaw_from_heading
 from oxts_bridge.status import origin_from_channel_25, wrap_degrees
 
-POLAR_RADIUS = 6356752.314245179
-T = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-F = np.diag([1.0, -1, -1])
+POLAR_RADIUS = 6356752.314245179  # of WGS 84 [m]
+T = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # NED to ENU
+F = np.diag([1.0, -1, -1])  # FLU to FRD
 
 
 def r_no(heading, pitch, roll):
@@ -26,39 +26,32 @@ def r_no(heading, pitch, roll):
 
 
 def from_quaternion(x, y, z, w):
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
 
 
-@pytest.mark.parametrize(
-    ("degrees", "quaternion"),
-    [
-        ((30, 5, -10), (-0.053680547, -0.081168145, 0.494330919, 0.863809628)),
-        ((0, 0, 0), (0, 0, 0.707106781, 0.707106781)),
-        ((359, 10, 20), (0.182467931, 0.063223137, 0.710349539, 0.676839583)),
-    ],
-)
-def test_worked_orientations(degrees, quaternion):
+@pytest.mark.parametrize(("degrees", "quaternion"), [
+    ((30, 5, -10), (-0.053680547, -0.081168145, 0.494330919, 0.863809628)),
+    ((0, 0, 0), (0, 0, 0.707106781, 0.707106781)),
+    ((359, 10, 20), (0.182467931, 0.063223137, 0.710349539, 0.676839583)),
+])
+def test_orientation_examples(degrees, quaternion):
+    """degrees: heading, pitch, roll."""
     assert Attitude.from_ned(*map(math.radians, degrees)).to_quaternion() == pytest.approx(quaternion, abs=1e-9)
 
 
-def test_worked_velocity():
+def test_velocity_example():
     attitude = Attitude.from_ned(*map(math.radians, (30, 5, -10)))
     assert attitude.to_body((5, 10, 0.5)) == pytest.approx((11.16136377, 0.74210656, -0.35105068), abs=1e-8)
 
 
-def test_body_signs():
+def test_frd_to_flu():
     assert flu_from_frd((1.0, 2.0, -9.81)) == (1.0, -2.0, 9.81)
 
 
-@pytest.mark.parametrize(
-    ("heading", "yaw"), [(0, 90), (90, 0), (180, -90), (-90, 180), (270, 180), (30, 60), (359, 91)]
-)
+@pytest.mark.parametrize(("heading", "yaw"), [
+    (0, 90), (90, 0), (180, -90), (-90, 180), (270, 180), (30, 60), (359, 91)])
 def test_yaw_from_heading(heading, yaw):
     assert math.degrees(yaw_from_heading(math.radians(heading))) == pytest.approx(yaw)
 
@@ -77,48 +70,43 @@ def test_rotation_is_the_matrix_product(angles, enu):
 
 
 @given(angles=angles, sigma=st.tuples(*[st.floats(0.001, 10)] * 3))
-def test_velocity_covariance_is_rotated(angles, sigma):
+def test_velocity_covariance_is_rotated_to_body_axes(angles, sigma):
     matrix = T @ r_no(*angles) @ F
-    wanted = matrix.T @ np.diag(np.square(sigma)) @ matrix
-    got = Attitude.from_ned(*angles).rotate_covariance(tuple(s * s for s in sigma))
-    assert np.reshape(got, (3, 3)) == pytest.approx(wanted, abs=1e-9)
+    covariance = Attitude.from_ned(*angles).rotate_covariance(tuple(np.square(sigma)))
+    expected = matrix.T @ np.diag(np.square(sigma)) @ matrix
+    assert np.reshape(covariance, (3, 3)) == pytest.approx(expected, abs=1e-9)
 
 
 @given(heading=st.floats(-3.14, 3.14), sigma=st.tuples(*[st.floats(0.001, 1)] * 3))
-def test_orientation_covariance_is_turned_to_the_fixed_axes(heading, sigma):
+def test_orientation_covariance_is_rotated_to_map_axes(heading, sigma):
     attitude = Attitude.from_ned(heading, 0.0, 0.0)
     s, c = math.sin(attitude.yaw), math.cos(attitude.yaw)
     rz = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    wanted = rz @ np.diag(np.square(sigma)) @ rz.T
-    assert np.reshape(attitude.rotate_orientation_covariance(tuple(np.square(sigma))), (3, 3)) == pytest.approx(
-        wanted, abs=1e-12
-    )
+    covariance = attitude.rotate_orientation_covariance(tuple(np.square(sigma)))
+    expected = rz @ np.diag(np.square(sigma)) @ rz.T
+    assert np.reshape(covariance, (3, 3)) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("place", "ecef"),
-    [
-        ((0, 0, 0), (6378137.0, 0, 0)),
-        ((0, math.pi / 2, 10), (0, 6378147.0, 0)),
-        ((math.pi / 2, 0, 0), (0, 0, POLAR_RADIUS)),
-        ((-math.pi / 2, 1, 5), (0, 0, -POLAR_RADIUS - 5)),
-    ],
-)
-def test_points_on_the_axes(place, ecef):
-    assert to_ecef(*place) == pytest.approx(ecef, abs=1e-6)
+@pytest.mark.parametrize(("position", "ecef"), [
+    ((0, 0, 0), (6378137.0, 0, 0)),
+    ((0, math.pi / 2, 10), (0, 6378147.0, 0)),
+    ((math.pi / 2, 0, 0), (0, 0, POLAR_RADIUS)),
+    ((-math.pi / 2, 1, 5), (0, 0, -POLAR_RADIUS - 5)),
+])
+def test_ecef_coordinates_on_the_axes(position, ecef):
+    assert to_ecef(*position) == pytest.approx(ecef, abs=1e-6)
 
 
 @given(latitude=st.floats(-1.4, 1.4), longitude=st.floats(-3.1, 3.1), north=st.floats(-50, 50), east=st.floats(-50, 50))
-def test_short_distances_follow_the_radii_of_curvature(latitude, longitude, north, east):
+def test_short_distances_agree_with_the_radii_of_curvature(latitude, longitude, north, east):
     meridian, normal = compute_radii(latitude)
     frame = LocalFrame(latitude, longitude, 100.0)
-    there = (latitude + north / (meridian + 100), longitude + east / ((normal + 100) * math.cos(latitude)), 103.0)
-    # Over 50 m the curvature of the parallel bends the way by tan(latitude) * d^2 / 2R, and the earth drops by d^2 /
-    # 2R.
-    assert frame.to_enu(*there) == pytest.approx((east, north, 3.0), abs=5e-3)
+    point = (latitude + north / (meridian + 100), longitude + east / ((normal + 100) * math.cos(latitude)), 103.0)
+    # At a distance d <= 50 m the parallel deviates by tan(latitude) d^2 / 2R, and the earth curves down by d^2 / 2R.
+    assert frame.to_enu(*point) == pytest.approx((east, north, 3.0), abs=5e-3)
 
 
-def test_far_points_are_not_on_a_flat_earth():
+def test_earth_curves_down_over_10_km():
     frame = LocalFrame(math.radians(52), 0.0, 0.0)
     _, normal = compute_radii(math.radians(52))
     up = frame.to_enu(math.radians(52), 10_000 / (normal * math.cos(math.radians(52))), 0.0)[2]
@@ -132,24 +120,24 @@ def along_heading(east, north, heading):
 
 
 @given(x=st.floats(-3000, 3000), y=st.floats(-3000, 3000), heading=st.floats(-180, 180))
-def test_old_local_frame_puts_the_car_where_it_says(x, y, heading):
-    here = (math.radians(52), math.radians(-1.25), 100.0)
-    latitude, longitude, altitude, angle = origin_from_channel_25(x, y, heading, *here)
+def test_origin_from_channel_25_gives_its_local_coordinates(x, y, heading):
+    position = (math.radians(52), math.radians(-1.25), 100.0)
+    latitude, longitude, altitude, angle = origin_from_channel_25(x, y, heading, *position)
     latitude, longitude = math.radians(latitude), math.radians(longitude)
-    east, north, _ = LocalFrame(latitude, longitude, altitude).to_enu(*here)
-    # flat formula of old firmware
+    east, north, _ = LocalFrame(latitude, longitude, altitude).to_enu(*position)
+    # Old firmware computes with a flat earth.
     assert along_heading(east, north, math.radians(angle)) == pytest.approx((x, y), abs=4.0)
     meridian, normal = compute_radii(latitude)
-    flat_north = (here[0] - latitude) * (meridian + 100)
-    flat_east = (here[1] - longitude) * (normal + 100) * math.cos(latitude)
+    flat_north = (position[0] - latitude) * (meridian + 100)
+    flat_east = (position[1] - longitude) * (normal + 100) * math.cos(latitude)
     assert along_heading(flat_east, flat_north, math.radians(angle)) == pytest.approx((x, y), abs=1e-6)
 
 
 @pytest.mark.parametrize(("angle", "wrapped"), [(180, 180), (-180, 180), (190, -170), (-190, 170), (540, 180), (0, 0)])
-def test_wrap(angle, wrapped):
+def test_wrap_degrees(angle, wrapped):
     assert wrap_degrees(angle) == pytest.approx(wrapped)
 
 
-def test_an_origin_must_be_somewhere():
+def test_origin_that_is_not_finite_is_refused():
     with pytest.raises(ValueError, match="not finite"):
         LocalFrame(math.nan, 0.0, 0.0)

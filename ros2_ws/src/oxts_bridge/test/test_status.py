@@ -1,4 +1,4 @@
-"""The status put together from its channels; events; the map origin."""
+"""Status from its channels; trigger events; motion; the origin of the map."""
 
 import math
 
@@ -19,7 +19,7 @@ from oxts_bridge.status import EventLog, StatusTracker
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
 
-START = 24_015_600 * 60_000 + 1_000
+START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
 
 
 def test_counters_are_unwrapped():
@@ -29,7 +29,7 @@ def test_counters_are_unwrapped():
     assert status.get("GpsPrimary.Chars") == 65_536 * 2
 
 
-def test_old_accuracy_is_unknown_not_zero():
+def test_invalid_or_missing_accuracy_is_unknown_not_zero():
     status = StatusTracker()
     status.update(3, encode_channel(3, {"NorthAcc": 0.1, "EastAcc": 0.2, "AltAcc": 0.3}))
     accuracy = Accuracy.from_status(status)
@@ -40,7 +40,7 @@ def test_old_accuracy_is_unknown_not_zero():
     assert compute_variances(Accuracy.from_status(status).position) is None
 
 
-def test_same_bytes_again_change_nothing_but_the_filtered_lag():
+def test_repeated_bytes_update_only_the_filtered_lag():
     status = StatusTracker()
     data = encode_channel(5, {"HeadingAcc": 0.1, "PitchAcc": 0.1, "RollAcc": 0.1})
     assert status.update(5, data) and not status.update(5, data)
@@ -50,7 +50,7 @@ def test_same_bytes_again_change_nothing_but_the_filtered_lag():
     assert status.get("UpTime") == 240 * 60
 
 
-def test_wheel_count_belongs_to_the_nearest_minute_and_wraps():
+def test_wheel_speed_count_is_dated_in_the_nearest_minute_and_unwrapped():
     status = StatusTracker()
     minute = START / 1000 - START / 1000 % 60
     status.update(45, encode_channel(45, {"WSpeedCount": 2**32 - 10, "WSpeedMilliseconds": 59_900}), minute + 60.05)
@@ -59,7 +59,7 @@ def test_wheel_count_belongs_to_the_nearest_minute_and_wraps():
     assert status.get("WSpeedFreq") == pytest.approx(100.0, rel=1e-5)
 
 
-def test_local_frame_needs_all_four_values_and_keeps_the_last_complete_one():
+def test_local_frame_requires_all_four_values_and_keeps_the_last_complete_ones():
     status = StatusTracker()
     status.update(66, encode_channel(66, {"RefLat": 52.0, "RefLon": -1.25}))
     assert status.local_frame is None
@@ -71,18 +71,18 @@ def test_local_frame_needs_all_four_values_and_keeps_the_last_complete_one():
 
 def test_channel_25_is_used_only_without_66_and_67():
     old = encode_channel(25, {"OldRefX": 120.0, "OldRefY": 0.0, "OldRefHeading": 0.0})
-    here = (math.radians(52), math.radians(-1.25), 100.0)
+    position = (math.radians(52), math.radians(-1.25), 100.0)
     status = StatusTracker()
-    status.update(25, old, None, here)
+    status.update(25, old, None, position)
     assert status.local_frame[0] == pytest.approx(52.0 - 120.0 / 111_260, abs=1e-5)
     status.update(66, encode_channel(66, {"RefLat": 50.0, "RefLon": 1.0}))
     status.update(67, encode_channel(67, {"RefAlt": 1.0, "RefHeading": 90.0}))
-    status.update(25, encode_channel(25, {"OldRefX": 1.2, "OldRefY": 0.0, "OldRefHeading": 0.0}), None, here)
+    status.update(25, encode_channel(25, {"OldRefX": 1.2, "OldRefY": 0.0, "OldRefHeading": 0.0}), None, position)
     assert status.local_frame == pytest.approx((50.0, 1.0, 1.0, 90.0))
 
 
 @pytest.mark.parametrize("data", ["8000000080000000", "000080000000ffff", "0000000000000080", "ffff7f0000000000"])
-def test_channel_25_that_says_nothing(data):
+def test_invalid_channel_25_gives_no_local_frame(data):
     status = StatusTracker()
     status.update(25, bytes.fromhex(data), None, (0.9, 0.0, 0.0))
     assert status.local_frame is None
@@ -92,7 +92,7 @@ def receive(parser, data):
     return parser.feed(data)[0]
 
 
-def test_each_event_is_told_once_however_often_it_is_repeated(packet):
+def test_repeated_event_is_detected_once(packet):
     parser, log = NcomParser(), EventLog()
     first, second = encode_trigger(24, (START + 5) * 1_000_000, 7), encode_trigger(24, (START + 900) * 1_000_000, 8)
     no_event = (-10080).to_bytes(4, "little", signed=True) + bytes(4)
@@ -104,14 +104,14 @@ def test_each_event_is_told_once_however_often_it_is_repeated(packet):
     complete = event(22, first)
     assert (complete.channel, complete.count, complete.has_pose) == (24, 7, True)
     assert event(4, first) is None and event(22, first) is None
-    # The trigger packet of the second event was lost; its repeat still tells the time, but no pose.
-    repeat = event(4, second)
-    assert (repeat.count, repeat.has_pose, repeat.gps_ns) == (8, False, (START + 900) * 1_000_000)
+    # The trigger packet of the second event was lost; its repetition has the time, but no pose.
+    repetition = event(4, second)
+    assert (repetition.count, repetition.has_pose, repetition.gps_ns) == (8, False, (START + 900) * 1_000_000)
     assert event(4, second) is None
     assert event(4, encode_channel(5, {}), channel=5) is None
 
 
-def test_an_event_from_before_the_start_is_not_news(packet):
+def test_event_before_the_start_is_not_detected(packet):
     parser, log = NcomParser(), EventLog()
     old = encode_trigger(43, START * 1_000_000, 200)
     assert log.detect(receive(parser, packet(START, 43, batch_s=old))) is None
@@ -133,7 +133,7 @@ def motion(packet):
     return extract_motion(receive(NcomParser(), packet(START, 0)))
 
 
-def test_motion_in_ros_axes(motion):
+def test_motion_is_in_ros_axes(motion):
     assert motion.velocity == pytest.approx((5.0, 10.0, 0.5))
     assert motion.body_velocity == pytest.approx((11.16136377, 0.74210656, -0.35105068), abs=1e-5)
     assert motion.angular_velocity == pytest.approx((0.001, -0.002, -0.1))
@@ -146,20 +146,15 @@ def test_no_motion_without_a_fix(packet, status):
     assert extract_motion(received) is None
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"velocity_ned": (math.nan, 0.0, 0.0)},
-        {"heading": math.nan},
-        {"latitude": math.nan},
-        {"angular_rate": (0.0, 0.0, math.nan)},
-    ],
-)
-def test_no_motion_from_half_a_solution(packet, changes):
+@pytest.mark.parametrize("changes", [
+    {"velocity_ned": (math.nan, 0.0, 0.0)}, {"heading": math.nan}, {"latitude": math.nan},
+    {"angular_rate": (0.0, 0.0, math.nan)},
+])
+def test_no_motion_from_an_incomplete_solution(packet, changes):
     assert extract_motion(NcomParser().feed(packet(START, 0, **changes))[0]) is None
 
 
-def test_first_fix_is_kept(motion):
+def test_origin_at_the_first_fix_is_constant(motion):
     origin = Origin(FIRST_FIX)
     frame = origin.update(motion, StatusTracker(), 0)
     assert motion.locate(frame) == pytest.approx((0, 0, 0), abs=1e-9)
@@ -168,12 +163,12 @@ def test_first_fix_is_kept(motion):
     assert motion.locate(frame)[1] == pytest.approx(63.6, abs=0.5)
 
 
-def test_given_origin(motion):
+def test_origin_given_by_the_user(motion):
     origin = Origin(GIVEN, (52.0, -1.25, 99.5))
     assert motion.locate(origin.update(motion, StatusTracker(), 0)) == pytest.approx((0, 0, 1), abs=1e-6)
 
 
-def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
+def test_origin_of_the_unit_is_replaced_by_the_first_fix_after_a_timeout(motion):
     status = StatusTracker()
     origin = Origin(UNIT)
     assert origin.update(motion, status, 0) is None
@@ -182,24 +177,15 @@ def test_origin_of_the_unit_is_waited_for_but_not_for_ever(motion):
     frame = origin.update(motion, status, 1)
     assert motion.locate(frame)[1] == pytest.approx(-111.26, abs=0.02)
     assert origin.chosen_source == UNIT
-    patient = Origin(UNIT)
-    assert patient.update(motion, StatusTracker(), 0) is None
-    assert patient.update(motion, StatusTracker(), LOCAL_FRAME_TIMEOUT_NS) is not None
-    assert patient.chosen_source == FIRST_FIX
+    waiting = Origin(UNIT)
+    assert waiting.update(motion, StatusTracker(), 0) is None
+    assert waiting.update(motion, StatusTracker(), LOCAL_FRAME_TIMEOUT_NS) is not None
+    assert waiting.chosen_source == FIRST_FIX
 
 
-@pytest.mark.parametrize(
-    ("mode", "text", "fix"),
-    [
-        (None, "", -1),
-        (0, "none", -1),
-        (3, "SPS", 0),
-        (6, "RTK integer", 2),
-        (7, "SBAS", 1),
-        (31, "PPP", 1),
-        (32, "unknown", -1),
-        (77, "unknown (77)", -1),
-    ],
-)
-def test_modes(mode, text, fix):
+@pytest.mark.parametrize(("mode", "text", "fix"), [
+    (None, "", -1), (0, "none", -1), (3, "SPS", 0), (6, "RTK integer", 2), (7, "SBAS", 1), (31, "PPP", 1),
+    (32, "unknown", -1), (77, "unknown (77)", -1),
+])
+def test_text_and_fix_status_of_gnss_modes(mode, text, fix):
     assert (describe_mode(mode), get_fix_status(mode)) == (text, fix)

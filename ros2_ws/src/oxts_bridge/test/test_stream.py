@@ -1,6 +1,7 @@
-"""The streaming parser on clean, cut, corrupted, reordered and duplicated bytes."""
+"""The stream parser with valid, truncated, corrupted, reordered and duplicated bytes."""
 
 import itertools
+import math
 from dataclasses import replace
 from math import isnan
 
@@ -14,11 +15,11 @@ from oxts_bridge.packet_time import DUPLICATE, LATE, NEW
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
 
-START = 24_015_600 * 60_000 + 1_000
+START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
 
 
 def reseal(data: bytes, **bytes_at: int) -> bytes:
-    """The packet with some bytes replaced (b21=5) and the final checksum right again."""
+    """Replaces bytes of a packet (b21=5) and recomputes the final checksum."""
     data = bytearray(data)
     for name, value in bytes_at.items():
         data[int(name[1:])] = value
@@ -26,7 +27,7 @@ def reseal(data: bytes, **bytes_at: int) -> bytes:
     return bytes(data)
 
 
-def test_clean_drive(drive):
+def test_valid_packets(drive):
     parser = NcomParser()
     packets = drive(50)
     received = [r for data in packets for r in parser.feed(data, 1)]
@@ -38,70 +39,48 @@ def test_clean_drive(drive):
     assert (counters.packets, counters.checksum_errors, counters.skipped_bytes) == (50, 0, 0)
 
 
-def test_several_packets_and_parts_in_one_datagram(drive):
-    packets = drive(7)
-    data = b"".join(packets)
-    parser = NcomParser()
-    counts = [len(parser.feed(portion)) for portion in (data[:180], data[180:190], data[190:433], data[433:])]
-    assert counts == [2, 0, 4, 1]
-    assert parser.counters.skipped_bytes == 0
-
-
-def test_search_goes_on_by_one_byte(drive):
-    """A packet right behind a false sync byte is found."""
+def test_packet_directly_after_a_false_sync_byte_is_found(drive):
     packets = drive(3)
     received = NcomParser().feed(packets[0] + b"\xe7" + packets[1] + b"\xe7\xe7\xe7" + packets[2])
     assert [r.raw for r in received] == packets
 
 
-def test_counts_say_what_was_wrong(drive):
+def test_checksum_errors_and_skipped_bytes_are_counted(drive):
     packets = drive(4)
-    broken = packets[1][:40] + bytes([packets[1][40] ^ 4]) + packets[1][41:]
+    corrupted = packets[1][:40] + bytes([packets[1][40] ^ 4]) + packets[1][41:]
     parser = NcomParser()
-    received = parser.feed(packets[0] + broken + packets[2] + b"junk" + packets[3])
+    received = parser.feed(packets[0] + corrupted + packets[2] + b"junk" + packets[3])
     assert [r.raw for r in received] == [packets[0], packets[2], packets[3]]
     assert parser.counters.checksum_errors == 1
     assert parser.counters.skipped_bytes == 72 + 4
 
 
-def test_a_cut_datagram_costs_only_itself(drive):
-    packets = drive(5)
+def test_truncated_datagram_does_not_affect_the_next_one(drive):
+    p = drive(5)
     parser = NcomParser()
-    received = [
-        r for data in (packets[0], packets[1][:50], packets[2], packets[3][20:], packets[4]) for r in parser.feed(data)
-    ]
-    assert [r.raw for r in received] == [packets[0], packets[2], packets[4]]
+    received = [r for data in (p[0], p[1][:50], p[2], p[3][20:], p[4]) for r in parser.feed(data)]
+    assert [r.raw for r in received] == [p[0], p[2], p[4]]
 
 
-def test_wrong_inner_checksum_is_accepted_with_a_warning(drive):
-    data = reseal(drive(1)[0], b61=(drive(1)[0][61] + 1) & 0xFF)
-    parser = NcomParser()
-    assert len(parser.feed(data)) == 1
-    assert parser.counters.inner_checksum_warnings == 1
-
-
-def test_after_junk_all_three_checksums_are_asked_for(drive):
+def test_all_three_checksums_are_required_after_other_data(drive):
     packets = drive(2)
-    false = reseal(packets[0], b61=(packets[0][61] + 1) & 0xFF)
+    wrong_inner = reseal(packets[0], b61=(packets[0][61] + 1) & 0xFF)
     parser = NcomParser()
-    assert [r.raw for r in parser.feed(b"junk" + false + packets[1])] == [packets[1]]
+    assert [r.raw for r in parser.feed(b"junk" + wrong_inner + packets[1])] == [packets[1]]
 
 
-def test_structure_b_is_dropped_silently(drive):
+def test_structure_b_is_counted_and_dropped_without_errors(drive):
     packets = drive(3)
-    private = reseal(packets[1], b21=11)
+    structure_b = reseal(packets[1], b21=11)
     parser = NcomParser()
-    assert [r.raw for r in parser.feed(packets[0] + private + packets[2])] == [packets[0], packets[2]]
-    assert parser.counters.structure_b == 1
-    assert (
-        parser.counters.checksum_errors,
-        parser.counters.skipped_bytes,
-        parser.counters.inner_checksum_warnings,
-    ) == (0, 0, 0)
+    assert [r.raw for r in parser.feed(packets[0] + structure_b + packets[2])] == [packets[0], packets[2]]
+    counters = parser.counters
+    assert counters.structure_b == 1
+    assert (counters.checksum_errors, counters.skipped_bytes, counters.inner_checksum_warnings) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("status", [0, 5, 6, 7, 8, 9, 12, 19, 23, 255])
-def test_packets_to_be_ignored_carry_no_values(drive, status):
+def test_packets_with_a_status_without_navigation_have_no_values(drive, status):
     packets = drive(3)
     parser = NcomParser()
     received = parser.feed(packets[0] + reseal(packets[1], b21=status) + packets[2])
@@ -113,22 +92,24 @@ def test_packets_to_be_ignored_carry_no_values(drive, status):
     assert received[2].gps_ns == (START + 8) * 1_000_000
 
 
-def test_raw_imu_has_no_time_and_no_place(drive):
+def test_raw_imu_packet_has_no_time_and_no_position(drive):
     received = NcomParser().feed(drive(1)[0] + reseal(drive(2)[1], b21=1))[1]
     assert received.gps_ns is None and isnan(received.packet.latitude)
     assert received.packet.acceleration[2] == pytest.approx(-9.81)
 
 
-def test_initialising_is_approximate(drive):
+def test_packet_during_initialisation_is_approximate(drive):
     received = NcomParser().feed(reseal(drive(1)[0], b21=2))[0]
     assert received.rule.navigation == "approximate" and received.gps_ns is not None
 
 
-@pytest.mark.parametrize("latitude", [2.0, -1.6, float("nan"), float("inf")])
-def test_no_place_outside_the_earth(packet, latitude):
-    received = NcomParser().feed(packet(START, 0, latitude=latitude))[0]
-    assert isnan(received.packet.latitude) and isnan(received.packet.longitude) and isnan(received.packet.altitude)
-    assert received.packet.heading == pytest.approx(0.523599)
+@pytest.mark.parametrize("latitude", [2.0, 1.6, -1.6, -1e9, math.nan, math.inf])
+def test_impossible_position_is_masked_and_counted(packet, latitude):
+    parser = NcomParser()
+    first, second = (one.packet for one in parser.feed(packet(START, 0, latitude=latitude) + packet(START + 4)))
+    assert isnan(first.latitude) and isnan(first.longitude) and isnan(first.altitude) and not isnan(second.latitude)
+    assert first.heading == pytest.approx(0.523599)
+    assert parser.counters.impossible_positions == 1
 
 
 def test_duplicated_and_reordered_datagrams(drive):
@@ -139,7 +120,7 @@ def test_duplicated_and_reordered_datagrams(drive):
     assert (parser.counters.late, parser.counters.duplicates) == (1, 2)
 
 
-def test_utc_offset_of_the_unit_wins_and_agreement_makes_no_step(packet):
+def test_utc_offset_of_the_unit_replaces_that_of_the_table(packet):
     parser = NcomParser()
     offset = encode_channel(16, {"TimeUtcOffset": -18})
     received = parser.feed(packet(START, 0) + packet(START + 4, 16, batch_s=offset) + packet(START + 8, 3))
@@ -150,13 +131,13 @@ def test_utc_offset_of_the_unit_wins_and_agreement_makes_no_step(packet):
     assert parser.utc_offset == -19
 
 
-def test_trigger_packets_have_their_own_time_and_leave_the_series_alone(packet):
+def test_trigger_packets_have_their_own_time_and_do_not_affect_the_clock(packet):
     parser = NcomParser()
     event_ns = (START + 5) * 1_000_000 + 3_400_000 - 4_000
     trigger = packet(START + 8, 24, batch_s=encode_trigger(24, event_ns, 7), navigation_status=22)
     old = packet(START - 500, 43, batch_s=encode_trigger(43, event_ns - 500_000_000, 1), navigation_status=22)
-    foreign = packet(START + 8, 3, navigation_status=22)
-    received = parser.feed(packet(START, 0) + trigger + trigger + old + foreign + packet(START + 4, 3))
+    not_a_trigger = packet(START + 8, 3, navigation_status=22)
+    received = parser.feed(packet(START, 0) + trigger + trigger + old + not_a_trigger + packet(START + 4, 3))
     assert [r.kind for r in received] == ["regular", "trigger", "trigger", "trigger", "empty", "regular"]
     assert [r.order for r in received] == [NEW, NEW, DUPLICATE, NEW, NEW, NEW]
     assert received[1].gps_ns == event_ns - event_ns % 4_000
@@ -164,7 +145,7 @@ def test_trigger_packets_have_their_own_time_and_leave_the_series_alone(packet):
     assert parser.counters.late == 0
 
 
-def test_restart_forgets_the_time_but_not_the_counts(drive):
+def test_restart_resets_the_time_and_keeps_the_counts(drive):
     parser = NcomParser()
     parser.feed(b"".join(drive(20)) + drive(1)[0][:30])
     parser.restart()
@@ -173,13 +154,13 @@ def test_restart_forgets_the_time_but_not_the_counts(drive):
     assert parser.counters.packets == 40 and parser.counters.skipped_bytes == 0
 
 
-# Streams that were damaged on the way
+# Streams that were damaged in transmission
 
 
 @st.composite
-def damaged(draw, base):
-    """A drive as list of datagrams after loss, repetition, swaps, cuts, bit errors and junk."""
-    datagrams = list(base)
+def damaged(draw, packets):
+    """Datagrams after loss, repetition, swaps, truncation, bit errors and other data."""
+    datagrams = list(packets)
     for _ in range(draw(st.integers(0, 12))):
         at = draw(st.integers(0, len(datagrams) - 1))
         kind = draw(st.sampled_from(["drop", "repeat", "swap", "head", "tail", "bit", "junk", "merge"]))
@@ -206,21 +187,21 @@ def damaged(draw, base):
 
 @pytest.fixture(scope="module")
 def wrapping_drive(drive):
-    """Across a minute's turn, with channel 0 every tenth packet."""
+    """A drive over the end of a minute, with channel 0 in every tenth packet."""
     return drive(60, 24_015_600 * 60_000 + 59_880)
 
 
 @given(data=st.data())
-def test_damage_never_raises_and_nothing_is_told_twice(wrapping_drive, data):
+def test_damaged_stream_never_raises_and_repeats_no_packet(wrapping_drive, data):
     parser = NcomParser()
     sent = set(wrapping_drive)
     received = [r for datagram in data.draw(damaged(wrapping_drive)) for r in parser.feed(datagram, None)]
-    fresh = [r for r in received if r.order == NEW]
-    times = [r.gps_ns for r in fresh if r.gps_ns is not None and r.kind == "regular" and r.raw in sent]
-    if all(r.raw in sent for r in fresh):  # otherwise one bit error in 256 looks like a packet with another time
+    new = [r for r in received if r.order == NEW]
+    times = [r.gps_ns for r in new if r.gps_ns is not None and r.kind == "regular" and r.raw in sent]
+    if all(r.raw in sent for r in new):  # otherwise one bit error in 256 gives a valid packet with another time
         assert times == sorted(set(times))
         true_time = {raw: (24_015_600 * 60_000 + 59_880 + 4 * i) * 1_000_000 for i, raw in enumerate(wrapping_drive)}
-        assert all(r.gps_ns in (None, true_time[r.raw]) for r in fresh)
+        assert all(r.gps_ns in (None, true_time[r.raw]) for r in new)
 
 
 @given(data=st.binary(max_size=1500), portions=st.lists(st.integers(1, 200), max_size=30))
@@ -233,25 +214,24 @@ def test_random_bytes_never_raise(data, portions):
 
 
 @given(data=st.data(), portions=st.lists(st.integers(1, 300), min_size=1, max_size=8))
-def test_portions_make_no_difference(wrapping_drive, data, portions):
+def test_result_does_not_depend_on_the_portions(wrapping_drive, data, portions):
     stream = b"".join(data.draw(damaged(wrapping_drive)))
-    whole, cut = NcomParser(), NcomParser()
-    once = whole.feed(stream)
-    pieces = []
+    whole, portioned = NcomParser(), NcomParser()
+    expected = whole.feed(stream)
+    received = []
     for size in itertools.cycle(portions):
-        pieces += cut.feed(stream[:size])
+        received += portioned.feed(stream[:size])
         stream = stream[size:]
         if not stream:
             break
-    assert [(r.offset, r.raw, r.gps_ns, r.order) for r in once] == [
-        (r.offset, r.raw, r.gps_ns, r.order) for r in pieces
-    ]
-    assert whole.counters == cut.counters
+    found, reference = ([(r.offset, r.raw, r.gps_ns, r.order) for r in each] for each in (received, expected))
+    assert found == reference
+    assert whole.counters == portioned.counters
 
 
 @given(data=st.data(), joined=st.booleans())
-def test_file_decoder_finds_the_same(wrapping_drive, packet, data, joined):
-    """Also where another drive, half a day earlier, is joined on."""
+def test_file_decoder_equals_the_parser(wrapping_drive, packet, data, joined):
+    """joined: a drive of half a day earlier follows."""
     stream = b"".join(data.draw(damaged(wrapping_drive)))
     if joined:
         earlier = [packet(START - 43_200_000 + 4 * i, 0 if i % 10 == 3 else 3) for i in range(30)]
@@ -262,33 +242,24 @@ def test_file_decoder_finds_the_same(wrapping_drive, packet, data, joined):
     if not parser.counters.packets:
         return
     columns = decode_file(stream)
-    kept = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
-    assert columns.offset[kept].tolist() == [r.offset for r in received]
-    assert [KINDS[kind] for kind in columns.kind[kept]] == [r.kind for r in received]
-    assert columns.order[kept].tolist() == [r.order for r in received]
-    assert columns.gps_ns[kept].tolist() == [UNKNOWN_TIME if r.gps_ns is None else r.gps_ns for r in received]
-    assert columns.utc_ns[kept].tolist() == [UNKNOWN_TIME if r.utc_ns is None else r.utc_ns for r in received]
+    rows = [i for i in range(len(columns)) if columns.navigation_status[i] != ncom.STRUCTURE_B]
+    assert columns.offset[rows].tolist() == [r.offset for r in received]
+    assert [KINDS[kind] for kind in columns.kind[rows]] == [r.kind for r in received]
+    assert columns.order[rows].tolist() == [r.order for r in received]
+    assert columns.gps_ns[rows].tolist() == [UNKNOWN_TIME if r.gps_ns is None else r.gps_ns for r in received]
+    assert columns.utc_ns[rows].tolist() == [UNKNOWN_TIME if r.utc_ns is None else r.utc_ns for r in received]
     assert columns.counters == parser.counters
     assert columns.time_jumps == parser.clock.jumps
-    for i, r in zip(kept, received, strict=True):
+    for i, r in zip(rows, received, strict=True):
         p = r.packet
         assert columns.acceleration[:, i] == pytest.approx(p.acceleration, rel=1e-15, nan_ok=True)
         assert columns.velocity_ned[:, i] == pytest.approx(p.velocity_ned, rel=1e-15, nan_ok=True)
         assert [columns.latitude[i], columns.altitude[i], columns.heading[i]] == pytest.approx(
-            [p.latitude, p.altitude, p.heading], rel=1e-15, nan_ok=True
-        )
-
-
-@pytest.mark.parametrize("latitude", [float("nan"), 1.6, -1e9])
-def test_positions_that_cannot_be_are_masked_and_counted(packet, latitude):
-    parser = NcomParser()
-    received = parser.feed(packet(START, latitude=latitude) + packet(START + 4))
-    assert [isnan(one.packet.latitude) for one in received] == [True, False]
-    assert parser.counters.impossible_positions == 1
+            [p.latitude, p.altitude, p.heading], rel=1e-15, nan_ok=True)
 
 
 @pytest.mark.parametrize("milliseconds", [60_000, 65_535])
-def test_a_packet_with_impossible_milliseconds_has_no_time_and_leaves_the_clock_alone(drive, milliseconds):
+def test_packet_with_impossible_milliseconds_has_no_time_and_does_not_affect_the_clock(drive, milliseconds):
     packets = drive(30)
     packets[12] = ncom.encode(replace(ncom.decode(packets[12]), milliseconds=milliseconds))
     parser = NcomParser()
@@ -302,7 +273,7 @@ def test_a_packet_with_impossible_milliseconds_has_no_time_and_leaves_the_clock_
 
 
 @pytest.mark.parametrize("channel", [82, 83, 84, 86, 92, 96, 255])
-def test_channels_without_a_published_layout_are_counted_and_leave_the_packet_valid(packet, channel):
+def test_packets_with_channels_of_unknown_layout_are_valid_and_counted(packet, channel):
     """Channels of other products (xNAV) and of later firmware."""
     parser = NcomParser()
     received = parser.feed(packet(START, 0) + packet(START + 4, channel, batch_s=bytes(range(8))))
@@ -311,18 +282,22 @@ def test_channels_without_a_published_layout_are_counted_and_leave_the_packet_va
     assert parser.counters.unknown_channels == 1
 
 
-def test_several_packets_in_a_datagram_and_one_over_several(drive):
+@pytest.mark.parametrize("size", [1, 71, 72, 73, 144, 500, 1472])
+def test_each_portion_gives_the_packets_it_completes(drive, size):
+    """size: of serial bytes, parts of a file, full datagrams [bytes]."""
     packets = drive(40)
     stream = b"".join(packets)
-    for size in (1, 71, 72, 73, 144, 500, 1472):  # serial bytes, file chunks, full datagrams
-        parser = NcomParser()
-        received = [r for at in range(0, len(stream), size) for r in parser.feed(stream[at : at + size])]
-        assert [r.raw for r in received] == packets and parser.counters.skipped_bytes == 0
-        assert [r.gps_ns for r in received] == [(START + 4 * i) * 1_000_000 for i in range(40)]
+    parser = NcomParser()
+    received = []
+    for at in range(0, len(stream), size):
+        received += parser.feed(stream[at : at + size])
+        assert len(received) == min(at + size, len(stream)) // 72
+    assert [r.raw for r in received] == packets and parser.counters.skipped_bytes == 0
+    assert [r.gps_ns for r in received] == [(START + 4 * i) * 1_000_000 for i in range(40)]
 
 
 @pytest.mark.parametrize(("at", "accepted"), [(22, True), (61, True), (71, False)])
-def test_only_the_last_checksum_decides(drive, at, accepted):
+def test_only_the_final_checksum_is_decisive(drive, at, accepted):
     packets = drive(3)
     wrong = bytearray(packets[1])
     wrong[at] ^= 0x55
@@ -332,10 +307,11 @@ def test_only_the_last_checksum_decides(drive, at, accepted):
     assert len(received) == 2 + accepted and received[-1].raw == packets[2]
     counters = parser.counters
     assert (counters.checksum_errors, counters.inner_checksum_warnings) == (int(not accepted), int(accepted))
+    assert len(NcomParser().feed(data)) == accepted  # also at the start of a stream
 
 
-def test_week_roll_over_in_stream_and_file(drive):
-    """GPS week 2382 to 2383 without channel 0 near it, and the seconds of the week fall by 604800."""
+def test_week_rollover_in_stream_and_file(drive):
+    """GPS week 2382 to 2383 without channel 0 near it."""
     packets = drive(60, 10_080 * 2383 * 60_000 - 100, every=50)
     received = NcomParser().feed(b"".join(packets))
     times = [(10_080 * 2383 * 60_000 - 100 + 4 * i) * 1_000_000 for i in range(60)]
