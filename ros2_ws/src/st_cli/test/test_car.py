@@ -65,8 +65,8 @@ def test_the_default_leaf_is_reported(capsys):
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "not 0 to 1 s"),
-    ("steering_latency: true\n", "not 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a YAML mapping"),
+    ("steering_sign: 2\n", "neither 1 nor -1"), ("steering_latency: 3\n", "from 0 to 1 s"),
+    ("steering_latency: true\n", "from 0 to 1 s"), ("mass: 1500\n", "mass: unknown"), ("- 1\n", "not a YAML mapping"),
     ("steering_sign: [\n", "not valid YAML"), ("steering_sign: true\n", "neither 1 nor -1"),
     ("steering_sign: 1\nsteering_sign: -1\n", "given twice")])
 def test_an_invalid_car_is_refused(folder, text, message):
@@ -187,7 +187,7 @@ def test_a_new_car_that_is_filled_in_can_be_used(new):
     ("can.dbc", " SG_ SteerAngle : 0|16", ' SG_ Other : 8|8@1+ (1,0) [0|255] "" CAR\n SG_ SteerAngle : 0|16',
      ["can.dbc: MyCar_Steering: The signals", "are overlapping"]),
     ("car.yaml", "steering_sign: 1", "steering_sign: 0", ["car.yaml: steering_sign: 0 is neither 1 nor -1"]),
-    ("car.yaml", "steering_latency: 0.0", "steering_latency: 30", ["car.yaml: steering_latency: 30 is not 0 to 1 s"]),
+    ("car.yaml", "steering_latency: 0.0", "steering_latency: 30", ["car.yaml: steering_latency: 30", "from 0 to 1 s"]),
 ])
 def test_each_fault_of_a_car_is_one_line_with_file_and_key(new, name, before, after, words):
     fill_in(new)

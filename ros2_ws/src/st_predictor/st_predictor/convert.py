@@ -86,7 +86,7 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
     n = len(message.time)
     if n == 0 or sorted(lengths) != [(0, 0), (n, n)]:
         return (f"plan: {n} time stamps, but {lengths[0]} values of road_wheel_angle and velocity_x_dot, and "
-                f"{lengths[1]} of speed and curvature; expected a value of one pair for each time, none of the other")
+                f"{lengths[1]} of speed and curvature; expected one value per time for one pair, none for the other")
     seconds = np.asarray(message.time)
     if not np.isfinite(seconds).all():
         return "plan: time is not finite"

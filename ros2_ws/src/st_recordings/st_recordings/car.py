@@ -62,7 +62,7 @@ def load_car(text: str) -> Car:
         raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
     latency = values["steering_latency"]
     if isinstance(latency, bool) or not isinstance(latency, int | float) or not 0.0 <= latency <= 1.0:
-        raise RunError(file, f"steering_latency: {latency!r} is not 0 to 1 s")
+        raise RunError(file, f"steering_latency: {latency!r} is not a number from 0 to 1 s")
     return Car(folder, int(values["steering_sign"]), float(latency))
 
 

@@ -201,7 +201,7 @@ def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path:
     ("each: '*.csv'\nleave_out: [[1, 2]]\n", "key leave_out describes one run"),
     ("each: '*.tdms'\n", r"no file matches '\*.tdms'"),
     ("each: '*.doc'\n", "a.doc is not a recording"),
-    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder is named a, as a.ncom is"),
+    ("each: '*.ncom'\ncolumns: {x: East}\n", "no CAN log in the folder has the name a, for a.ncom"),
 ])
 def test_invalid_each_is_refused(tmp_path: Path, text: str, error: str) -> None:
     touch(tmp_path, "a.csv", "a.ncom", "a.doc")

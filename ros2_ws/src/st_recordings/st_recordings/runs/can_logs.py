@@ -38,8 +38,8 @@ _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc",
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
-MIN_FALLING_SHARE = 0.2
-"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of them falls."""
+MIN_DECREASING_SHARE = 0.2
+"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of them decreases."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -155,9 +155,9 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are relative to the previous frame, which makes many of them fall."""
+    """Whether the times of a candump are relative to the previous frame, so that many of them decrease."""
     steps = np.diff(time_ns[1:])
-    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_FALLING_SHARE or not steps.any()))
+    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_SHARE or not steps.any()))
 
 
 def _build_frames(messages: Sequence[can.Message]) -> Frames:

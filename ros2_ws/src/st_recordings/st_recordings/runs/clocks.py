@@ -183,7 +183,7 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
         return result
     # Search only near the offset of the time frame, because repeated laps fit at several offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
-    # Only the first message each for velocity, yaw rate and yaw, because a second one adds no information.
+    # Only the first message with velocity, yaw rate or yaw, because a second one adds no information.
     distinct: dict[str, SharedSignal] = {}
     for pair in pairs:
         distinct.setdefault(pair.name.partition(" (")[0], pair)

@@ -103,7 +103,7 @@ def _parse_run_of_each(path: Path, content: Mapping[str, Any], file: Path) -> Ru
     is_complete = reader.kind == "csv" and reader.has_drive(file)
     logs = [] if is_complete else [log for log in find_logs(file, sorted(file.parent.iterdir())) if is_can_log(log)]
     if reader.needs_can and not logs:
-        raise RunError(path, f"each: no CAN log in the folder is named {file.stem}, as {file.name} is",
+        raise RunError(path, f"each: no CAN log in the folder has the name {file.stem}, for {file.name}",
                        "list the files of each run in a run.yaml")
     return _build_run(path, content, file.name if file.is_dir() else file.stem, reader.key, (file,), logs)
 
