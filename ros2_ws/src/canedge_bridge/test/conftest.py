@@ -1,4 +1,4 @@
-"""The shipped DBC and table, and changed copies of them."""
+"""The DBC and the signal table of the Leaf, edited copies of them, and receivers."""
 
 import time
 from pathlib import Path
@@ -28,46 +28,47 @@ def decoder(dbc_file, signals_file) -> Decoder:
 
 
 @pytest.fixture
-def changed_dbc(dbc_file, tmp_path):
-    """changed_dbc(old, new) -> path of the DBC with one text replaced."""
+def edit_dbc(dbc_file, tmp_path):
+    """edit_dbc(old, new) -> path of a copy of the DBC with one text replaced."""
 
-    def change(old: str, new: str) -> Path:
+    def edit(old: str, new: str) -> Path:
         text = dbc_file.read_text()
         assert text.count(old) == 1
-        path = tmp_path / "changed.dbc"
+        path = tmp_path / "edited.dbc"
         path.write_text(text.replace(old, new))
         return path
 
-    return change
+    return edit
 
 
 @pytest.fixture
-def changed_table(signals_file, tmp_path):
-    """changed_table(lambda messages: ...) -> path of the table after a change in place."""
+def edit_table(signals_file, tmp_path):
+    """edit_table(change) -> path of a copy of the table after change(messages), which edits in place."""
 
-    def change(edit) -> Path:
+    def edit(change) -> Path:
         document = yaml.safe_load(signals_file.read_text())
-        edit(document["messages"])
-        path = tmp_path / "changed.yaml"
+        change(document["messages"])
+        path = tmp_path / "edited.yaml"
         path.write_text(yaml.safe_dump(document))
         return path
 
-    return change
-
-
-def frame(arbitration_id: int, data: str | bytes, **options) -> can.Message:
-    payload = bytes.fromhex(data) if isinstance(data, str) else data
-    return can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=payload, **options)
-
-
-@pytest.fixture(name="frame")
-def _frame():
-    return frame
+    return edit
 
 
 @pytest.fixture
-def until():
-    """until(condition): waits for it, at most ten seconds, and returns whether it became true."""
+def frame():
+    """frame(arbitration_id, data, **options) -> frame with 11 identifier bits. data: bytes or hexadecimal text."""
+
+    def make(arbitration_id: int, data: str | bytes, **options) -> can.Message:
+        payload = bytes.fromhex(data) if isinstance(data, str) else data
+        return can.Message(arbitration_id=arbitration_id, is_extended_id=False, data=payload, **options)
+
+    return make
+
+
+@pytest.fixture
+def wait_until():
+    """wait_until(condition, limit=10.0) -> whether the condition became true within the limit [s]."""
 
     def wait(condition, limit: float = 10.0) -> bool:
         end = time.monotonic() + limit
@@ -82,14 +83,14 @@ def until():
 
 @pytest.fixture
 def start_receiver():
-    """start_receiver(...) -> a started Receiver; `seen`: (frame, time_ns) each, `states`: (state, reason) each."""
+    """start_receiver(...) -> a started Receiver; `received`: (frame, time_ns), `states`: (state, reason)."""
     started = []
 
     def start(open_bus, on_frame=None, **options) -> Receiver:
-        seen, states = [], []
-        receiver = Receiver(open_bus, on_frame or (lambda frame, time_ns: seen.append((frame, time_ns))),
+        received, states = [], []
+        receiver = Receiver(open_bus, on_frame or (lambda frame, time_ns: received.append((frame, time_ns))),
                             on_state=lambda state, reason: states.append((state, reason)), **options)
-        receiver.seen, receiver.states = seen, states
+        receiver.received, receiver.states = received, states
         started.append(receiver)
         receiver.start()
         return receiver

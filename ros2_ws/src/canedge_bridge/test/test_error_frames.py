@@ -1,4 +1,4 @@
-"""Text of error frames, bits as in linux/can/error.h."""
+"""Description of error frames with bits as in linux/can/error.h."""
 
 import can
 import pytest
@@ -25,10 +25,10 @@ def error_frame(identifier, data=bytes(8)):
     (0x000, "", "unknown error class 0x0", None),
     (0x044, "00", "controller, bus-off", BusState.BUS_OFF),
 ])
-def test_describe(identifier, data, text, state):
+def test_text_and_bus_state(identifier, data, text, state):
     assert describe_error_frame(error_frame(identifier, bytes.fromhex(data))) == (text, state)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
-def test_no_error_frame_raises(identifier, data):
+def test_any_error_frame_is_described(identifier, data):
     assert describe_error_frame(error_frame(identifier, data))[0]

@@ -1,4 +1,4 @@
-"""Raw frames as CDR, as the middleware reads them."""
+"""Raw frames serialised as CDR, against the middleware."""
 
 import can
 import pytest
@@ -27,10 +27,10 @@ def as_message(frame: can.Message, time_ns: int) -> CanFrame:
 
 @pytest.mark.parametrize("bus", ["socketcan:can0", "socketcan:vcan1", "a:bcd", "udp_multicast:239.74.163.2:43113"])
 @pytest.mark.parametrize("count", range(1, len(FRAMES) + 1))
-def test_the_bytes_are_a_message(bus: str, count: int) -> None:
-    ours = serialise_frames([serialise_frame(frame, NS + k) for k, frame in enumerate(FRAMES[:count])], bus)
+def test_serialised_frames_are_read_as_a_message(bus: str, count: int) -> None:
+    serialised = serialise_frames([serialise_frame(frame, NS + k) for k, frame in enumerate(FRAMES[:count])], bus)
     expected = CanFrames(frames=[as_message(frame, NS + k) for k, frame in enumerate(FRAMES[:count])])
     expected.header.stamp, expected.header.frame_id = expected.frames[0].stamp, bus
-    assert deserialize_message(ours, CanFrames) == expected
-    # Not byte by byte: the middleware leaves what it finds in its padding.
-    assert 0 <= len(ours) - len(serialize_message(expected)) < 4
+    assert deserialize_message(serialised, CanFrames) == expected
+    # Not compared byte by byte: the padding of the middleware is not initialised.
+    assert 0 <= len(serialised) - len(serialize_message(expected)) < 4

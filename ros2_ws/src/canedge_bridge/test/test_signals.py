@@ -1,14 +1,13 @@
-"""The table against the DBC: refusals, with file, key and limit in the message."""
+"""The signal table against the DBC: errors with file, key and limit."""
 
 import math
 
 import pytest
-import yaml
 from canedge_bridge.signals import load_dbc, load_table
 from canedge_bridge.table_reader import TableError
 
 
-def test_every_row_of_the_shipped_table_is_in_the_shipped_dbc(dbc_file, signals_file):
+def test_leaf_table_and_dbc_agree(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file)
     assert table.absent == ()
     assert {m.name: m.dbc.frame_id for m in table.messages.values()} == {
@@ -18,10 +17,10 @@ def test_every_row_of_the_shipped_table_is_in_the_shipped_dbc(dbc_file, signals_
     assert [m.name for m in table.needed] == ["Leaf_Steering"]
 
 
-def put(path, value):
-    """An edit that sets, or with value None deletes, one key of the table."""
+def set_key(path, value):
+    """A change of the table that sets one key, or deletes it if the value is None."""
 
-    def edit(messages):
+    def change(messages):
         *parents, last = path.split("/")
         entry = messages
         for key in parents:
@@ -31,54 +30,55 @@ def put(path, value):
         else:
             entry[last] = value
 
-    return edit
+    return change
 
 
 WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
 
 
-@pytest.mark.parametrize(("edit", "message"), [
-    (put("Leaf_Steering/time_out", 1), "messages.Leaf_Steering.time_out: unknown key; known are needed, period"),
-    (put("Leaf_Steering/needed", None), "messages.Leaf_Steering.needed: missing"),
-    (put("Leaf_Steering/needed", "yes please"), "messages.Leaf_Steering.needed: 'yes please' is not true or false"),
-    (put("Leaf_Steering/timeout", {"value": 0, "unit": "s"}), "timeout.value: 0 is outside 0.001 to 600"),
-    (put("Leaf_Steering/timeout", {"value": 100, "unit": "ms"}), "timeout.unit: 'ms' is not one of s"),
-    (put("Leaf_Steering/timeout", {"value": 0.1}), "timeout.unit: missing"),
-    (put("Leaf_Steering/timeout", {"value": math.nan, "unit": "s"}), "timeout.value: nan is not a number"),
-    (put("Leaf_Steering/checksum/rule", "crc8"), "checksum.rule: 'crc8' is not one of xor_nibble, sum8_id"),
-    (put("Leaf_Steering/checksum/rule", "sum8_id"), "checksum.rule: needs 8 bits, but SteeringXorNibble has 4"),
-    (put("Leaf_Steering/checksum/check", "refuse"), "checksum.check: 'refuse' is not one of off, warn, drop"),
-    (put("Leaf_Steering/counter/signal", "SteeringWheelAngle"), "cannot be a counter"),
-    (put("Leaf_Steering/fill", {"SteeringConst07": 256}), "fill.SteeringConst07: 256 is outside 0 to 255"),
-    (put("Leaf_Steering/fill", {"SteeringConst07": 1.5}), "fill.SteeringConst07: 1.5 is not a whole number"),
-    (put(WHEEL + "/name", "wheel_angle"), "SteeringWheelAngle.name: 'wheel_angle' is not one of steering_wheel_angle"),
-    (put(WHEEL + "/unit", None), "SteeringWheelAngle.unit: missing"),
-    (put(WHEEL + "/unit", "rad"), "SteeringWheelAngle.unit: 'rad', but"),
-    (put(WHEEL + "/name", "vehicle_speed"), "unit: 'deg' cannot be converted to 'm/s'"),
-    (put(WHEEL + "/sign", 2), "SteeringWheelAngle.sign: 2 is not one of 1, -1"),
-    (put(WHEEL + "/scale", 1000), "SteeringWheelAngle.scale: 1000 is outside 0.01 to 100"),
-    (put(WHEEL + "/range", [900, -900]), "SteeringWheelAngle.range: 900 is not below -900"),
-    (put(WHEEL + "/range", 900), "SteeringWheelAngle.range: expected [minimum, maximum]"),
-    (put("Leaf_Steering/signals/Wheel", {}), "Leaf_Steering has no signal Wheel"),
-    (put("Leaf_Steering/samples", [{"data": "1D00", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
+@pytest.mark.parametrize(("change", "message"), [
+    (set_key("Leaf_Steering/time_out", 1), "messages.Leaf_Steering.time_out: unknown key; known are needed, period"),
+    (set_key("Leaf_Steering/needed", None), "messages.Leaf_Steering.needed: missing"),
+    (set_key("Leaf_Steering/needed", "yes please"), "messages.Leaf_Steering.needed: 'yes please' is not true or false"),
+    (set_key("Leaf_Steering/timeout", {"value": 0, "unit": "s"}), "timeout.value: 0 is outside 0.001 to 600"),
+    (set_key("Leaf_Steering/timeout", {"value": 100, "unit": "ms"}), "timeout.unit: 'ms' is not one of s"),
+    (set_key("Leaf_Steering/timeout", {"value": 0.1}), "timeout.unit: missing"),
+    (set_key("Leaf_Steering/timeout", {"value": math.nan, "unit": "s"}), "timeout.value: nan is not a number"),
+    (set_key("Leaf_Steering/checksum/rule", "crc8"), "checksum.rule: 'crc8' is not one of xor_nibble, sum8_id"),
+    (set_key("Leaf_Steering/checksum/rule", "sum8_id"), "checksum.rule: needs 8 bits, but SteeringXorNibble has 4"),
+    (set_key("Leaf_Steering/checksum/check", "refuse"), "checksum.check: 'refuse' is not one of off, warn, drop"),
+    (set_key("Leaf_Steering/counter/signal", "SteeringWheelAngle"), "cannot be a counter"),
+    (set_key("Leaf_Steering/fill", {"SteeringConst07": 256}), "fill.SteeringConst07: 256 is outside 0 to 255"),
+    (set_key("Leaf_Steering/fill", {"SteeringConst07": 1.5}), "fill.SteeringConst07: 1.5 is not a whole number"),
+    (set_key(WHEEL + "/name", "wheel_angle"),
+     "SteeringWheelAngle.name: 'wheel_angle' is not one of steering_wheel_angle"),
+    (set_key(WHEEL + "/unit", None), "SteeringWheelAngle.unit: missing"),
+    (set_key(WHEEL + "/unit", "rad"), "SteeringWheelAngle.unit: 'rad', but"),
+    (set_key(WHEEL + "/name", "vehicle_speed"), "unit: 'deg' cannot be converted to 'm/s'"),
+    (set_key(WHEEL + "/sign", 2), "SteeringWheelAngle.sign: 2 is not one of 1, -1"),
+    (set_key(WHEEL + "/scale", 1000), "SteeringWheelAngle.scale: 1000 is outside 0.01 to 100"),
+    (set_key(WHEEL + "/range", [900, -900]), "SteeringWheelAngle.range: 900 is not below -900"),
+    (set_key(WHEEL + "/range", 900), "SteeringWheelAngle.range: expected [minimum, maximum]"),
+    (set_key("Leaf_Steering/signals/Wheel", {}), "Leaf_Steering has no signal Wheel"),
+    (set_key("Leaf_Steering/samples", [{"data": "1D00", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
      "has 2 bytes, but the DBC gives 5"),
-    (put("Leaf_Steering/samples", [{"data": "xyz", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
+    (set_key("Leaf_Steering/samples", [{"data": "xyz", "signal": "SteeringWheelAngle", "value": 0, "unit": "deg"}]),
      "samples[0].data: not hexadecimal bytes"),
-    (put("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
-    (put("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
-    (put("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with names as keys"),
+    (set_key("RT_MilliTime/signals/UtcOffset", None), "GPS time needs all of gps_time, gps_utc_offset"),
+    (set_key("Leaf_Brake", {"needed": True}), "has no message Leaf_Brake"),
+    (set_key("Leaf_Steering", []), "messages.Leaf_Steering: expected a mapping with names as keys"),
 ])
-def test_refused_with_one_line(edit, message, dbc_file, changed_table):
-    path = changed_table(edit)
+def test_invalid_table_is_refused_in_one_line(change, message, dbc_file, edit_table):
+    path = edit_table(change)
     with pytest.raises(TableError) as refusal:
         load_table(dbc_file, path)
     text = str(refusal.value)
     assert message in text and str(path) in text and "\n" not in text
 
 
-def test_a_check_switched_off_survives_yaml(dbc_file, changed_table):
-    """YAML reads a bare off as false."""
-    path = changed_table(put("Leaf_Steering/checksum/check", False))
+def test_check_can_be_off_without_quotes(dbc_file, edit_table):
+    """YAML reads off as false."""
+    path = edit_table(set_key("Leaf_Steering/checksum/check", False))
     assert load_table(dbc_file, path).messages["Leaf_Steering"].checksum.mode == "off"
 
 
@@ -86,93 +86,88 @@ ANGLE = 'SG_ SteeringWheelAngle : 0|16@1- (-0.1,0) [-3276.7|3276.8] "deg"'
 
 
 @pytest.mark.parametrize(("layout", "message"), [
-    # As in a public DBC of the car: high byte first, unsigned.
+    # High byte first and unsigned, as in a public DBC of the car.
     ('SG_ SteeringWheelAngle : 7|16@0+ (0.1,0) [0|6553.5] "deg"', "can only decode to 0 .. 6553.5 deg"),
     ('SG_ SteeringWheelAngle : 0|16@1+ (0.1,0) [0|6553.5] "deg"', "16 bits, low byte first, unsigned"),
     ('SG_ SteeringWheelAngle : 0|8@1- (-0.1,0) [-12.8|12.7] "deg"', "can only decode to -12.7 .. 12.8 deg"),
-    # Signed and wide enough, so only the recorded frame shows it: 742.4 deg at rest.
+    # Signed and wide enough: only the recorded frame reveals the error.
     ('SG_ SteeringWheelAngle : 7|16@0- (-0.1,0) [-3276.7|3276.8] "deg"',
      "1D 00 00 07 B0 of Leaf_Steering incorrectly: -742.4 deg"),
     ('SG_ SteeringWheelAngle : 0|16@1- (-0.2,0) [-3276.7|3276.8] "deg"', "-5.8 deg instead of -2.9"),
 ])
-def test_a_dbc_that_makes_nonsense_of_the_wheel_is_refused(layout, message, changed_dbc, signals_file):
-    path = changed_dbc(ANGLE, layout)
+def test_dbc_that_decodes_the_steering_incorrectly_is_refused(layout, message, edit_dbc, signals_file):
+    path = edit_dbc(ANGLE, layout)
     with pytest.raises(TableError, match="decodes") as refusal:
         load_table(path, signals_file)
     assert message in str(refusal.value) and str(path) in str(refusal.value)
 
 
-def test_a_sensor_that_counts_the_other_way_is_not_nonsense(changed_dbc, signals_file):
-    """The sign is set by steering_sign."""
-    path = changed_dbc(ANGLE, ANGLE.replace("-0.1", "0.1"))
+def test_steering_sensor_of_opposite_sign_is_accepted(edit_dbc, signals_file):
+    """The parameter steering_sign corrects it."""
+    path = edit_dbc(ANGLE, ANGLE.replace("-0.1", "0.1"))
     assert "Leaf_Steering" in load_table(path, signals_file).messages
 
 
-def test_a_dbc_without_the_needed_message_is_refused(changed_dbc, signals_file):
+def test_dbc_without_the_needed_message_is_refused(edit_dbc, signals_file):
     with pytest.raises(TableError, match=r"has no message Leaf_Steering, which .* marks as needed"):
-        load_table(changed_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
+        load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 Something_Else:"), signals_file)
     with pytest.raises(TableError, match=r"marks as needed, did you mean leaf_steering\?"):
-        load_table(changed_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
+        load_table(edit_dbc("BO_ 2 Leaf_Steering:", "BO_ 2 leaf_steering:"), signals_file)
 
 
-def test_milliradians_are_no_degrees(changed_dbc, signals_file):
+def test_unit_that_differs_from_the_dbc_is_refused(edit_dbc, signals_file):
     with pytest.raises(TableError, match=r"SteeringWheelAngle.unit: 'deg', but .* gives 'mrad'"):
-        load_table(changed_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
+        load_table(edit_dbc(ANGLE, ANGLE.replace('"deg"', '"mrad"')), signals_file)
 
 
-def test_a_dbc_without_the_needed_signal_is_refused(changed_dbc, signals_file):
+def test_dbc_without_the_needed_signal_is_refused(edit_dbc, signals_file):
     with pytest.raises(TableError, match="Leaf_Steering has no signal SteeringWheelAngle"):
-        load_table(changed_dbc("SG_ SteeringWheelAngle :", "SG_ Wheel :"), signals_file)
+        load_table(edit_dbc("SG_ SteeringWheelAngle :", "SG_ Wheel :"), signals_file)
 
 
-def test_a_dbc_without_a_message_that_is_not_needed_is_taken(changed_dbc, signals_file):
-    table = load_table(changed_dbc("BO_ 1584 RT_MilliTime:", "BO_ 1584 Other:"), signals_file)
+def test_dbc_without_an_optional_message_is_accepted(edit_dbc, signals_file):
+    table = load_table(edit_dbc("BO_ 1584 RT_MilliTime:", "BO_ 1584 Other:"), signals_file)
     assert table.absent == ("RT_MilliTime",)
 
 
-def test_needed_can_be_replaced(dbc_file, signals_file):
+def test_needed_messages_can_be_replaced(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file, ["RT_VelocityLevel"])
     assert [m.name for m in table.needed] == ["RT_VelocityLevel"]
-    with pytest.raises(TableError, match="needed message Nobody is not in the table"):
-        load_table(dbc_file, signals_file, ["Nobody"])
+    with pytest.raises(TableError, match="needed message Unknown is not in the table"):
+        load_table(dbc_file, signals_file, ["Unknown"])
 
 
 @pytest.mark.parametrize("text", ["", "not a dbc at all", "BO_ 2 A: 8 X\n SG_ S : 0|16@1- (1", "\0\1\2\3"])
-def test_a_file_that_is_no_dbc(text, tmp_path, signals_file):
-    path = tmp_path / "bad.dbc"
+def test_file_that_is_not_a_dbc_is_refused(text, tmp_path, signals_file):
+    path = tmp_path / "invalid.dbc"
     path.write_text(text)
     with pytest.raises(TableError) as refusal:
         load_table(path, signals_file)
     assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_overlapping_signals_are_refused(changed_dbc, signals_file):
+def test_overlapping_signals_are_refused(edit_dbc, signals_file):
     with pytest.raises(TableError, match="are overlapping in message Leaf_Steering"):
-        load_table(changed_dbc("SteeringWheelRateRaw : 16|8", "SteeringWheelRateRaw : 8|8"), signals_file)
+        load_table(edit_dbc("SteeringWheelRateRaw : 16|8", "SteeringWheelRateRaw : 8|8"), signals_file)
 
 
-def test_missing_files(dbc_file, signals_file, tmp_path):
-    with pytest.raises(TableError, match=r"none\.dbc: cannot be read: No such file"):
-        load_table(tmp_path / "none.dbc", signals_file)
-    with pytest.raises(TableError, match=r"none\.yaml: cannot be read: No such file"):
-        load_table(dbc_file, tmp_path / "none.yaml")
+def test_missing_files_are_refused(dbc_file, signals_file, tmp_path):
+    with pytest.raises(TableError, match=r"missing\.dbc: cannot be read: No such file"):
+        load_table(tmp_path / "missing.dbc", signals_file)
+    with pytest.raises(TableError, match=r"missing\.yaml: cannot be read: No such file"):
+        load_table(dbc_file, tmp_path / "missing.yaml")
 
 
 @pytest.mark.parametrize("text", ["messages: [", "[]", "messages: 3", "", "message: {}"])
-def test_a_file_that_is_no_table(text, dbc_file, tmp_path):
-    path = tmp_path / "bad.yaml"
+def test_file_that_is_not_a_table_is_refused(text, dbc_file, tmp_path):
+    path = tmp_path / "invalid.yaml"
     path.write_text(text)
     with pytest.raises(TableError) as refusal:
         load_table(dbc_file, path)
     assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_the_table_has_the_unit_of_every_signal(signals_file):
-    messages = yaml.safe_load(signals_file.read_text())["messages"]
-    assert all({"name", "unit", "sign"} <= set(s) for m in messages.values() for s in m["signals"].values())
-
-
-def test_public_dbc_files_without_the_flag_of_29_bits_and_with_signals_that_begin_with_a_digit(tmp_path):
+def test_dbc_without_the_flag_of_29_bits_and_with_names_that_begin_with_a_digit_is_read(tmp_path):
     """As in commaai/opendbc: vw_mqbevo.dbc, psa_aee2010_r3.dbc, _stellantis_common.dbc."""
     file = tmp_path / "car.dbc"
     file.write_text('VERSION ""\nBU_: X\n\nBO_ 316522407 Wheel: 8 X\n SG_ 0_COUNTER : 0|4@1+ (1,0) [0|15] "" X\n'

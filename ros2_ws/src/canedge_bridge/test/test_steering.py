@@ -1,4 +1,4 @@
-"""Sign, offset and ratio with known values."""
+"""Steering calibration: sign, offset and ratio with known values."""
 
 import math
 
@@ -10,16 +10,10 @@ from canedge_bridge.decode import SteeringCalibration
     (1, -2.7, -2.7, 0.0),
     (1, 14.6, 14.6, 1.0),
     (-1, -14.6, 14.6, 1.0),
-    (-1, 2.7, -2.7, 0.0),   # the offset belongs to the signed reading: not (2.7 + 2.7)
+    (-1, 2.7, -2.7, 0.0),  # the offset is subtracted after the sign is applied
 ])
 def test_road_wheel_angle(sign, sensor_deg, steering_wheel_deg, road_wheel_deg):
     calibration = SteeringCalibration(sign, math.radians(-2.7), 17.3)
     sensor = math.radians(sensor_deg)
     assert math.degrees(calibration.steering_wheel_angle(sensor)) == pytest.approx(steering_wheel_deg)
     assert math.degrees(calibration.road_wheel_angle(sensor)) == pytest.approx(road_wheel_deg, abs=1e-12)
-
-
-def test_the_formula_shows_its_numbers():
-    text = SteeringCalibration(-1, math.radians(-2.7), 17.3).formula()
-    assert "(-1 * sensor - (-0.047124 rad)) / 17.3" in text
-    assert "-2.700 deg" in text and "0.1561 deg" in text
