@@ -125,18 +125,18 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     return report
 
 
-def _recover_file(source: Path, target: Path, report: RecoveryReport) -> Contents:
+def _recover_file(source: Path, target: Path, recovery: RecoveryReport) -> Contents:
     with source.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         _check_recoverable(stream, source, size)
-        contents, found = Contents(), FileReport(target)
-        found.kept_bytes = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, found)))
-        found.intact = not found.damaged_records and _is_closed(stream, contents, found)
-        if not (found.intact and target == source):
-            contents = _write_repaired(stream, size, source, target, found)
-    found.messages = contents.counts().total()
-    found.start_ns, found.end_ns = contents.times()
-    report.files.append(found)
+        contents, report = Contents(), FileReport(target)
+        report.kept_bytes = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, report)))
+        report.intact = not report.damaged_records and _is_closed(stream, contents, report)
+        if not (report.intact and target == source):
+            contents = _write_repaired(stream, size, source, target, report)
+    report.messages = contents.counts().total()
+    report.start_ns, report.end_ns = contents.times()
+    recovery.files.append(report)
     return contents
 
 
@@ -154,9 +154,9 @@ def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
         raise RecoveryError(f"{source} was cut before anything was recorded")
 
 
-def _is_closed(stream: BinaryIO, contents: Contents, found: FileReport) -> bool:
+def _is_closed(stream: BinaryIO, contents: Contents, report: FileReport) -> bool:
     """Whether a valid summary that counts the same messages follows the data, as in a closed file."""
-    stream.seek(found.kept_bytes)
+    stream.seek(report.kept_bytes)
     end = BytesIO(stream.read())
     try:
         data_end, *summary, footer = StreamReader(end, skip_magic=True).records
@@ -164,15 +164,15 @@ def _is_closed(stream: BinaryIO, contents: Contents, found: FileReport) -> bool:
         return False
     crc = zlib.crc32(end.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
     return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not end.read()
-            and footer.summary_start == found.kept_bytes + DATA_END_LENGTH and footer.summary_crc in (0, crc)
+            and footer.summary_start == report.kept_bytes + DATA_END_LENGTH and footer.summary_crc in (0, crc)
             and all(record.message_count == contents.counts().total() for record in summary
                     if isinstance(record, Statistics)))
 
 
-def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, found: FileReport) -> Iterator[bytes]:
+def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, report: FileReport) -> Iterator[bytes]:
     """Yields the undamaged records of the data section and adds them to `contents` at their new offsets."""
     kept = end = len(MAGIC)
-    found.damaged_records = 0
+    report.damaged_records = 0
     chunk_left_out = False
     for record in read_records(stream, size):
         if record.opcode == Opcode.DATA_END:
@@ -183,22 +183,22 @@ def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, fou
         if chunk_left_out and record.opcode == Opcode.MESSAGE_INDEX:
             continue
         if not contents.add(record, kept):
-            found.damaged_records += 1
+            report.damaged_records += 1
             chunk_left_out = record.opcode == Opcode.CHUNK
             continue
         chunk_left_out = False
         kept += len(raw)
         yield raw
-    found.lost_bytes = max(size, end) - kept
+    report.lost_bytes = max(size, end) - kept
 
 
-def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, found: FileReport) -> Contents:
+def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, report: FileReport) -> Contents:
     contents = Contents()
     temporary = target.with_name(target.name + ".recovering")
     try:
         with temporary.open("wb") as out:
             out.write(MAGIC)
-            out.writelines(_read_undamaged_records(stream, size, contents, found))
+            out.writelines(_read_undamaged_records(stream, size, contents, report))
             contents.finish(out)
             out.flush()
             os.fsync(out.fileno())
@@ -207,11 +207,11 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, fou
         raise
     if target == source:
         names = (source.with_name(f"{source.name}.cut{number if number > 1 else ''}") for number in count(1))
-        found.original = next(name for name in names if not name.exists())
+        report.original = next(name for name in names if not name.exists())
         try:
-            os.link(source, found.original)  # so that NAME.mcap exists at all times
+            os.link(source, report.original)  # so that NAME.mcap exists at all times
         except OSError:
-            source.rename(found.original)  # no hard links on this file system
+            source.rename(report.original)  # no hard links on this file system
     temporary.replace(target)
     return contents
 

@@ -122,100 +122,100 @@ class _Analysis:
         self._warn_of_low_excitation()
         parts = make_partitions(self.windows)
         search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._ticker("searching"))
-        found = search.run()
-        without_priors, fit = self._add_corrections(found, parts)
+        state = search.run()
+        without_priors, fit = self._add_corrections(state, parts)
         self._ticker("explaining")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
-        varying, varying_fit = self._find_varying(found, parts)
+        varying, varying_fit = self._find_varying(state, parts)
         floor = self._channel_noise(by_column)
-        judged = self._judge_effects(search, found, parts, floor)
-        steps, base = waterfall.build_steps(problem, found.fit, found.order, horizon_errors, parts)
+        judged = self._judge_effects(search, state, parts, floor)
+        steps, base = waterfall.build_steps(problem, state.fit, state.order, horizon_errors, parts)
         errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
-        named_errors = waterfall.compare_channel_errors(horizon_errors, base, found.fit, floor)
-        budget = waterfall.build_budget(problem, base, found.fit, fit, varying_fit, horizon_errors)
-        power = (certificate.measure_power(problem, found.fit, self.limits, settings.seed, self._ticker("certifying"))
-                 if settings.certify else certificate.predict_power(problem, found.fit, found.scores, self.limits))
-        effects, design_effect = judged.named, found.scores.design_effect
-        curvatures = self._simulate_catalogue(found, effects)
-        untestable = self._find_untestable(found, power, judged, curvatures)
+        named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, floor)
+        budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
+        power = (certificate.measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
+                 if settings.certify else certificate.predict_power(problem, state.fit, state.scores, self.limits))
+        effects, design_effect = judged.named, state.scores.design_effect
+        curvatures = self._simulate_catalogue(state, effects)
+        untestable = self._find_untestable(state, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, why = self._decide_outcome(found, judged, untestable, noise_ratios, len(varying))
+        outcome, why = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         regions = self._locate_errors(base, floor) if settings.where else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
-            effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, found)),
+            effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
-            budget=tuple(budget), reasons=(why, *self._collect_reasons(found, judged.verdicts)),
-            candidates=self._list_candidates(found, judged.verdicts), where=regions, not_testable=untestable,
-            next_manoeuvre=choose_manoeuvre(problem, found.fit, effects, curvatures, design_effect),
-            separability=list_separabilities(problem, found.fit, effects, design_effect), certificate=power,
+            budget=tuple(budget), reasons=(why, *self._collect_reasons(state, judged.verdicts)),
+            candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
+            next_manoeuvre=choose_manoeuvre(problem, state.fit, effects, curvatures, design_effect),
+            separability=list_separabilities(problem, state.fit, effects, design_effect), certificate=power,
             signature=self._describe_residual(noise_ratios[1], regions), runs=self._list_runs(),
             start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
             model=space.at(fit.vector) if fit.names else None, warnings=tuple(self.warnings),
-            named=space.at(problem.vector_without(found.fit, *(e.name for e in judged.contradicted)))
-            if found.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
+            named=space.at(problem.vector_without(state.fit, *(e.name for e in judged.contradicted)))
+            if state.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
             assumed=self._list_assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
-    def _judge_effects(self, search: Search, found: SearchState, parts: Mapping[str, Partition],
+    def _judge_effects(self, search: Search, state: SearchState, parts: Mapping[str, Partition],
                        floor: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
         # All other parameters of the library are free as well, so intervals include their possible contribution.
-        joint_fit = approximate_joint_fit(problem, found.fit) if problem.prior is None else None
-        position = problem.position_error(problem.held_out_rows(found.fit))
+        joint_fit = approximate_joint_fit(problem, state.fit) if problem.prior is None else None
+        position = problem.position_error(problem.held_out_rows(state.fit))
         noise_ratio = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
                        if np.isfinite(position).any() else 1.0)
         sensors, effects = {} if self.reference else self.sensors, []
-        for name in found.order:
-            evidence = found.evidence[name]
-            others = sorted(filter(self._is_alternative, found.rivals.get(name, ())), key=lambda r: -r.share)
-            values = waterfall.estimate_parameters(problem, found.fit, name, parts, found.near, joint_fit, noise_ratio)
+        for name in state.order:
+            evidence = state.evidence[name]
+            others = sorted(filter(self._is_alternative, state.rivals.get(name, ())), key=lambda r: -r.share)
+            values = waterfall.estimate_parameters(problem, state.fit, name, parts, state.near, joint_fit, noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
                 tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
-                search.find_cancelling(found.fit, name), *decision.most_affected(evidence, self.limits)))
-        leave_one_out = waterfall.leave_one_out(problem, found.fit)
-        axles, curves, combinations = self._analyse_axles(found, joint_fit, noise_ratio)
-        verdicts = self._name_effects(found, effects, axles, leave_one_out)
+                search.find_cancelling(state.fit, name), *decision.most_affected(evidence, self.limits)))
+        leave_one_out = waterfall.leave_one_out(problem, state.fit)
+        axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
+        verdicts = self._name_effects(state, effects, axles, leave_one_out)
         named, minor, contradicted = (tuple(e for e in effects if verdicts[e.name].rule in rules) for rules in (
             (decision.NAMED,), (decision.MINOR,), (decision.FORCES, decision.IMPLAUSIBLE)))
         return _JudgedEffects(named, minor, contradicted, verdicts, leave_one_out, curves,
                               tuple(complete_delay(c, effects) for c in combinations))
 
-    def _decide_outcome(self, found: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
+    def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], varying_effects: int,
                         ) -> tuple[result.Outcome, result.Reason]:
         """Outcome and reason. noise_ratios [1]: ratio of position error to noise, without and with the effects."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
-        refused = [evidence for evidence, *_ in found.refused.values()]
+        refused = [evidence for evidence, *_ in state.refused.values()]
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
         return decision.decide(decision.SearchResult(
-            named=[found.evidence[e.name] for e in judged.named], rivals=found.rivals, refused=refused,
+            named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals, refused=refused,
             noise_ratio=noise_ratios[1], detectable_share=detectable, varying_effects=varying_effects,
-            combinations=[c.name for c in combinations], effects=len(found.fit.names),
+            combinations=[c.name for c in combinations], effects=len(state.fit.names),
             base_noise_ratio=noise_ratios[0]), self.limits)
 
-    def _add_corrections(self, found: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
+    def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
         file; those of the search if the gain is too small, or if reference drives replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
-            return problem, found.fit
+            return problem, state.fit
         without_priors = problem.without_file_priors()
         search = Search(without_priors, self.limits, parts, self.sensors, self.settings.seed,
                         self._ticker("correcting"), decision.judge_correction)
-        fit = search.add_corrections(found.fit)
+        fit = search.add_corrections(state.fit)
         problem.loss.scale = scale
         fit = without_priors.fit_at(fit.names, fit.vector, fit.indices, fit.sensitivities)
-        gain = without_priors.held_out_gain(found.fit, fit)
+        gain = without_priors.held_out_gain(state.fit, fit)
         # Both sums are over the same windows; they are 0 if position is not a channel.
         before, after = (np.nansum(p.position_error(p.held_out_rows(f)))
-                         for p, f in ((problem, found.fit), (without_priors, fit)))
-        return (problem, found.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
+                         for p, f in ((problem, state.fit), (without_priors, fit)))
+        return (problem, state.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 
     # Inputs
 
@@ -305,20 +305,20 @@ class _Analysis:
         return tuple(known.values())
 
     def _analyse_axles(
-            self, found: SearchState, joint_fit: JointFit | None, noise_ratio: float,
+            self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[result.ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
         for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
         reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""
         base = self.space.at(self.problem.start)
         try:
-            axles = Axles(self.problem, found.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
-                          [vector for _, vector in found.near])
+            axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
+                          [vector for _, vector in state.near])
             return axles, axles.force_curves(base), axles.combinations(base) if joint_fit else ()
         except StCoreError:
             return None, (), ()
 
-    def _name_effects(self, found: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
+    def _name_effects(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
         """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
         car, so verdicts do not use them."""
@@ -330,34 +330,34 @@ class _Analysis:
             for axle in axles.contradicting_axles(self.space.at(self.space.null), leave_one_out):
                 worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
             for name in names:
-                alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, found.fit.vector)})
+                alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
                 implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
                 car_objections[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
-        return {e.name: decision.judge_naming(found.evidence[e.name], self.limits, decision.NamingChecks(
+        return {e.name: decision.judge_naming(state.evidence[e.name], self.limits, decision.NamingChecks(
             excludes_null=bool(self.reference) or excludes_null(e),
             crossing="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
             worse_axle=worse_axles.get(e.name, ""), objection=car_objections.get(e.name, ""),
             summed=tuple(n for n in delays if n != e.name) if e.name in delays else ())) for e in effects}
 
-    def _list_corrections(self, problem: Problem, fit: Fit, found: SearchState) -> tuple[result.FoundEffect, ...]:
-        """Effective corrections: the effects of `fit` that are not in `found.fit`."""
+    def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
+        """Effective corrections: the effects of `fit` that are not in `state.fit`."""
         horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
         return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
                                         horizon_errors.position_increase_without(fit, n), {})
-                     for n in fit.names if n not in found.fit.names)
+                     for n in fit.names if n not in state.fit.names)
 
-    def _find_varying(self, found: SearchState,
+    def _find_varying(self, state: SearchState,
                       parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
         """At most one significant effect that varies between parts of the drives: one that the search rejected for this
         reason, and its fit; otherwise the one with the largest gain from separate values, and None."""
         varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
-        rivals = [r for others in found.rivals.values() for r in others]
-        reported = [*found.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
-        for name, (evidence, verdict, fit) in found.refused.items():
+        rivals = [r for others in state.rivals.values() for r in others]
+        reported = [*state.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
+        for name, (evidence, verdict, fit) in state.refused.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits)):
                 partition = decision.varying_partition(evidence, self.limits)
@@ -365,8 +365,8 @@ class _Analysis:
                     name, partition, waterfall.estimate_parameters(self.problem, fit, name, {}),
                     _local_estimates(evidence)[partition], evidence.position)
                 break
-        for v in find_varying_effects(self.problem, found.fit, parts) if varying is None else ():
-            evidence = collect_varying_evidence(self.problem, found.fit, v, parts)
+        for v in find_varying_effects(self.problem, state.fit, parts) if varying is None else ():
+            evidence = collect_varying_evidence(self.problem, state.fit, v, parts)
             if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
                 free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
                 varying = describe_varying(v, free, evidence.position)
@@ -377,34 +377,34 @@ class _Analysis:
                              f"between {decision.PARTITION_NAMES[varying.varies_with]}; it is reported, not named")
         return (varying,), varying_fit
 
-    def _collect_reasons(self, found: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
-        rivals = (r for others in found.rivals.values() for r in others)
+    def _collect_reasons(self, state: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
+        rivals = (r for others in state.rivals.values() for r in others)
         return [*verdicts.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
-                *(verdict for _, verdict, _ in found.refused.values())]
+                *(verdict for _, verdict, _ in state.refused.values())]
 
-    def _list_candidates(self, found: SearchState,
+    def _list_candidates(self, state: SearchState,
                          verdicts: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
         """Every effect of the library with its gain and verdict, in order of decreasing gain."""
         problem, space, candidates = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
-        rivals = {r.name: r for r in sorted((r for others in found.rivals.values() for r in others),
+        rivals = {r.name: r for r in sorted((r for others in state.rivals.values() for r in others),
                                             key=lambda r: (self._is_alternative(r), r.share))}
         for name in space.hypotheses:
-            values: Mapping[str, float] = space.values(name, found.fit.vector)
-            if name in found.evidence:
-                verdict, gain = verdicts[name], found.evidence[name].gain
-            elif name in found.refused:
-                evidence, verdict, fit = found.refused[name]
+            values: Mapping[str, float] = space.values(name, state.fit.vector)
+            if name in state.evidence:
+                verdict, gain = verdicts[name], state.evidence[name].gain
+            elif name in state.refused:
+                evidence, verdict, fit = state.refused[name]
                 gain, values = evidence.gain, space.values(name, fit.vector)
             elif name in rivals:
                 rival = rivals[name]
                 verdict = decision.judge_alternative(rival, self.limits)
                 gain, values = rival.evidence.gain, rival.values
-            elif name in found.scores.by_effect:
-                gains, vector = found.scores.gains[name]
+            elif name in state.scores.by_effect:
+                gains, vector = state.scores.gains[name]
                 values = space.values(name, vector)
                 gain = float(gains.sum()) / problem.residual_count
-                p_value = library_p_value(found.scores.by_effect[name], gains, found.scores, len(space.hypotheses))
+                p_value = library_p_value(state.scores.by_effect[name], gains, state.scores, len(space.hypotheses))
                 verdict = decision.judge(Evidence(name, gain, p_value), self.limits)
                 if verdict.rule == decision.ACCEPTED:
                     verdict = result.Reason(decision.EXPLAINS_LESS, name, {"gain": gain}, "it reduces the errors by "
@@ -416,14 +416,14 @@ class _Analysis:
                                                      verdict.rule, verdict.text))
         return tuple(sorted(candidates, key=lambda c: -c.gain))
 
-    def _simulate_catalogue(self, found: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
+    def _simulate_catalogue(self, state: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
         """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
         if not self.settings.where and not any(e.alternatives for e in effects):
             return {}
         self._ticker("next drive")()
-        return simulate_catalogue(self.problem, found.fit)
+        return simulate_catalogue(self.problem, state.fit)
 
-    def _find_untestable(self, found: SearchState, power: result.Certificate, judged: _JudgedEffects,
+    def _find_untestable(self, state: SearchState, power: result.Certificate, judged: _JudgedEffects,
                          curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
         """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
@@ -434,7 +434,7 @@ class _Analysis:
                 continue
             largest = max(powers, key=lambda p: p.size)
             manoeuvre = most_informative(problem, name, curvatures)
-            other = certificate.find_confounding_effect(problem, found.fit, name, found.scores, self.limits)
+            other = certificate.find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
             why = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(

@@ -271,22 +271,22 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
     return [low for low, _ in limits], [high for _, high in limits]
 
 
-def _make_warnings(data: FlatPlank, found: TyreFit, peak: float) -> list[str]:
+def _make_warnings(data: FlatPlank, fit: TyreFit, peak: float) -> list[str]:
     sentences = []
-    if found.flipped:
+    if fit.flipped:
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
                          "of the slip angle was changed.")
-    if len(found.levels) < 3:
-        fixed = "p_ky4 is" if len(found.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {len(found.levels)} load{'s' * (len(found.levels) > 1)}: {fixed} taken "
+    if len(fit.levels) < 3:
+        fixed = "p_ky4 is" if len(fit.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
+        sentences.append(f"The table has only {len(fit.levels)} load{'s' * (len(fit.levels) > 1)}: {fixed} taken "
                          "from the vehicle file.")
-    shift, uncertainty = found.fit.values[-1], found.fit.standard_errors[-1]
+    shift, uncertainty = fit.fit.values[-1], fit.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or a wrong zero of the wheel angle); the models' tyre is symmetric.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    largest = max(float(np.abs(tyre_force(grid, load, found.staged) - tyre_force(grid, load, found.tyre)).max())
-                  for load in found.levels)
+    largest = max(float(np.abs(tyre_force(grid, load, fit.staged) - tyre_force(grid, load, fit.tyre)).max())
+                  for load in fit.levels)
     if largest > 0.01 * peak:
         sentences.append(f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, "
                          f"{100 * largest / peak:.1f} % of the largest force: the load dependence of the formula does "

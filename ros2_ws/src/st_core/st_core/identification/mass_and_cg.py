@@ -82,9 +82,9 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
                           figure)
 
 
-def describe_swapped_axles(found: Identification, wheelbase: float, expected: float) -> str:
+def describe_swapped_axles(outcome: Identification, wheelbase: float, expected: float) -> str:
     """A sentence if front and rear readings seem exchanged, else "". expected: cg_to_front_axle of the file [m]."""
-    front = found["cg_to_front_axle"].value
+    front = outcome["cg_to_front_axle"].value
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "
                 f"and rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")

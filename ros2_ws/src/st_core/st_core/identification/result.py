@@ -136,7 +136,7 @@ def _finite_or_none(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification], date: str) -> VehicleParameters:
+def apply_to_vehicle(vehicle: VehicleParameters, outcomes: Iterable[Identification], date: str) -> VehicleParameters:
     """The vehicle with every identified or doubtful value, and a derived lambda_ky recomputed. date: YYYY-MM-DD.
 
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
@@ -144,7 +144,7 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
     values: dict[str, float] = {}
     sources: dict[str, str] = {}
     provenance: dict[str, Provenance] = {}
-    for identification in found:
+    for identification in outcomes:
         for estimate in identification.estimates:
             if find_quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
                 continue
@@ -158,9 +158,9 @@ def apply_to_vehicle(vehicle: VehicleParameters, found: Iterable[Identification]
     return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
-def describe_stale_scales(vehicle: VehicleParameters, found: Iterable[Identification]) -> tuple[str, ...]:
+def describe_stale_scales(vehicle: VehicleParameters, outcomes: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre with a lambda_ky set in the vehicle file that depends on a changed value."""
-    changed = {estimate.parameter for identification in found for estimate in identification.estimates
+    changed = {estimate.parameter for identification in outcomes for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []
     for tyre in ("tyre_front", "tyre_rear"):

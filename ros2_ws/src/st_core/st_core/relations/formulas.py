@@ -174,11 +174,11 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     return _sort_shapes(found)
 
 
-def _sort_shapes(found: Sequence[FittedShape]) -> Sequence[FittedShape]:
+def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
-    order = sorted((shape for shape in found if not any(
+    order = sorted((shape for shape in shapes if not any(
         len(other.parameters) < len(shape.parameters) and other.explained > shape.explained - MIN_EXPLAINED_MORE
-        for other in found)), key=lambda shape: float(shape.held_out.sum()))
+        for other in shapes)), key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
     best = order[0]

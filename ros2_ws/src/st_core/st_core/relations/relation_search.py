@@ -85,13 +85,13 @@ class RelationSearch:
         return [term for term, size in smallest.items() if size > MAX_DETECTABLE]
 
 
-def needs_search(found: Discovery) -> bool:
+def needs_search(discovery: Discovery) -> bool:
     """Whether the residual of a discovery is large enough for a search: the outcome is unknown, or the errors exceed
     `limits.max_noise_ratio` times the noise."""
-    return found.outcome == "unknown" or bool(found.signature)
+    return discovery.outcome == "unknown" or bool(discovery.signature)
 
 
-def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
+def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: VehicleParameters,
                   settings: DiscoverySettings | None = None, threads: int = 1, tick: Callable[[], None] = lambda: None,
                   reported: Collection[tuple[str, str]] = ()) -> RelationSearch:
     """Find the relation that a result of `discover` lacks, or the reason why none is reported.
@@ -105,9 +105,9 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     Raises StCoreError if the drives contain no usable prediction.
     """
     settings = settings or DiscoverySettings()
-    measured = tuple(c for c in settings.channels if c in found.noise)
+    measured = tuple(c for c in settings.channels if c in discovery.noise)
     settings = replace(settings, channels=measured or settings.channels)
-    model = found.model or found.base
+    model = discovery.model or discovery.base
     if not model.has_tyres:
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
                               "to act on: use --base linear or --base nonlinear", {})
@@ -119,15 +119,15 @@ def find_relation(found: Discovery, runs: Sequence[DriveLog], vehicle: VehiclePa
     if len(windows) < 3 or blocks < MIN_BLOCKS:
         return RelationSearch(None, f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive "
                               "longer, or give more runs", {})
-    names = [e.name for e in (*found.effects, *found.minor)]
-    fits = RelationFits(windows, model, found.acceleration_gain, names, settings, threads)
+    names = [e.name for e in (*discovery.effects, *discovery.minor)]
+    fits = RelationFits(windows, model, discovery.acceleration_gain, names, settings, threads)
     tick()
     without = fits.fit_without_relation()
     screened = selection.screen(fits, without, vehicle, settings.seed, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds", {})
-    return _select(screened, fits, without, vehicle, settings, [e.name for e in found.effects], reported, tick)
+    return _select(screened, fits, without, vehicle, settings, [e.name for e in discovery.effects], reported, tick)
 
 
 def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,

@@ -51,16 +51,17 @@ def run_command(request: Request, console: Console) -> int:
         drives, reference = _read_runs(request, progress)
         request = replace(request, drives=drives, reference_drives=reference, effect_hashes=effect_hashes)
         times.append(time.perf_counter())
-        found, from_cache = _find_result(request, base, progress)
+        discovery, from_cache = _find_result(request, base, progress)
         request = replace(request, drives=[
-            replace(d, log=apply_clock_corrections([d.log], found.clock_errors)[0]) if d.log else d for d in drives])
+            replace(d, log=apply_clock_corrections([d.log], discovery.clock_errors)[0]) if d.log else d
+            for d in drives])
         times.append(time.perf_counter())
         relations = None
-        if needs_search(found) if request.propose is None else request.propose:
+        if needs_search(discovery) if request.propose is None else request.propose:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
             reported = {(f["name"], channel) for d in drives if d.log is not None for f in d.about["findings"]
                         if f["severity"] != "note" for channel in f["channels"]}
-            relations = find_relation(found, _logs(request.drives), request.vehicle, request.settings, request.jobs,
+            relations = find_relation(discovery, _logs(request.drives), request.vehicle, request.settings, request.jobs,
                                       lambda: progress.advance(bar), reported)
     times.append(time.perf_counter())
     seconds = {"read": times[1] - times[0], "discover": times[2] - times[1]}
@@ -68,14 +69,14 @@ def run_command(request: Request, console: Console) -> int:
         seconds["propose"] = times[3] - times[2]
     with console.status("drawing, writing the report"):
         output = FigureOutput(folder / "figures", request.formats)
-        drawn = draw(found, request, output) if request.report else None
+        drawn = draw(discovery, request, output) if request.report else None
         if drawn is not None and relations and relations.relation:
             drawn.insert(0, draw_relation(relations.relation, output))
-        update = update_vehicle(found, request)
-        report = report_relation(relations, found, request.vehicle, str(folder)) if relations else None
-        files = write_results(found, request, update, folder, drawn, seconds, relations, report)
+        update = update_vehicle(discovery, request)
+        report = report_relation(relations, discovery, request.vehicle, str(folder)) if relations else None
+        files = write_results(discovery, request, update, folder, drawn, seconds, relations, report)
     recordings = (*drives, *reference)
-    print_result(found, update, recordings, files, from_cache, console, report)
+    print_result(discovery, update, recordings, files, from_cache, console, report)
     return 1 if any(d.problem for d in recordings) else 0
 
 
@@ -153,11 +154,11 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     file = folder / f"{key}.json" if folder else None
     if file and (cached := read_result(file)) is not None:
         return cached, True
-    found = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors, request.jobs,
-                     clocks)
+    discovery = discover(logs, request.vehicle, base, reference, request.settings, report_progress, sensors,
+                         request.jobs, clocks)
     if file:
-        write_result(file, found)
-    return found, False
+        write_result(file, discovery)
+    return discovery, False
 
 
 def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
@@ -166,32 +167,33 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
                            for d in drives if d.log is not None])
 
 
-def draw(found: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
+def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """The figures, in the order of the page."""
     runs = _logs(request.drives)
-    # found.errors contains only the channels that all runs have.
-    settings = replace(request.settings, channels=tuple(c for c in found.errors if c in request.settings.channels))
+    # discovery.errors contains only the channels that all runs have.
+    settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))
 
     def errors_of(model: AugmentedModel) -> Samples:
-        return window_errors(runs, model, request.vehicle, settings, found.acceleration_gain)
+        return window_errors(runs, model, request.vehicle, settings, discovery.acceleration_gain)
 
-    data = FigureData(found, runs, errors_of(found.base), errors_of(found.model) if found.model else None, output)
+    after = errors_of(discovery.model) if discovery.model else None
+    data = FigureData(discovery, runs, errors_of(discovery.base), after, output)
     functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
     return [figure for function in functions if (figure := function(data))]
 
 
-def write_results(found: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
+def write_results(discovery: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
     """Write all files; returns their paths by kind. drawn: figures, None for no page. report: of `relations`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
-        model = build_model_file(found, request, update)
+        model = build_model_file(discovery, request, update)
         for name, text in (("vehicle.yaml", update.text), ("model.yaml", model.to_yaml() if model else "")):
             if text:
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
-    content = build_document(found, request, update, seconds)
+    content = build_document(discovery, request, update, seconds)
     if relations:
         content |= {"relation": json_ready(build_relation_document(relations))}
         about = content["provenance"]
@@ -201,5 +203,5 @@ def write_results(found: Discovery, request: Request, update: VehicleUpdate | No
     files["discovery.json"].write_text(json_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], found, update, content, drawn, report)
+        write_page(files["report.html"], discovery, update, content, drawn, report)
     return files

@@ -39,7 +39,7 @@ FILE_MEANINGS = {
 MAX_ADVICE = 3  # sentences on the terminal; the page contains all
 
 
-def build_document(found: Discovery, request: Request, update: VehicleUpdate | None,
+def build_document(discovery: Discovery, request: Request, update: VehicleUpdate | None,
                    seconds: Mapping[str, float]) -> dict[str, Any]:
     """The content of discovery.json. seconds: duration of each stage."""
     changes = {} if update is None else {key: {"before": before, "after": after, "interval": (low, high)}
@@ -47,19 +47,19 @@ def build_document(found: Discovery, request: Request, update: VehicleUpdate | N
     files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.not_folded if update else {},
                               "changes": changes, "error": update.error if update else (),
                               "objections": update.objections if update else ()}}
-    return {"schema": SCHEMA, **json_ready(found.document()), "files": json_ready(files),
-            "provenance": json_ready(collect_provenance(found, request, seconds))}
+    return {"schema": SCHEMA, **json_ready(discovery.document()), "files": json_ready(files),
+            "provenance": json_ready(collect_provenance(discovery, request, seconds))}
 
 
-def collect_provenance(found: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
+def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Inputs, settings and versions needed to repeat the discovery."""
     all_drives = (*request.drives, *request.reference_drives)
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
         "base": {"model": request.base, "values": {
-            e.name: dict(found.base.values[e.name]) for e in found.base.effects
-            if any(p.fit and found.base.values[e.name][p.name] != p.null for p in e.parameters)}},
+            e.name: dict(discovery.base.values[e.name]) for e in discovery.base.effects
+            if any(p.fit and discovery.base.values[e.name][p.name] != p.null for p in e.parameters)}},
         "settings": plain_data(request.settings),
         "runs": {d.name: d.about for d in request.drives if d.log is not None},
         "reference": {d.name: d.about for d in request.reference_drives if d.log is not None},
@@ -71,34 +71,34 @@ def collect_provenance(found: Discovery, request: Request, seconds: Mapping[str,
     }
 
 
-def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
+def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
     of changes from the reference drives are shifted to the total values."""
     intervals: dict[tuple[str, str], Interval] = {}
-    for named_effect in found.effects:
+    for named_effect in discovery.effects:
         for name, p in named_effect.parameters.items():
-            assert found.named is not None  # because there are named effects
-            total = found.named.values[named_effect.name][name]
+            assert discovery.named is not None  # because there are named effects
+            total = discovery.named.values[named_effect.name][name]
             low, high = (total + end - p.value for end in p.interval)
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
     files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.reference_drives)
              if d.log is not None for name, digest in d.about["files"].items()}
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
-    note = f"st discover, outcome {found.outcome}, from {request.base}{companion}"
+    note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
-    named = {e.name: e.parameters for e in found.effects}
+    named = {e.name: e.parameters for e in discovery.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
     base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives
                    else "part of the base model")
-    minor = {r.subject: r.text for r in found.reasons if r.rule == MINOR}
+    minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}
     effects = {}
     for effect in update.model.effects:
         name, values = effect.name, update.model.values[effect.name]
         if all(values[p.name] == p.null for p in effect.parameters if p.fit):
             continue
-        effective = name in update.folded or found.named is None or (
+        effective = name in update.folded or discovery.named is None or (
             not all(p.interval[0] <= values[key] <= p.interval[1] for key, p in named[name].items())
-            if name in named else name not in minor and values != found.named.values.get(name))
+            if name in named else name not in minor and values != discovery.named.values.get(name))
         if name in named and not effective:
             effects[name] = complete.effects[name]
             continue
@@ -112,7 +112,7 @@ def build_model_file(found: Discovery, request: Request, update: VehicleUpdate) 
     return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
 
 
-def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
+def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
                figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
     """Write the page. content: of discovery.json. relation: report of the search for a relation beyond the library."""
     about, plain = content["provenance"], quantities.to_words
@@ -120,17 +120,17 @@ def write_page(file: Path, found: Discovery, update: VehicleUpdate | None, conte
     recordings = {**refused, **about["runs"], **about["reference"]}
     findings = {name: findings_from_json(run) for name, run in recordings.items()}
     text = load_template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
-        title=report_text.format_title(found), found=found, content=content, figures=figures, relation=relation,
-        report=report_text, summary=report_text.summarise(found, update, findings),
-        details=report_text.list_details(found, update), recordings=recordings, **_tables(found, content))
+        title=report_text.format_title(discovery), discovery=discovery, content=content, figures=figures,
+        relation=relation, report=report_text, summary=report_text.summarise(discovery, update, findings),
+        details=report_text.list_details(discovery, update), recordings=recordings, **_tables(discovery, content))
     file.write_text(text, encoding="utf-8")
 
 
-def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
+def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
     """Tables of the page by layout (narrow, wide), largest entries first."""
     metres = quantities.format_metres
     channels = []
-    for name, error in sorted(found.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
+    for name, error in sorted(discovery.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
         factor, unit = quantities.display_unit(error.unit)
         before, after, floor, worst, low, high = (f"{factor * x:.3g}" for x in (
             error.base, error.augmented, error.floor, error.worst, *error.interval))
@@ -138,14 +138,14 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
                          f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
     changes = [_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(b.part, f"{metres(b.last)}, {b.share_last:.0%}", f"{metres(b.first)}, {b.share_first:.0%}",
-              f"{b.loss_last:.0%}", f"{b.loss_first:.0%}") for b in sorted(found.budget, key=lambda b: -b.last)]
+              f"{b.loss_last:.0%}", f"{b.loss_first:.0%}") for b in sorted(discovery.budget, key=lambda b: -b.last)]
     regions = [(quantities.channel_label(r.channel), *report_text.describe_condition(r))
-               for r in sorted(found.where, key=lambda r: -r.interval[0])[:MAX_ROWS]]
+               for r in sorted(discovery.where, key=lambda r: -r.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
-                    for c in sorted(found.combinations, key=lambda c: -abs(c.value - c.file)
+                    for c in sorted(discovery.combinations, key=lambda c: -abs(c.value - c.file)
                                     / max(c.interval[1] - c.interval[0], 1e-12))]
-    expected = "the noise" if found.start == "vehicle file" else "the error of the reference drives"
+    expected = "the noise" if discovery.start == "vehicle file" else "the error of the reference drives"
     narrow = [
         Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
@@ -165,7 +165,7 @@ def _tables(found: Discovery, content: Mapping[str, Any]) -> dict[str, list[Tabl
               "radius (1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
               ("combination", "value", "95 % interval", "vehicle file"), combinations)]
     return {"narrow": [table for table in narrow if table.rows],
-            "wide": [table for table in _wide_tables(found) if table.rows]}
+            "wide": [table for table in _wide_tables(discovery) if table.rows]}
 
 
 def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
@@ -179,50 +179,51 @@ def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str
             f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
 
 
-def _wide_tables(found: Discovery) -> list[Table]:
+def _wide_tables(discovery: Discovery) -> list[Table]:
     plain = quantities.to_words
-    tried = [c for c in found.candidates if c.name not in {e.name for e in (*found.effects, *found.minor)}]
+    tried = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [
         (plain(c.name), quantities.format_fitted(c.name, c.parameters), f"{100 * c.gain:.1f}", c.verdict, c.why)
         for c in sorted(tried, key=lambda c: (c.verdict not in FIRST_VERDICTS, -c.gain))[:MAX_ROWS]]
     undetectable = [(plain(n.name), n.reason, n.manoeuvre) for n in sorted(
-        found.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
-    options = found.next_manoeuvre.options if found.next_manoeuvre else {}
+        discovery.not_testable, key=lambda n: report_text.rank_by_kind(n.name))[:MAX_ROWS]]
+    options = discovery.next_manoeuvre.options if discovery.next_manoeuvre else {}
     separations = ", ".join(f"{name} {report_text.format_separation(strength)}"
                             for name, strength in sorted(options.items(), key=lambda o: -o[1]))
     return [
         Table("Effects that are not separable", "Separation: the part of the alternative that the effect cannot "
               "reproduce." + (f" After each possible next drive, for the pair that it separates least: {separations}."
-                              if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(found)),
+                              if separations else ""), report_text.PAIR_HEAD, report_text.list_pair_rows(discovery)),
         Table("Other effects that were tried", "Improvement: reduction of the errors over all channels by this effect, "
               "in addition to the result. An alternative is fitted in place of the named effect.",
               ("effect", "fitted", "improvement, %", "verdict", "why"), candidates,
               f"the first {len(candidates)} of {len(tried)}; all in discovery.json"),
         Table("Not detectable in these drives", "", ("effect", "why", "recommended manoeuvre"), undetectable,
-              f"the first {len(undetectable)} of {len(found.not_testable)}")]
+              f"the first {len(undetectable)} of {len(discovery.not_testable)}")]
 
 
-def print_result(found: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive], files: Mapping[str, Path],
-                 from_cache: bool, console: Console, relation: RelationReport | None = None) -> None:
+def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
+                 files: Mapping[str, Path], from_cache: bool, console: Console,
+                 relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
     those that cannot be used."""
     def print_line(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 
-    for role, text in report_text.describe_drives(found):
+    for role, text in report_text.describe_drives(discovery):
         print_line(role, text)
-    console.print(f"[bold]{escape(report_text.format_title(found))}[/bold]", highlight=False)
+    console.print(f"[bold]{escape(report_text.format_title(discovery))}[/bold]", highlight=False)
     if relation is not None and relation.headline:
         console.print(f"[bold]{escape(relation.headline)}[/bold]", highlight=False)
-    if found.effects:
+    if discovery.effects:
         rows = [dict(zip(report_text.EFFECT_HEAD[:-1], map(escape, row[:-1]), strict=True)) for row in
-                report_text.list_effect_rows(found)]
+                report_text.list_effect_rows(discovery)]
         console.print(make_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
     about = {drive.name: findings_from_json(drive.about) for drive in recordings}
-    advice = report_text.recommend(found, update)[1:MAX_ADVICE]
-    for heading, text in (*report_text.summarise(found, update, about), *(("to do", text) for text in advice),
-                          *(("warning", text) for text in found.warnings)):
+    advice = report_text.recommend(discovery, update)[1:MAX_ADVICE]
+    for heading, text in (*report_text.summarise(discovery, update, about), *(("to do", text) for text in advice),
+                          *(("warning", text) for text in discovery.warnings)):
         print_line(heading, text)
     for drive in recordings:
         if drive.problem:

@@ -144,10 +144,10 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
 
-def write_result(file: Path, found: Discovery) -> None:
+def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
-    models = {name: getattr(found, name) for name in MODELS}
-    content = found.document() | {name: model and [_base_name(model), plain_data(model.values)]
+    models = {name: getattr(discovery, name) for name in MODELS}
+    content = discovery.document() | {name: model and [_base_name(model), plain_data(model.values)]
                                   for name, model in models.items()}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ AXIS_LIMIT = 3.0  # end of the axis, at which intervals are cut off
 class FigureData:
     """Data of the figures. before, after: errors of all runs with the base model and with the complete model."""
 
-    found: Discovery
+    discovery: Discovery
     runs: Sequence[DriveLog]
     before: Samples
     after: Samples | None
@@ -44,27 +44,27 @@ class FigureData:
     @property
     def colour(self) -> str:
         """Colour of the base model."""
-        return MODEL_COLOUR.get(self.found.base.base.name, TEXT)
+        return MODEL_COLOUR.get(self.discovery.base.base.name, TEXT)
 
     @property
     def channel(self) -> str:
         """Channel with the largest significant excess over the expected error."""
         channels = list(self.before.squares)
-        known = [w for w in self.found.where if w.channel in channels]
+        known = [w for w in self.discovery.where if w.channel in channels]
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
 
 
 def draw_waterfall(data: FigureData) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
-    steps = data.found.steps
+    steps = data.discovery.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None
-    floor = data.found.errors["position_5s"].floor if "position_5s" in data.found.errors else 0.0
+    floor = data.discovery.errors["position_5s"].floor if "position_5s" in data.discovery.errors else 0.0
     with apply_style():
         figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
         axes.set_axisbelow(True)
         first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
-        rows = [f"{data.found.base.base.name} model, {data.found.start}"]
+        rows = [f"{data.discovery.base.base.name} model, {data.discovery.start}"]
         axes.barh(0, first, color=data.colour, height=0.62)
         _annotate(axes, first, 0, quantities.format_metres(first))
         for row, step in enumerate(steps, 1):
@@ -74,10 +74,10 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
             axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
             ends = [before - end for end in step.position_5s.interval]
             axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            label, text = _step_texts(data.found, step)
+            label, text = _step_texts(data.discovery, step)
             _annotate(axes, max(before, after, *ends), row, text)
             rows.append(label)
-        end = "model without effective corrections" if data.found.effective else "complete model"
+        end = "model without effective corrections" if data.discovery.effective else "complete model"
         axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
         axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
         _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
@@ -86,7 +86,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
         axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
                  xlabel="mean position error after 5 s on held-out driving, m")
         rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
-        handles = [Patch(color=data.colour, label=f"{data.found.base.base.name} model"),
+        handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
                    Patch(color=AFTER_COLOUR, label=end),
                    Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
                    *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
@@ -97,7 +97,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
         return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
 
 
-def _step_texts(found: Discovery, step: Step) -> tuple[str, str]:
+def _step_texts(discovery: Discovery, step: Step) -> tuple[str, str]:
     """(effect and values of a step, in parentheses if it is not named; change of the error)."""
     label = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
     change = step.position_5s.augmented - step.position_5s.base
@@ -106,7 +106,7 @@ def _step_texts(found: Discovery, step: Step) -> tuple[str, str]:
     if abs(change) < MIN_CHANGE and ratios:
         best = min(ratios, key=ratios.__getitem__)
         text = f"{quantities.channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
-    is_named = step.effect in {e.name for e in found.effects}
+    is_named = step.effect in {e.name for e in discovery.effects}
     return f"+ {label}" if is_named else f"+ ({label})", text.replace("-", "−")
 
 
@@ -116,8 +116,8 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 def draw_axle_curves(data: FigureData) -> PageFigure | None:
     """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of the slip angles."""
-    curves = data.found.axle_curves
-    if not curves or not data.found.model:
+    curves = data.discovery.axle_curves
+    if not curves or not data.discovery.model:
         return None
     with apply_style():
         figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
@@ -130,12 +130,12 @@ def draw_axle_curves(data: FigureData) -> PageFigure | None:
             axes.plot(slip, at_start, color=data.colour, ls="--")
             ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
             axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
-                           f"{data.found.start} at {slip[-1]:.1f}°", fontsize=7)
+                           f"{data.discovery.start} at {slip[-1]:.1f}°", fontsize=7)
             below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
             below.set_xlabel("slip angle, °")
         panels[0][0].set_ylabel("lateral force, kN")
         panels[1][0].set_ylabel("samples, %")
-        handles = [Line2D([], [], color=data.colour, ls="--", label=data.found.start),
+        handles = [Line2D([], [], color=data.colour, ls="--", label=data.discovery.start),
                    Line2D([], [], color=AFTER_COLOUR, label="complete model"),
                    Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
         figure.legend(handles=handles, loc="outside lower left", ncols=3)
@@ -202,7 +202,7 @@ def _aspect_ratio(log: DriveLog) -> float:
 
 def draw_agreement(data: FigureData) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
-    effects = [e for e in data.found.effects if any(e.agreement.values())]
+    effects = [e for e in data.discovery.effects if any(e.agreement.values())]
     if not effects:
         return None
     effects = report_text.sort_by_size(effects)[:MAX_PANELS]

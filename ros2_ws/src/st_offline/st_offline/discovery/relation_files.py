@@ -170,12 +170,12 @@ def _memory_source(c: Candidate) -> tuple[str, str]:
             f"        return (({current} - extra[0]) / {tau!r},)")
 
 
-def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
+def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
                 digests: dict[str, str], folder: Path) -> dict[str, Path]:
     """Write the effect file and the model file that uses it; returns the paths by kind, empty without a relation. A
     relation that depends on the time in the run is not written, because other drives cannot use it. User-defined
     effects of the model are copied, because a command accepts only one folder of effects."""
-    relation = found.relation
+    relation = search.relation
     if relation is None or relation.candidate.quantity == "run_time":
         return {}
     effects = folder / "effects"
@@ -202,15 +202,15 @@ def write_files(found: RelationSearch, vehicle: VehicleParameters, runs: Sequenc
     return {"effects": file, "proposed.yaml": folder / "proposed.yaml"}
 
 
-def build_relation_document(found: RelationSearch) -> dict:
+def build_relation_document(search: RelationSearch) -> dict:
     """The entry `relation` of discovery.json (schema in docs/manual/discovery.md)."""
-    relation = found.relation
-    tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": found.detection_limits.get(name)}
-             for name, (gain, p_value) in found.tried.items()]
+    relation = search.relation
+    tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": search.detection_limits.get(name)}
+             for name, (gain, p_value) in search.tried.items()]
     if relation is None:
-        return {"proposal": None, "why": found.reason, "tried": tried}
+        return {"proposal": None, "why": search.reason, "tried": tried}
     c = relation.candidate
-    return {"why": found.reason, "tried": tried, "proposal": {
+    return {"why": search.reason, "tried": tried, "proposal": {
         "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
         "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},

@@ -32,16 +32,16 @@ class RelationReport:
     headline: str = ""
 
 
-def report_relation(found: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
+def report_relation(search: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
     """Report of a search for a relation. folder: of the results, for the commands in the report."""
-    relation = found.relation
-    terms = ", ".join(quantities.TERM_NAMES[name] for name in found.find_unexamined_terms())
+    relation = search.relation
+    terms = ", ".join(quantities.TERM_NAMES[name] for name in search.find_unexamined_terms())
     not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
                              )] if terms else []
     if relation is None:
-        why = found.reason
-        for name in sorted(found.tried, key=len, reverse=True):  # a name may begin with another
+        why = search.reason
+        for name in sorted(search.tried, key=len, reverse=True):  # a name may begin with another
             why = why.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {why}"]), *not_excluded])
     without, with_it = relation.position_5s
@@ -54,7 +54,7 @@ def report_relation(found: RelationSearch, discovery: Discovery, vehicle: Vehicl
                 *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
     headline = (f"PROPOSAL, not established: {full_title(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
-    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, found.reason)),
+    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, search.reason)),
                       ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
                       ("alternatives", _alternatives(relation)), ("next drive", describe_next_drives(relation)),
                       *not_excluded, ("files", _files(relation, discovery.model is not None, folder))]

@@ -45,10 +45,10 @@ PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_riv
              f"p (limit {LIMITS.undecided_p:g})", "cosine", "separation, σ of the noise")
 
 
-def name_with_alternatives(found: Discovery, effect: result.FoundEffect, first: str = "") -> str:
+def name_with_alternatives(discovery: Discovery, effect: result.FoundEffect, first: str = "") -> str:
     """An effect and its alternatives with their values. first: text for the effect itself, by default its name and
     value. The value of an added load is reported as an upper limit."""
-    fitted = {c.name: c.parameters for c in found.candidates}
+    fitted = {c.name: c.parameters for c in discovery.candidates}
     texts = [first or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}"]
     for name in effect.alternatives:
         limit = "up to " if any(p.deviation < math.inf for p in get_effect(name).parameters) else ""
@@ -61,70 +61,70 @@ def sort_by_size(effects: Sequence[result.FoundEffect]) -> list[result.FoundEffe
     return sorted(effects, key=lambda e: -e.position_5s_increase)
 
 
-def list_effect_rows(found: Discovery) -> list[tuple[str, str, str, str, str]]:
+def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str]]:
     """Table row of each named effect, with the columns of EFFECT_HEAD."""
-    return [(name_with_alternatives(found, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
+    return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
              f"{'+' if e.position_5s_increase >= 0.0 else '−'}{format_metres(abs(e.position_5s_increase))}",
              f"{channel_label(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
-             count_agreement(e)) for e in sort_by_size(found.effects)]
+             count_agreement(e)) for e in sort_by_size(discovery.effects)]
 
 
-def format_title(found: Discovery) -> str:
+def format_title(discovery: Discovery) -> str:
     """The result in one line."""
-    if found.outcome == "not_testable":
+    if discovery.outcome == "not_testable":
         return "These drives have too little excitation for a result"
-    effects = [name_with_alternatives(found, e) for e in sort_by_size(found.effects)]
-    combinations = map(format_combination, found.unseparated_combinations)
-    position = found.errors.get("position_5s")
+    effects = [name_with_alternatives(discovery, e) for e in sort_by_size(discovery.effects)]
+    combinations = map(format_combination, discovery.unseparated_combinations)
+    position = discovery.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
-                                            for e in found.effects)
+                                            for e in discovery.effects)
     named = "; ".join((*effects, *combinations) if one_dominates else (*combinations, *effects))
-    if found.outcome == "unknown":
+    if discovery.outcome == "unknown":
         addition = f"; in addition {named}" if named else ""
-        return f"{_describe_errors(found)}: a significant error that no effect of the library explains{addition}"
+        return f"{_describe_errors(discovery)}: a significant error that no effect of the library explains{addition}"
     unexplained = [f"a residual remains that no effect of the library explains: {text}"
-                   for text in found.signature[:1]]
+                   for text in discovery.signature[:1]]
     if named:
-        return f"{_describe_errors(found)}: {'; '.join((named, *unexplained))}"
-    if found.outcome == "varying":
+        return f"{_describe_errors(discovery)}: {'; '.join((named, *unexplained))}"
+    if discovery.outcome == "varying":
         varying = [f"an effect that resembles {to_words(v.resembles)} ({format_metres(v.position_5s_reduction)}) but "
-                   f"varies between {PARTITION_NAMES[v.varies_with]}" for v in found.varying]
-        return f"{_describe_errors(found)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
-    if found.outcome == "ambiguous":
-        return f"{_describe_errors(found)}: no effect is certain enough to be named"
-    return f"{_describe_errors(found)}: no significant model error"
+                   f"varies between {PARTITION_NAMES[v.varies_with]}" for v in discovery.varying]
+        return f"{_describe_errors(discovery)}: {'; '.join((*unexplained, *varying, 'no effect is named'))}"
+    if discovery.outcome == "ambiguous":
+        return f"{_describe_errors(discovery)}: no effect is certain enough to be named"
+    return f"{_describe_errors(discovery)}: no significant model error"
 
 
-def _describe_errors(found: Discovery) -> str:
+def _describe_errors(discovery: Discovery) -> str:
     """Clause on the position error after 5 s or, without it, on the error of one channel."""
-    position = found.errors.get("position_5s")
+    position = discovery.errors.get("position_5s")
     if position is None:
-        name = next((n for n in LABELS if n in found.errors), None)
+        name = next((n for n in LABELS if n in discovery.errors), None)
         if name is None:
             return "Errors"
-        error = found.errors[name]
+        error = discovery.errors[name]
         before, after = (format_value(value, error.unit) for value in (error.base, error.augmented))
         change = 100.0 * (error.augmented / error.base - 1.0)
         return f"{channel_label(name)} error {before} to {after} ({change:+.0f} %)"
-    named = found.named_errors["position_5s"].augmented if found.effective else position.augmented
+    named = discovery.named_errors["position_5s"].augmented if discovery.effective else position.augmented
     corrections_help = named - position.augmented > LIMITS.relevant_position
-    after = "" if found.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"
+    after = "" if discovery.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"
     after += f", {format_metres(position.augmented)} with effective corrections" if corrections_help else ""
-    more = len(found.minor) + (0 if corrections_help else len(found.effective)) if found.effects else 0
+    more = len(discovery.minor) + (0 if corrections_help else len(discovery.effective)) if discovery.effects else 0
     others = f", with {more} more effect{'' if more == 1 else 's'} that {'is' if more == 1 else 'are'} not named"
     return f"5 s position error {format_metres(position.base)}{after} (held-out{others if more else ''})"
 
 
-def summarise(found: Discovery, update: VehicleUpdate | None,
+def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
     recommendations. findings: of the checks, by recording."""
-    unknown = [describe_residual(found), list_inseparable(found), list_undetectable(found)]
+    unknown = [describe_residual(discovery), list_inseparable(discovery), list_undetectable(discovery)]
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"
-                    for c in found.unseparated_combinations]
-    contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in found.reasons if r.rule == FILE}
-    advice = [*contradicted.values(), recommend(found, update)[0], describe_next_drive(found)]
+                    for c in discovery.unseparated_combinations]
+    contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in discovery.reasons if r.rule == FILE}
+    advice = [*contradicted.values(), recommend(discovery, update)[0], describe_next_drive(discovery)]
     pairs = [("only the combination is identifiable", "; ".join(combinations)),
              ("not known", "; ".join(filter(None, unknown))), ("recordings", _describe_findings(findings)),
              ("to do", "; ".join(filter(None, advice)))]
@@ -143,11 +143,11 @@ def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
     return f"{finding.text} ({', '.join(filter(None, (*names, describe_effect(finding))))}){more}. {correction}"
 
 
-def describe_drives(found: Discovery) -> list[tuple[str, str]]:
+def describe_drives(discovery: Discovery) -> list[tuple[str, str]]:
     """(role, text) for suspect and reference runs; the text lists their names and durations."""
     lines = []
     for role in ("suspect", "reference"):
-        runs = [run for run in found.runs if run.role == role]
+        runs = [run for run in discovery.runs if run.role == role]
         names = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in runs)
         sites = len({run.site for run in runs})
         where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
@@ -156,20 +156,20 @@ def describe_drives(found: Discovery) -> list[tuple[str, str]]:
     return lines
 
 
-def explain_effects(found: Discovery) -> list[str]:
+def explain_effects(discovery: Discovery) -> list[str]:
     """Equation and signs of each effect, with the quantities and effects on which its value depends."""
     lines = []
-    for effect in sort_by_size(found.effects):
+    for effect in sort_by_size(discovery.effects):
         definition = get_effect(effect.name)
-        prior = next((a for a in found.assumed if a.key == definition.ratio_to), None)
+        prior = next((a for a in discovery.assumed if a.key == definition.ratio_to), None)
         signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning]
         parts = (definition.physics, *signs,
                  f"if the {prior.key} is {prior.value:.4g} ± {prior.deviation:.2g} {prior.unit}" if prior else "",
                  f"identifiable only together with {', '.join(map(to_words, effect.joint))}: they compensate for each "
                  "other" if effect.joint else "")
         lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}")
-    if found.outcome == "unknown" or found.signature:
-        lines.append("; ".join(("an effect that is not in the library", *found.signature)))
+    if discovery.outcome == "unknown" or discovery.signature:
+        lines.append("; ".join(("an effect that is not in the library", *discovery.signature)))
     return lines
 
 
@@ -195,16 +195,16 @@ def count_agreement(effect: result.FoundEffect) -> str:
     return ", ".join(counts) or "-"
 
 
-def describe_residual(found: Discovery) -> str:
+def describe_residual(discovery: Discovery) -> str:
     """Residual position error, noise floor, the run with the largest error, and the runs with increased errors."""
-    position = found.errors.get("position_5s")
+    position = discovery.errors.get("position_5s")
     if position is None:
         return ""
-    after = position.augmented if found.model else position.base
+    after = position.augmented if discovery.model else position.base
     text = f"residual 5 s position error {format_metres(after)}; noise floor {format_metres(position.floor)}"
     if position.worst_run:
         text += f"; the run with the largest error is {position.worst_run} ({format_metres(position.worst)})"
-    if position.worse_runs and found.model:
+    if position.worse_runs and discovery.model:
         text += f"; the error is larger than before in {', '.join(position.worse_runs)}"
     return text
 
@@ -223,11 +223,11 @@ def format_combination(combination: result.Combination) -> str:
     return f"{combination.name} {ratio:.2f} ({low:.2f} to {high:.2f}) times the vehicle file value"
 
 
-def list_inseparable(found: Discovery) -> str:
+def list_inseparable(discovery: Discovery) -> str:
     """Effects that explain the drives equally well or compensate for each other, with the limits of the test."""
-    names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in found.effects if e.alternatives]
+    names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
     pairs = [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
-             for e in found.effects if e.joint]
+             for e in discovery.effects if e.joint]
     limits = (f" (each has at least {100 * LIMITS.min_rival_gain:g} % of the first one's gain, without what it gains "
               f"in addition, and is not significantly worse, p >= {LIMITS.undecided_p:g}, or worse by less than "
               f"{100 * LIMITS.unexplained_share:g} % of a residual above {LIMITS.max_noise_ratio:g} times the noise)"
@@ -235,11 +235,11 @@ def list_inseparable(found: Discovery) -> str:
     return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
 
 
-def list_pair_rows(found: Discovery) -> list[tuple[str, ...]]:
+def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:
     """Table row of each inseparable pair of effects, with the columns of PAIR_HEAD; smallest separation first."""
     rows = []
-    for pair in sorted(found.separability, key=lambda p: p.strength):
-        figures = next((r.figures for r in found.reasons if r.rule == "alternative" and r.subject == pair.second
+    for pair in sorted(discovery.separability, key=lambda p: p.strength):
+        figures = next((r.figures for r in discovery.reasons if r.rule == "alternative" and r.subject == pair.second
                         and f"{to_words(pair.first)} it " in r.text), {})
         tests = (f"{figures[key]:{form}}" if key in figures else "-" for key, form in
                  (("share", ".0%"), ("deficit", ".1%"), ("p_no_worse", ".2g")))
@@ -248,13 +248,13 @@ def list_pair_rows(found: Discovery) -> list[tuple[str, ...]]:
     return rows
 
 
-def list_undetectable(found: Discovery) -> str:
+def list_undetectable(discovery: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size tried, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
-               for p in sorted(found.certificate.powers, key=lambda p: abs(p.size))}
+               for p in sorted(discovery.certificate.powers, key=lambda p: abs(p.size))}
     # Of these effects, the combination is identifiable.
-    combined = {name for c in found.unseparated_combinations for name in c.effects}
-    ranked = sorted((n.name for n in found.not_testable if n.name not in combined), key=rank_by_kind)
+    combined = {name for c in discovery.unseparated_combinations for name in c.effects}
+    ranked = sorted((n.name for n in discovery.not_testable if n.name not in combined), key=rank_by_kind)
     names = ", ".join(f"{to_words(name)}{largest.get(name, '')}" for name in ranked[:MAX_UNDETECTABLE])
     more = len(ranked) - MAX_UNDETECTABLE
     return f"not detectable in these drives: {names}{f' and {more} more' if more > 0 else ''}" if names else ""
@@ -265,10 +265,10 @@ def format_separation(strength: float) -> str:
     return f"{strength:.1f}" if strength < MAX_SEPARATION else f"more than {MAX_SEPARATION:g}"
 
 
-def list_detectable(found: Discovery) -> str:
+def list_detectable(discovery: Discovery) -> str:
     """The smallest detectable size of each effect in these drives, vehicle parameters first."""
     smallest: dict[str, result.Power] = {}
-    for power in sorted(found.certificate.powers, key=lambda p: abs(p.size)):
+    for power in sorted(discovery.certificate.powers, key=lambda p: abs(p.size)):
         if power.probability >= LIMITS.detection_power:
             smallest.setdefault(power.effect, power)
     ranked = sorted(smallest.values(), key=lambda p: rank_by_kind(p.effect))
@@ -282,40 +282,40 @@ def rank_by_kind(name: str) -> tuple[bool, int]:
     return kind != "vehicle parameters", PARTS.index(kind) if kind in PARTS else len(PARTS)
 
 
-def describe_next_drive(found: Discovery) -> str:
+def describe_next_drive(discovery: Discovery) -> str:
     """The recommended next drive; "" for none."""
-    drive = found.next_manoeuvre
+    drive = discovery.next_manoeuvre
     if drive is None:
         return ""
     first, second = map(to_words, drive.separates)
-    now = next((p.strength for p in found.separability if {p.first, p.second} == set(drive.separates)), 0.0)
+    now = next((p.strength for p in discovery.separability if {p.first, p.second} == set(drive.separates)), 0.0)
     return (f"next drive: {drive.name}, {drive.times} times {drive.duration:.0f} s at {drive.speed:.1f} m/s, to "
             f"separate {first} and {second} by {format_separation(drive.strength)} σ of the noise (these drives: "
             f"{format_separation(now)} σ; required: {MIN_SEPARATION:g} σ)")
 
 
-def list_priors(found: Discovery) -> list[str]:
+def list_priors(discovery: Discovery) -> list[str]:
     """Quantities of the vehicle file used as priors, except tyre parameters, with their standard deviations."""
     priors = [f"{a.key} {format_estimate(a.value, (a.value - a.deviation, a.value + a.deviation), a.unit)}"
               f"{'' if a.stated else ' (default uncertainty)'}"
-              for a in found.assumed if not a.key.startswith("tyre_")]
+              for a in discovery.assumed if not a.key.startswith("tyre_")]
     change = "to change an uncertainty, set `uncertainty` in the entry of the vehicle file"
     return [f"{', '.join(priors)}; {change}"] if priors else []
 
 
-def describe_effective(found: Discovery) -> list[str]:
+def describe_effective(discovery: Discovery) -> list[str]:
     """Sentence on the effective corrections of the model; empty without any."""
-    if not found.effective:
+    if not discovery.effective:
         return []
-    position, named = found.errors.get("position_5s"), found.named_errors.get("position_5s")
+    position, named = discovery.errors.get("position_5s"), discovery.named_errors.get("position_5s")
     errors = (f" ({format_metres(named.augmented)} → {format_metres(position.augmented)} after 5 s)"
               if position and named else "")
-    names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)}" for e in found.effective)
+    names = ", ".join(f"{to_words(e.name)} {format_briefly(e.name, e.parameters)}" for e in discovery.effective)
     return [f"{names}{errors}: improves predictions, but is not a property of the car; model.yaml contains it, marked "
             "effective"]
 
 
-def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
+def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations on the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
@@ -329,36 +329,36 @@ def _vehicle_lines(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     lines += update.objections if update is not None else ()
     lines += [f"{to_words(e.name)} is negative ({format_briefly(e.name, {name: p})}), which is not causal: a clock or "
               "a configured latency is wrong; check the clocks (st check, st align) before using it"
-              for e in found.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
+              for e in discovery.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
     if update is not None and update.folded:
         changes = dict(update.changes)
         slip = changes.pop(SLIP_SPEED_KEY, None)
         entries = format_changes(changes) if len(changes) <= MAX_KEYS else f"{len(changes)} entries are corrected"
         stable = f"; {format_changes({SLIP_SPEED_KEY: slip})}, for stable steps of 50 ms" if slip else ""
-        position = found.errors.get("position_5s")
+        position = discovery.errors.get("position_5s")
         together = (f", together with model.yaml by {1.0 - position.augmented / position.base:.0%}"
                     if position and position.base > 0.0 else "")
         alone = (f"; vehicle.yaml alone reduces the position error after 5 s by "
                  f"{1.0 - update.error[1] / update.error[0]:.0%}{together}"
-                 if (found.minor or found.effective) and update.error[0] > 0.0 else "")
+                 if (discovery.minor or discovery.effective) and update.error[0] > 0.0 else "")
         effects = ", ".join(map(to_words, update.folded))
         lines.append(f"use the new vehicle.yaml: {entries}, for {effects}{stable}{alone}")
-        weak = {p.first for p in found.separability if p.strength < MIN_SEPARATION}
-        lines += [f"vehicle.yaml contains the first of {name_with_alternatives(found, e)}; "
+        weak = {p.first for p in discovery.separability if p.strength < MIN_SEPARATION}
+        lines += [f"vehicle.yaml contains the first of {name_with_alternatives(discovery, e)}; "
                   f"{'these drives do not' if e.name in weak else 'the model is not accurate enough to'} separate "
                   "them: measure one of them on the car"
-                  for e in found.effects if e.name in update.folded and e.alternatives]
+                  for e in discovery.effects if e.name in update.folded and e.alternatives]
     return lines
 
 
-def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
+def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first."""
-    lines = _vehicle_lines(found, update)
+    lines = _vehicle_lines(discovery, update)
     for name, changes in (update.not_folded if update is not None else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
                      "recordings contain the road-wheel angle, or play in the steering acts before the ratio; for "
                      f"recordings of the steering-wheel angle, set {format_changes(changes)}")
-    not_in_file = [e for e in found.effects if update is None or e.name not in update.folded]
+    not_in_file = [e for e in discovery.effects if update is None or e.name not in update.folded]
     sensors = [to_words(e.name) for e in not_in_file if e.kind == "sensors"]
     if sensors:
         lines.append(f"{', '.join(sensors)}: either use model.yaml, or correct the sensors or the recordings "
@@ -366,25 +366,26 @@ def recommend(found: Discovery, update: VehicleUpdate | None) -> list[str]:
     others = [to_words(e.name) for e in not_in_file if update is None or e.name not in update.not_folded]
     if others:
         lines.append(f"predict with model.yaml, which adds {', '.join(others)}")
-    if found.signature and found.effects:
+    if discovery.signature and discovery.effects:
         lines.append("the named effects do not explain the whole error, and the residual may have biased their values: "
                      "compare them with known data of the car")
-    if found.outcome == "unknown" or found.signature:
+    if discovery.outcome == "unknown" or discovery.signature:
         lines.append("see where the model has large errors; you can add an effect of your own (docs/manual/effects.md)")
-    manoeuvres = list(dict.fromkeys(n.manoeuvre for n in found.not_testable if n.manoeuvre))
-    if found.outcome == "not_testable":
+    manoeuvres = list(dict.fromkeys(n.manoeuvre for n in discovery.not_testable if n.manoeuvre))
+    if discovery.outcome == "not_testable":
         proposed = f" ({', '.join(manoeuvres)})" if manoeuvres else ""
         lines.append(f"record more driving{proposed} and add it to the runs")
-    if found.outcome == "ambiguous" and found.next_manoeuvre is not None:
+    if discovery.outcome == "ambiguous" and discovery.next_manoeuvre is not None:
         lines.append("record the next drive and add it to the runs")
-    if not all(c.is_time for c in found.unseparated_combinations):
-        prediction = "" if found.effects or found.minor or found.model is None else "predict with model.yaml; "
+    if not all(c.is_time for c in discovery.unseparated_combinations):
+        has_model = discovery.model is not None and not discovery.effects and not discovery.minor
+        prediction = "predict with model.yaml; " if has_model else ""
         lines.append(f"{prediction}weigh the car and compare its tyres with those of the vehicle file")
-    if found.minor and found.effects:
-        minor = ", ".join(name_with_alternatives(found, e) for e in found.minor)
+    if discovery.minor and discovery.effects:
+        minor = ", ".join(name_with_alternatives(discovery, e) for e in discovery.minor)
         lines.append(f"model.yaml also contains {minor}: part of the fit, but not named as properties of the car")
-    elif found.minor:
-        minor = ", ".join(to_words(e.name) for e in found.minor)
+    elif discovery.minor:
+        minor = ", ".join(to_words(e.name) for e in discovery.minor)
         lines.append(f"predict with model.yaml, which contains {minor}: part of the fit, but not named as properties "
                      "of the car")
     return lines or ["nothing"]
@@ -400,21 +401,22 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     return ", ".join(texts)
 
 
-def list_details(found: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
+def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
     """(heading, sentences) below the summary; headings without sentences are left out."""
-    reasons = {r.subject: r.text for r in found.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
-    decided = [reason.text for reason in found.reasons if reason.subject == "outcome"]
-    if found.certificate.measured:
-        decided.append(f"false alarms: an effect was named in {found.certificate.alarms} of "
-                       f"{found.certificate.simulated_drives} simulated drives without any")
-    minor = [f"{name_with_alternatives(found, e)}: {reasons[e.name]}" for e in sort_by_size(found.minor)
+    reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
+    decided = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
+    if discovery.certificate.measured:
+        decided.append(f"false alarms: an effect was named in {discovery.certificate.alarms} of "
+                       f"{discovery.certificate.simulated_drives} simulated drives without any")
+    minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
-    sections = [*((role, [text]) for role, text in describe_drives(found)), ("meaning", explain_effects(found)),
+    sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
                 ("decision rule", decided), ("not named", minor),
-                ("what to do", recommend(found, update)[1:]), ("effective corrections", describe_effective(found)),
-                ("taken from the vehicle file", list_priors(found)),
-                ("varying, not named", list(map(describe_varying, found.varying))),
-                ("these drives", [list_detectable(found)])]
+                ("what to do", recommend(discovery, update)[1:]),
+                ("effective corrections", describe_effective(discovery)),
+                ("taken from the vehicle file", list_priors(discovery)),
+                ("varying, not named", list(map(describe_varying, discovery.varying))),
+                ("these drives", [list_detectable(discovery)])]
     return [(heading, texts) for heading, section in sections if (texts := [text for text in section if text])]
 
 

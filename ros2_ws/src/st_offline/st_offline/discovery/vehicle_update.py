@@ -70,52 +70,53 @@ class VehicleUpdate:
         return not (self.error[1] > self.error[0] or self.worse)
 
 
-def update_vehicle(found: Discovery, request: Request) -> VehicleUpdate | None:
+def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """`fold_named_effects`, but with the original file if the updated one predicts worse; None without a model."""
-    update = fold_named_effects(found, request)
+    update = fold_named_effects(discovery, request)
     if update is None or not update.text or update.improves:
         return update
-    return _without_file(request.vehicle, found.model or update.model, update.not_folded, update.error, update.worse)
+    model = discovery.model or update.model
+    return _without_file(request.vehicle, model, update.not_folded, update.error, update.worse)
 
 
-def fold_named_effects(found: Discovery, request: Request) -> VehicleUpdate | None:
+def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if predictions
     would change: if the recordings contain the road-wheel angle, or if the effect does not commute with an earlier one,
     such as play in the steering. Minor and effective corrections never change the vehicle file."""
-    if found.model is None or found.named is None:
+    if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
-    expected = _final_errors(found.named, request.vehicle, drives)
+    expected = _final_errors(discovery.named, request.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
-    not_folded, named = {}, {e.name for e in found.effects}
-    for effect in (e for e in found.named.effects if e.fold and e.name in named):
+    not_folded, named = {}, {e.name for e in discovery.effects}
+    for effect in (e for e in discovery.named.effects if e.fold and e.name in named):
         candidate = (*folded, effect)
         try:
-            car = fold(request.vehicle, candidate, found.named.values)
-            errors = _final_errors(without_effects(found.named, candidate), car, drives)
+            car = fold(request.vehicle, candidate, discovery.named.values)
+            errors = _final_errors(without_effects(discovery.named, candidate), car, drives)
         except StCoreError:  # values outside the limits of a vehicle file, or failed predictions
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
                for a, b in zip(errors, expected, strict=True)):
             folded = candidate
         else:
-            alone = fold(request.vehicle, (effect,), found.named.values)
+            alone = fold(request.vehicle, (effect,), discovery.named.values)
             not_folded[effect.name] = _changed_values(request.vehicle, alone)
     if not folded:
-        return _without_file(request.vehicle, found.model, not_folded)
-    car = fold(request.vehicle, folded, found.named.values)
-    model = _remaining_model(found, car, folded, drives, request.vehicle)
+        return _without_file(request.vehicle, discovery.model, not_folded)
+    car = fold(request.vehicle, folded, discovery.named.values)
+    model = _remaining_model(discovery, car, folded, drives, request.vehicle)
     required = _required_slip_speed(car, model)
     if required > car.minimum_slip_speed:  # the written file must keep the model stable
         car = replace(car, minimum_slip_speed=required)
-        model = _remaining_model(found, car, folded, drives, request.vehicle)
-    error, worse = _held_out_error(found, request.vehicle, folded, drives)
-    changes = {key: (*change, *_confidence_interval(found, request.vehicle, folded, key))
+        model = _remaining_model(discovery, car, folded, drives, request.vehicle)
+    error, worse = _held_out_error(discovery, request.vehicle, folded, drives)
+    changes = {key: (*change, *_confidence_interval(discovery, request.vehicle, folded, key))
                for key, change in _changed_values(request.vehicle, car).items()}
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
-    runs = [run for run in found.runs if run.role == "suspect"]
+    runs = [run for run in discovery.runs if run.role == "suspect"]
     text = update_vehicle_text(request, car, changes, runs, ", ".join(e.name for e in folded))
     vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
@@ -139,18 +140,18 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 
-def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it."""
-    assert found.named is not None  # because there are named effects
+    assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
-        values = {**found.named.values, **found.leave_one_out.get(drive.name, {})}
+        values = {**discovery.named.values, **discovery.leave_one_out.get(drive.name, {})}
         try:
             car = fold(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
-        pair = np.stack([np.hypot(*_final_errors(found.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
+        pair = np.stack([np.hypot(*_final_errors(discovery.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
         before, after = pair = pair[:, np.isfinite(pair).all(axis=0)]
         errors.append(pair)
         if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANCE_LEVEL:
@@ -160,23 +161,23 @@ def _held_out_error(found: Discovery, vehicle: VehicleParameters, folded: Sequen
     return (before_mean, after_mean), tuple(worse)
 
 
-def _remaining_model(found: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
+def _remaining_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                      drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
     """Model for the updated vehicle; without effective corrections if its predictions differ from those of the complete
     model by more than MAX_POSITION_DIFFERENCE."""
-    assert found.model is not None and found.named is not None
+    assert discovery.model is not None and discovery.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:
         values[effect.name] = {}
         for p in (p for p in effect.parameters if p.fit):
-            named, complete = found.named.values[effect.name][p.name], found.model.values[effect.name][p.name]
+            named, complete = discovery.named.values[effect.name][p.name], discovery.model.values[effect.name][p.name]
             remaining = complete / named if p.null == 1.0 else complete - named + p.null
             values[effect.name][p.name] = float(np.clip(remaining, *p.bounds))
-    model = found.model.with_values(values)
+    model = discovery.model.with_values(values)
     difference = np.concatenate([a - b for a, b in zip(
-        _final_errors(model, car, drives), _final_errors(found.model, vehicle, drives), strict=True)])
+        _final_errors(model, car, drives), _final_errors(discovery.model, vehicle, drives), strict=True)])
     similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
-    return model if similar else without_effects(found.named, folded)
+    return model if similar else without_effects(discovery.named, folded)
 
 
 def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -217,15 +218,15 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
     return errors
 
 
-def _confidence_interval(found: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+def _confidence_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                          key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
-    assert found.named is not None  # because there are named effects
-    values = {name: dict(entry) for name, entry in found.named.values.items()}
+    assert discovery.named is not None  # because there are named effects
+    values = {name: dict(entry) for name, entry in discovery.named.values.items()}
     centre = value_of(fold(vehicle, folded, values), key)
     below = above = 0.0  # sums of squares
     names = {effect.name for effect in folded}
-    for effect in (e for e in found.effects if e.name in names):
+    for effect in (e for e in discovery.effects if e.name in names):
         fitted, bounds = values[effect.name], {p.name: p.bounds for p in get_effect(effect.name).parameters}
         for name, p in effect.parameters.items():
             ends = [centre]

@@ -35,30 +35,30 @@ STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify s
 RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
-def draw_offset(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the offset in each straight window with both estimates, and the residuals of the yaw rate."""
-    data = found.figure
+    data = outcome.figure
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
         position = _concatenate_times(data["run"], data["time"])
         left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
-        for estimate, colour, label in ((found.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
-                                        (found.estimates[1], FIT_COLOUR, "mean of windows")):
+        for estimate, colour, label in ((outcome.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
+                                        (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
             left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
             left.axhline(estimate.value * DEG, color=colour, label=label)
         left.set(xlabel="driving, s (straights of all runs, one after the other)", ylabel="straight-ahead reading, deg")
         left.legend(loc="best")
         right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
         right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
-        first, second = (e.value * DEG for e in found.estimates[:2])
+        first, second = (e.value * DEG for e in outcome.estimates[:2])
         return save_figure(figure, output, "steering-offset",
                            f"Steering offset {first:.2f} deg from the yaw rate, {second:.2f} deg from the mean reading",
                            "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
-def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
-    data = found.figure
+    data = outcome.figure
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         drawn = _thin_rows(len(data["curvature"]))
@@ -73,32 +73,32 @@ def draw_mounting(found: Identification, output: FigureOutput) -> PageFigure:
         right.plot(data["speed"][drawn], data["residual"][drawn] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
         right.axhline(0.0, color=TEXT, lw=0.8)
         right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
-        lever, angle = found["cg_to_ins_x"], found["ins_misalignment"]
+        lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
         title = f"INS {_format_estimate(lever)} ahead of the CG, misaligned by {_format_estimate(angle)}"
         caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
                    "curvature is the misalignment with the opposite sign.")
         return save_figure(figure, output, "ins", title, caption)
 
 
-def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
-    paper = found.figure.get("paper")
-    both = ", ".join(f"{axle} {_format_estimate(found[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+    paper = outcome.figure.get("paper")
+    both = ", ".join(f"{axle} {_format_estimate(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     with apply_style():
-        if found.experiment == "stiffness-paper":
+        if outcome.experiment == "stiffness-paper":
             figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-            _draw_force_and_slip(panels, found, (found,))
-            return save_figure(figure, output, found.experiment, f"Slopes {both}", f"Dots: {points}")
+            _draw_force_and_slip(panels, outcome, (outcome,))
+            return save_figure(figure, output, outcome.experiment, f"Slopes {both}", f"Dots: {points}")
         figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
         if paper is not None:
-            _draw_force_and_slip(panels[:2], paper, (paper, found))
+            _draw_force_and_slip(panels[:2], paper, (paper, outcome))
         else:
             for axes in panels[:2]:
                 axes.set_axis_off()
         pair = panels[2]
-        _draw_region(pair, found, found.estimates[:2])
-        for result, colour, label in ((found, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
+        _draw_region(pair, outcome, outcome.estimates[:2])
+        for result, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
             if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
                 front, rear = result.estimates[:2]
                 pair.errorbar(
@@ -112,9 +112,9 @@ def draw_stiffness(found: Identification, output: FigureOutput) -> PageFigure:
         return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
 
 
-def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
-    data, first = found.figure, found.estimates[0]
+    data, first = outcome.figure, outcome.estimates[0]
     with apply_style():
         figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
                                             width_ratios=(1.5, 1))
@@ -131,11 +131,11 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
             axes.set_ylabel(label)
         panels["rate"].tick_params(labelbottom=False)
         panels["across"].set_xlabel("driving, s (runs one after the other)")
-        second = found.estimates[1]
-        if found.correlation is not None:
-            second = found.estimates[1 + int(np.argmax(np.abs(found.correlation[0, 1:])))]
+        second = outcome.estimates[1]
+        if outcome.correlation is not None:
+            second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
         pair = panels["pair"]
-        _draw_region(pair, found, (first, second))
+        _draw_region(pair, outcome, (first, second))
         bars: dict[str, Any] = {}
         for axis, e in (("x", first), ("y", second)):
             factor, unit = _get_display_unit(e.parameter)
@@ -146,7 +146,7 @@ def draw_prediction(found: Identification, output: FigureOutput) -> PageFigure:
         title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
         caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
                    "and the one most correlated with it; the intervals include systematic uncertainty.")
-        return save_figure(figure, output, found.experiment, title, caption)
+        return save_figure(figure, output, outcome.experiment, title, caption)
 
 
 def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lines: Sequence[Identification]) -> None:
@@ -167,9 +167,9 @@ def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lin
         axes.legend(fontsize=8)
 
 
-def _draw_region(axes: plt.Axes, found: Identification, pair: Sequence[Estimate]) -> None:
+def _draw_region(axes: plt.Axes, outcome: Identification, pair: Sequence[Estimate]) -> None:
     """Draw the joint 95 % region of two estimates from the covariance of the fit."""
-    data, names = found.figure, [e.parameter for e in pair]
+    data, names = outcome.figure, [e.parameter for e in pair]
     index = [data["names"].index(name) for name in names]
     values, directions = np.linalg.eigh(data["covariance"][np.ix_(index, index)])
     size = directions * np.sqrt(chi2.ppf(0.95, 2) * np.maximum(values, 0.0))
@@ -231,23 +231,23 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
         if not logs:
             raise next(iter(failed.values()), None) or IdentificationError(
                 "no drives were given; name at least one recording")
-        found = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
+        outcome = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
         unusable = ((source, str(error)) for source, error in failed.items())
-        return (replace(found, experiment=name, rejected=(*unusable, *found.rejected),
-                        warnings=(*found.warnings, *warnings), findings=findings),)
+        return (replace(outcome, experiment=name, rejected=(*unusable, *outcome.rejected),
+                        warnings=(*outcome.warnings, *warnings), findings=findings),)
 
     return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
     """Fit the stiffnesses by prediction, and compare them with the regression of the paper on the same drives."""
-    found = fit_stiffness(logs, vehicle, base)
+    outcome = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
     except IdentificationError as error:
-        return replace(found, warnings=(*found.warnings, f"The paper's regression failed: {error}"))
+        return replace(outcome, warnings=(*outcome.warnings, f"The paper's regression failed: {error}"))
     estimates, comparisons = [], []
-    for estimate in found.estimates:
+    for estimate in outcome.estimates:
         name, other = estimate.parameter, paper[estimate.parameter]
         if other.status == "unidentifiable":
             estimates.append(estimate)
@@ -263,8 +263,8 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
             estimates.append(estimate)
         comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} +/- "
                            f"{other.standard_uncertainty:.0f} N/rad, which agrees.")
-    return replace(found, estimates=tuple(estimates), warnings=(*found.warnings, *comparisons),
-                   figure={**found.figure, "paper": paper})
+    return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),
+                   figure={**outcome.figure, "paper": paper})
 
 
 DRIVING = (

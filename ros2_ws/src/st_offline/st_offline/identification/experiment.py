@@ -50,10 +50,10 @@ class Experiment:
     drives: bool = False
 
 
-def estimate_rows(found: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
+def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
     """Table row of each estimate, with the columns of COLUMN_NAMES; "in the file" is the value of `vehicle`."""
     rows: list[Sequence[str]] = []
-    for e in found.estimates:
+    for e in outcome.estimates:
         factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
         before = "" if find_quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
         value, uncertainty, low, high = (format_rounded(x * factor, e.standard_uncertainty * factor)

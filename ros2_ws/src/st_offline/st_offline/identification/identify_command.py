@@ -54,31 +54,31 @@ def run_command(job: IdentificationJob, console: Console) -> int:
         if job.experiment.files_needed and not job.files:
             raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
         try:
-            found = job.experiment.identify(job.files, job.setup)
+            outcomes = job.experiment.identify(job.files, job.setup)
         except result.IdentificationError as error:
             raise result.IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
-        found = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
+        outcomes = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             result.compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
-                      for outcome in found)
+                      for outcome in outcomes)
     now = datetime.now(UTC)
-    car = result.apply_to_vehicle(job.setup.vehicle, found, f"{now:%Y-%m-%d}")
-    warnings = (*found[0].warnings, *find_implausible_values(car, job.setup.vehicle))
-    found = (replace(found[0], warnings=warnings), *found[1:])
-    stale = result.describe_stale_scales(job.setup.vehicle, found)
+    car = result.apply_to_vehicle(job.setup.vehicle, outcomes, f"{now:%Y-%m-%d}")
+    warnings = (*outcomes[0].warnings, *find_implausible_values(car, job.setup.vehicle))
+    outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
+    stale = result.describe_stale_scales(job.setup.vehicle, outcomes)
     with console.status("writing"):
-        files = write_results(job, found, car, make_provenance(job, now))
-    print_results(found, job.setup.vehicle, stale, console)
+        files = write_results(job, outcomes, car, make_provenance(job, now))
+    print_results(outcomes, job.setup.vehicle, stale, console)
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "vehicle file with the identified values",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
-    return 0 if any(e.status != "unidentifiable" for outcome in found for e in outcome.estimates) else 1
+    return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
-def print_results(found: Sequence[result.Identification], vehicle: VehicleParameters, stale: Sequence[str],
+def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, stale: Sequence[str],
                   console: Console) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
-    print_findings(collect_findings_by_drive(found), console)
-    for outcome in found:
+    print_findings(collect_findings_by_drive(outcomes), console)
+    for outcome in outcomes:
         console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
@@ -94,9 +94,9 @@ def print_results(found: Sequence[result.Identification], vehicle: VehicleParame
         print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
-def collect_findings_by_drive(found: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
+def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
     """Findings of the checks by drive."""
-    return {name: findings for outcome in found for name, findings in outcome.findings.items()}
+    return {name: findings for outcome in outcomes for name, findings in outcome.findings.items()}
 
 
 def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
@@ -111,27 +111,28 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     }
 
 
-def write_results(job: IdentificationJob, found: Sequence[result.Identification], car: VehicleParameters,
+def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], car: VehicleParameters,
                   facts: dict[str, Any]) -> dict[str, Path]:
     """Write all files; returns their paths by name."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
-    figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None for outcome in found]
+    figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
+               for outcome in outcomes]
     texts = {
-        "identification.json": json_text({name: entry for outcome in found
+        "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
-        "details.json": json_text({**facts, "experiments": [make_experiment_details(outcome) for outcome in found]}),
-        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, found),
-        "report.html": render_page(found, figures, job.setup.vehicle, facts),
+        "details.json": json_text({**facts, "experiments": [make_experiment_details(outcome) for outcome in outcomes]}),
+        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, outcomes),
+        "report.html": render_page(outcomes, figures, job.setup.vehicle, facts),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
     return {name: job.folder / name for name in texts}
 
 
-def update_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[result.Identification]) -> str:
+def update_vehicle_text(file: Path, car: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
     """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
     edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
-    keys = [e.parameter for outcome in found for e in outcome.estimates
+    keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
 
     def make_entry(key: str, unit: str, factor: float) -> str:
@@ -147,29 +148,29 @@ def update_vehicle_text(file: Path, car: VehicleParameters, found: Sequence[resu
     return edit_or_rewrite(text, {key: partial(make_entry, key) for key in keys}, car, 1e-12)
 
 
-def make_experiment_details(found: result.Identification) -> dict[str, Any]:
+def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
     """Entry of one experiment in details.json."""
-    matrix = found.correlation
+    matrix = outcome.correlation
     return {
-        "what": found.experiment, "used": list(found.used),
-        "rejected": [{"data": name, "why": reason} for name, reason in found.rejected],
-        "parameters": [e.parameter for e in found.estimates],
-        "status": {e.parameter: e.status for e in found.estimates},
+        "what": outcome.experiment, "used": list(outcome.used),
+        "rejected": [{"data": name, "why": reason} for name, reason in outcome.rejected],
+        "parameters": [e.parameter for e in outcome.estimates],
+        "status": {e.parameter: e.status for e in outcome.estimates},
         "correlation": None if matrix is None else [[round(float(x), 6) for x in row] for row in matrix],
-        "warnings": list(found.warnings),
-        "findings": {name: findings_as_json(findings) for name, findings in found.findings.items()},
+        "warnings": list(outcome.warnings),
+        "findings": {name: findings_as_json(findings) for name, findings in outcome.findings.items()},
         "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
                       "counts": [int(x) for x in c.counts], "needed": c.needed, "bins_needed": c.bins_needed}
-                     for c in found.coverage],
+                     for c in outcome.coverage],
     }
 
 
-def render_page(found: Sequence[result.Identification], figures: Sequence[PageFigure | None],
+def render_page(outcomes: Sequence[result.Identification], figures: Sequence[PageFigure | None],
                 vehicle: VehicleParameters, facts: dict[str, Any]) -> str:
     """Content of report.html."""
     values = [f"{name.replace('_', ' ')} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
-              for outcome in found for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
+              for outcome in outcomes for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
 
     def make_excitation_table(c: result.Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
@@ -181,8 +182,8 @@ def render_page(found: Sequence[result.Identification], figures: Sequence[PageFi
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 
     return load_template("identification/page.html.jinja").render(
-        title=f"{vehicle.name}: {', '.join(values)}", found=list(zip(found, figures, strict=True)), about=facts,
+        title=f"{vehicle.name}: {', '.join(values)}", outcomes=list(zip(outcomes, figures, strict=True)), about=facts,
         recordings={name: {"findings": findings_as_json(findings)}
-                    for name, findings in collect_findings_by_drive(found).items()},
+                    for name, findings in collect_findings_by_drive(outcomes).items()},
         heads=COLUMN_NAMES, rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table,
         correlation=make_correlation_table)

@@ -44,20 +44,20 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
     vehicle = setup.vehicle
     weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    found = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.get_uncertainty("wheelbase"))
-    swapped = mass_and_cg.describe_swapped_axles(found, vehicle.wheelbase, vehicle.cg_to_front_axle)
-    return (replace(found, warnings=(*found.warnings, *([swapped] if swapped else []))),)
+    outcome = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.get_uncertainty("wheelbase"))
+    swapped = mass_and_cg.describe_swapped_axles(outcome, vehicle.wheelbase, vehicle.cg_to_front_axle)
+    return (replace(outcome, warnings=(*outcome.warnings, *([swapped] if swapped else []))),)
 
 
-def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw all weighings, with the 95 % intervals of mass and CG position."""
-    data = found.figure
+    data = outcome.figure
     rows = np.arange(len(data["names"]))
     with apply_style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.3 * len(rows)), sharey=True)
         for axes, key, values, label in ((panels[0], "mass", data["masses"], "mass, kg"),
                                          (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
-            estimate = found[key]
+            estimate = outcome[key]
             axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
             axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
             used = data["kept"]
@@ -73,7 +73,7 @@ def draw_scales(found: Identification, output: FigureOutput) -> PageFigure:
         figure.legend(handles, labels, loc="outside lower left", ncols=4)
         caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
                    "scales.")
-        title = f"{found['mass'].verdict} {found['cg_to_front_axle'].verdict}"
+        title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
         return save_figure(figure, output, "scales", title, caption)
 
 
@@ -93,9 +93,9 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
     return (identify_steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
 
 
-def draw_ratio(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
-    data, estimate = found.figure, found.estimates[0]
+    data, estimate = outcome.figure, outcome.estimates[0]
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
@@ -167,9 +167,9 @@ def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
     return compute_pitch(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
-def draw_height(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw rear load versus pitch with the fitted curve, and the CG height computed from each row alone."""
-    data, estimate = found.figure, found.estimates[0]
+    data, estimate = outcome.figure, outcome.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
@@ -235,9 +235,9 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
     return tables
 
 
-def draw_tyre(found: Identification, output: FigureOutput) -> PageFigure:
+def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw measured and fitted lateral force, residuals, and stiffness versus load."""
-    data = found.figure
+    data = outcome.figure
     slip = np.degrees(data["slip"])
     with apply_style():
         figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
