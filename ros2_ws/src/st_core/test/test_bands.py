@@ -27,7 +27,7 @@ def true_scale(conditions):
 
 
 def draw_run(number, windows=120, spread=0.3):
-    """A run with a common error magnitude; within a window all errors have a fixed ratio to the true scale."""
+    """A run with a common error magnitude; within a window the errors of an axis have a fixed ratio to true_scale."""
     draw = np.random.default_rng([5, number])
     conditions = np.stack([draw.uniform(4, 16, windows), draw.uniform(0, 4, windows), draw.uniform(0, 1, windows),
                            draw.uniform(0.0, 0.1, windows)], axis=1)

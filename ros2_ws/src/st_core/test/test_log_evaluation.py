@@ -27,7 +27,7 @@ def remove_spans(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog
 
 
 def score_live(log: DriveLog, car, settings):
-    """Scores of the live classes, by (model, mode, start), with a prediction asked for every 100 ms."""
+    """Scores of the live classes, by (model, mode, start), with a prediction requested every 100 ms."""
     predictor, evaluator = Predictor(car, MODELS, settings), Evaluator(car, settings)
     ins = [(t, InsSample(t, *row)) for t, *row in zip(
         log.ins_time_ns.tolist(), *(getattr(log, n).tolist() for n in InsSample._fields[1:]), strict=True)]
@@ -46,13 +46,20 @@ def score_live(log: DriveLog, car, settings):
     return scores | {(s.model, s.mode, s.start_ns): s for s in evaluator.flush()}
 
 
-@pytest.mark.parametrize("gap", [{}, {"ins": (5.0, 5.3)}, {"steering": (6.0, 6.4)}], ids=["whole", "INS", "steering"])
-def test_errors_equal_the_live_classes_start_by_start(leaf, gap):
-    log = remove_spans(wavy_drive(), **gap)
+@pytest.fixture(scope="module", params=[{}, {"ins": (5.0, 5.3)}, {"steering": (6.0, 6.4)}],
+                ids=["without gaps", "INS gap", "steering gap"])
+def live_and_log(leaf, request):
+    """(scores of the live classes, evaluation of the log at the same starts)."""
+    log = remove_spans(wavy_drive(), **request.param)
     scores = score_live(log, leaf, SHORT)
     starts = np.array(sorted({start for _, _, start in scores}))
-    result = evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
-    assert result.starts_ns.tolist() == starts.tolist() and len(starts) > 80 and not result.skipped
+    return scores, evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
+
+
+def test_errors_equal_the_live_classes_start_by_start(live_and_log):
+    scores, result = live_and_log
+    starts = result.starts_ns
+    assert set(starts.tolist()) == {start for _, _, start in scores} and len(starts) > 80 and not result.skipped
     for (model, mode), errors in result.errors.items():
         live = [scores[model, mode, start] for start in starts.tolist()]
         assert errors.complete.tolist() == [score.complete for score in live]
@@ -71,11 +78,8 @@ def test_step_need_not_be_a_whole_number_of_nanoseconds(leaf):
         np.testing.assert_allclose(one.errors["linear", mode].mean, three.errors["linear", mode].mean[:1], atol=1e-9)
 
 
-def test_statistics_equal_those_of_the_live_evaluator(leaf):
-    log = wavy_drive()
-    scores = score_live(log, leaf, SHORT)
-    starts = np.array(sorted({start for _, _, start in scores}))
-    result = evaluate_log(MODELS, leaf, log, EvaluationSettings(SHORT), starts)
+def test_statistics_equal_those_of_the_live_evaluator(live_and_log):
+    scores, result = live_and_log
     for (model, mode), errors in result.errors.items():
         live, samples = ErrorStatistics(), {axis: Statistic() for axis in AXES}
         for (score_model, score_mode, _), score in scores.items():
