@@ -35,6 +35,10 @@ def start_tyre(leaf, tyre):
                                         p_ky4=2.0)
 
 
+def select_rows(table, rows):
+    return replace(table, load=table.load[rows], slip=table.slip[rows], force=table.force[rows])
+
+
 def test_weighing_intervals_contain_mass_and_cg_position(leaf):
     found = [identify_mass_and_cg(weighings(leaf, seed), leaf.wheelbase) for seed in SEEDS]
     for key in ("mass", "cg_to_front_axle"):
@@ -45,9 +49,9 @@ def test_weighing_intervals_contain_mass_and_cg_position(leaf):
 
 
 def test_common_scale_error_does_not_average_out(leaf):
-    many = identify_mass_and_cg(weighings(leaf, 0, count=40), leaf.wheelbase)
-    assert many["mass"].standard_uncertainty > 2 * 0.5  # four scales of 0.5 kg
-    assert many["mass"].standard_uncertainty < 1.1
+    repeated = identify_mass_and_cg(weighings(leaf, 0, count=40), leaf.wheelbase)
+    assert repeated["mass"].standard_uncertainty > 2 * 0.5  # four scales of 0.5 kg
+    assert repeated["mass"].standard_uncertainty < 1.1
 
 
 def test_weighings_with_another_loading_are_excluded(leaf):
@@ -129,9 +133,9 @@ def test_implausible_lifts_are_rejected(leaf, lifted, change, message):
 def test_falling_pitch_within_a_lift_is_a_warning(leaf, lifted):
     data = axle_lift(leaf, 0)
     order = [0, 1, 3, 2, 4, 5]
-    turned = replace(data, **{key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius",
+    reversed_slip = replace(data, **{key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius",
                                                                         "rear_radius")}, lifts=data.lifts[:6])
-    message = " ".join(identify_cg_height(turned, lifted).warnings)
+    message = " ".join(identify_cg_height(reversed_slip, lifted).warnings)
     assert "it falls from 9.0 to 6.0 deg at row 4" in message
     assert identify_cg_height(data, lifted).warnings == ()
 
@@ -220,32 +224,29 @@ def test_fitted_stiffness_scatters_by_its_uncertainty(leaf):
 
 def test_fewer_loads_give_fewer_parameters(leaf):
     data = flat_plank(leaf, "tyre_front", 0)
-    start = start_tyre(leaf, "tyre_front")
 
-    def of(*loads):
+    def identify(*loads):
         rows = np.isin(np.round(data.load / 950.0), [round(load / 950.0) for load in loads])
-        part = replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows])
-        return identify_magic_formula(part, start)
+        return identify_magic_formula(select_rows(data, rows), start_tyre(leaf, "tyre_front"))
 
-    result, two = of(4250.0), of(4250.0, 5200.0)
-    assert {e.parameter.partition(".")[2] for e in result.estimates} == {"p_cy1", "p_dy1", "p_ey1", "p_ky1"}
-    assert "p_ky4" not in {e.parameter.partition(".")[2] for e in two.estimates} and len(two.estimates) == 7
-    assert "only 1 load: p_dy2, p_ey2, p_ky2 and p_ky4 are taken" in result.warnings[0]
+    one_load, two_loads = identify(4250.0), identify(4250.0, 5200.0)
+    assert {e.parameter.partition(".")[2] for e in one_load.estimates} == {"p_cy1", "p_dy1", "p_ey1", "p_ky1"}
+    assert "p_ky4" not in {e.parameter.partition(".")[2] for e in two_loads.estimates} and len(two_loads.estimates) == 7
+    assert "only 1 load: p_dy2, p_ey2, p_ky2 and p_ky4 are taken" in one_load.warnings[0]
 
 
 def test_opposite_slip_angle_sign_gives_the_same_tyre(leaf):
     data, start = flat_plank(leaf, "tyre_front", 0), start_tyre(leaf, "tyre_front")
-    turned = identify_magic_formula(replace(data, slip=-data.slip), start)
+    reversed_slip = identify_magic_formula(replace(data, slip=-data.slip), start)
     found = identify_magic_formula(data, start)
-    assert [e.value for e in turned.estimates] == pytest.approx([e.value for e in found.estimates])
-    assert "has the same sign as the slip angle" in turned.warnings[0]
+    assert [e.value for e in reversed_slip.estimates] == pytest.approx([e.value for e in found.estimates])
+    assert "has the same sign as the slip angle" in reversed_slip.warnings[0]
 
 
 def test_small_slip_angles_do_not_determine_the_peak(leaf):
     data = flat_plank(leaf, "tyre_front", 0)
-    rows = np.abs(data.slip) < np.radians(3.5)
-    found = identify_magic_formula(replace(data, load=data.load[rows], slip=data.slip[rows], force=data.force[rows]),
-                                   start_tyre(leaf, "tyre_front"))
+    data = select_rows(data, np.abs(data.slip) < np.radians(3.5))
+    found = identify_magic_formula(data, start_tyre(leaf, "tyre_front"))
     doubtful = {e.parameter for e in found.estimates if e.status == "doubtful"}
     shape, curvature = (next(e for e in found.estimates if e.parameter == f"tyre_front.{name}")
                         for name in ("p_cy1", "p_ey1"))
@@ -264,8 +265,8 @@ def test_small_slip_angles_do_not_determine_the_peak(leaf):
     (lambda d: replace(d, force=0.0 * d.force), "reaches 0 times the load"),
     (lambda d: replace(d, force=np.abs(d.force)), "columns exchanged, or is a sign missing?"),
     (lambda d: replace(d, load=d.load * 2.0), "no load near nominal_load 4250 N"),
-    (lambda d: replace(d, load=d.load[:5], slip=d.slip[:5], force=d.force[:5]), "5 rows with loads"),
-    (lambda d: replace(d, load=d.load[::4], slip=np.radians(8.0) * np.sign(d.slip[::4]), force=d.force[::4]),
+    (lambda d: select_rows(d, slice(5)), "5 rows with loads"),
+    (lambda d: select_rows(replace(d, slip=np.radians(8.0) * np.sign(d.slip)), slice(None, None, 4)),
      "different slip angles at"),
 ])
 def test_implausible_tyre_tables_are_rejected(leaf, change, message):
