@@ -1,7 +1,9 @@
 """The DBC and the signal table of the Leaf, edited copies of them, and receivers."""
 
+import math
 import time
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -20,6 +22,13 @@ def dbc_file() -> Path:
 @pytest.fixture(scope="session")
 def signals_file() -> Path:
     return CONFIG / "leaf_ze0.yaml"
+
+
+@pytest.fixture
+def node_parameters(dbc_file, signals_file) -> dict[str, Any]:
+    """Parameters of the node on a loopback bus."""
+    return {"interface": "udp_multicast", "channel": "239.74.13.90", "dbc_file": dbc_file,
+            "signals_file": signals_file, "steering_ratio": 17.3, "steering_wheel_offset": math.radians(-2.7)}
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
 from canedge_bridge.decode import Decoder
 from canedge_bridge.transport import open_bus
-from node_rig import NodeRig, launch
-from ros_processes import free_domain
+from node_rig import NodeRig
 from st_msgs.msg import CanFrames, InsOnCan, Steering, WheelSpeeds
 
 pytestmark = [
@@ -57,20 +56,14 @@ class CanRig(NodeRig):
 
 
 @pytest.fixture
-def defaults(dbc_file, signals_file):
-    return {"interface": "udp_multicast", "channel": "239.74.13.90", "dbc_file": dbc_file,
-            "signals_file": signals_file, "steering_ratio": 17.3, "steering_wheel_offset": -2.7 * DEGREE}
-
-
-@pytest.fixture
-def rig(defaults, tmp_path, request):
+def rig(node_parameters, tmp_path, request):
     """rig(parameter=value, ...) -> CanRig; its exit status is checked at the end."""
     rigs = []
 
     def start(**parameters) -> CanRig:
         channel = f"239.74.13.{50 + len(rigs)}:{20000 + (os.getpid() * 7 + hash(request.node.name)) % 20000}"
-        decoder = Decoder(defaults["dbc_file"], defaults["signals_file"])
-        rigs.append(CanRig(channel, defaults | {"channel": channel} | parameters, decoder, tmp_path))
+        decoder = Decoder(node_parameters["dbc_file"], node_parameters["signals_file"])
+        rigs.append(CanRig(channel, node_parameters | {"channel": channel} | parameters, decoder, tmp_path))
         return rigs[-1]
 
     yield start
@@ -214,31 +207,3 @@ def test_absent_bus_is_reported_once_and_opening_is_retried(rig):
     status, output = run.stop()
     assert status == 0
     assert sum("no-such-can gone" in line for line in output.splitlines()) == 1
-
-
-@pytest.mark.parametrize(("parameters", "message"), [
-    ({"steering_rato": 17.3}, "unknown parameter steering_rato"),
-    ({"steering_sign": 0}, "steering_sign: 0 is not one of 1, -1"),
-    ({"steering_ratio": 0.5}, "steering_ratio: 0.5 is outside 1 to 60"),
-    ({"steering_ratio": ".nan"}, "steering_ratio: not set; set it or vehicle_file"),
-    ({"vehicle_file": "/none.yaml"}, "vehicle_file: /none.yaml: cannot be read: No such file"),
-    ({"dbc_file": "/none.dbc"}, "/none.dbc: cannot be read: No such file"),
-    ({"interface": "sockcan"}, "interface 'sockcan' is not one of"),
-    ({"channel": "can0"}, "'can0' is not an IPv4 multicast group"),
-    ({"checks": "['Leaf_Steering']"}, "checks: 'Leaf_Steering' is not MESSAGE=off|warn|drop"),
-    ({"needed_messages": "['Leaf_Brakes']"}, "needed message Leaf_Brakes is not in the table"),
-])
-def test_invalid_configuration_is_refused_in_one_line(parameters, message, defaults, tmp_path):
-    process = launch("canedge_bridge", defaults | parameters, tmp_path, free_domain())
-    out, err = process.communicate(timeout=30)
-    assert process.returncode == 2
-    assert message in err and len(err.strip().splitlines()) == 1 and out == ""
-
-
-def test_dbc_with_the_wrong_byte_order_is_refused_at_the_start(edit_dbc, defaults, tmp_path):
-    path = edit_dbc("SteeringWheelAngle : 0|16@1-", "SteeringWheelAngle : 7|16@0-")
-    process = launch("canedge_bridge", defaults | {"dbc_file": path}, tmp_path, free_domain())
-    _, err = process.communicate(timeout=30)
-    assert process.returncode == 2
-    assert "SteeringWheelAngle decodes the recorded frame 1D 00 00 07 B0" in err
-    assert len(err.strip().splitlines()) == 1

@@ -65,7 +65,7 @@ def decode_live(frames: Frames) -> dict[tuple[str, str], list[tuple[int, float, 
     return found
 
 
-@pytest.mark.parametrize("damage", [0.0, 0.02, 0.3])
+@pytest.mark.parametrize("damage", [0.02, 0.3])
 def test_signals_equal_those_of_the_live_decoder(frames: Frames, table: SignalTable, damage: float) -> None:
     """One bit is flipped in a share of the frames, and half as many frames are lost."""
     random = np.random.default_rng(5)
