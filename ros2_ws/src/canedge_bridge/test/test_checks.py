@@ -53,7 +53,7 @@ def check_counters(values, step_ns=10_000_000):
     ([15, 1], [True, False], 1),
     ([5, 4, 5], [True, False, True], 14),
 ])
-def test_counter(values, accepted, lost):
+def test_counter_detects_lost_and_repeated_frames(values, accepted, lost):
     assert check_counters(values) == (accepted, lost)
 
 

@@ -93,7 +93,7 @@ def test_frame_of_the_wrong_length_updates_nothing(data, decoder, frame):
 
 @pytest.mark.parametrize(("mode", "valid", "wrong", "last_ns"), [
     ("off", True, 0, STEP), ("warn", False, 1, STEP), ("drop", None, 1, 0)])
-def test_wrong_checksum(mode, valid, wrong, last_ns, dbc_file, signals_file):
+def test_frame_with_a_wrong_checksum_is_accepted_marked_or_dropped(mode, valid, wrong, last_ns, dbc_file, signals_file):
     decoder = Decoder(dbc_file, signals_file, checks={"Leaf_Steering.checksum": mode})
     assert decoder.decode(encode_steering(decoder, 0), 0).valid
     decoded = decoder.decode(flip_bit(encode_steering(decoder, 1)), STEP)
@@ -107,7 +107,7 @@ def test_wrong_checksum(mode, valid, wrong, last_ns, dbc_file, signals_file):
 
 @pytest.mark.parametrize(("mode", "valid", "wrong", "last_ns"), [
     ("off", True, 0, STEP), ("warn", False, 1, STEP), ("drop", None, 1, 0)])
-def test_wrong_counter(mode, valid, wrong, last_ns, dbc_file, signals_file):
+def test_frame_with_a_wrong_counter_is_accepted_marked_or_dropped(mode, valid, wrong, last_ns, dbc_file, signals_file):
     decoder = Decoder(dbc_file, signals_file, checks={"Leaf_Steering.counter": mode})
     assert decoder.decode(encode_steering(decoder, 0), 0).valid
     decoded = decoder.decode(encode_steering(decoder, 4), STEP)

@@ -160,7 +160,7 @@ def test_missing_frames_are_reported_until_they_return(rig):
 
 
 @pytest.mark.parametrize("mode", ["warn", "drop"])
-def test_wrong_checksum(mode, rig):
+def test_steering_with_a_wrong_checksum_is_published_as_invalid_or_dropped(mode, rig):
     run = rig(checks=f"['Leaf_Steering=drop', 'Leaf_Steering.checksum={mode}']")
     assert run.next_message("vehicle/steering", run.steer).valid
     wrong = run.encode_steering(0.1)

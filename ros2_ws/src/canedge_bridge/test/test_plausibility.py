@@ -20,11 +20,11 @@ def check_angles(plausibility, degrees, step=STEP):
     return [plausibility.accepts(math.radians(d), i * step) for i, d in enumerate(degrees)]
 
 
-def test_range(plausibility):
+def test_angle_outside_the_range_is_rejected(plausibility):
     assert check_angles(plausibility, [900, 901, 900]) == [True, False, True]
 
 
-def test_rate(plausibility):
+def test_angle_above_the_maximum_rate_is_rejected(plausibility):
     # 2000 deg/s is 20 deg per frame, relative to the previous frame.
     assert check_angles(plausibility, [0, 19, 39.5, 39.5, 14]) == [True, True, False, True, False]
 

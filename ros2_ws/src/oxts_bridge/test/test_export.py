@@ -25,7 +25,7 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_columns_and_units(tmp_path, packet, drive):
+def test_columns_and_units_of_the_csv(tmp_path, packet, drive):
     (tmp_path / "a.ncom").write_bytes(b"".join(drive(30)) + packet(START + 120, 3, acceleration=(math.nan, 0.0, 0.0)))
     assert write_csv(tmp_path / "a.ncom", tmp_path / "a.csv", tmp_path / "s.csv") == 31
     table = rows(tmp_path / "a.csv")

@@ -27,7 +27,7 @@ class Sink:
         self.changes = 0
         self._condition = threading.Condition()
 
-    def take(self, data, received_ns, publish):
+    def on_data(self, data, received_ns, publish):
         with self._condition:
             self.data.append(data)
             self.times.append(received_ns)
@@ -35,7 +35,7 @@ class Sink:
             self._condition.notify_all()
         return len(self.parser.feed(data))
 
-    def changed(self):
+    def on_change(self):
         with self._condition:
             self.changes += 1
             self._condition.notify_all()
@@ -63,7 +63,7 @@ def udp(sink, port):
     sources = []
 
     def start(sender_filter=""):
-        source = UdpSource("127.0.0.1", port, sender_filter, sink.take, sink.changed)
+        source = UdpSource("127.0.0.1", port, sender_filter, sink.on_data, sink.on_change)
         source.start()
         sources.append(source)
         return source
@@ -73,7 +73,7 @@ def udp(sink, port):
         source.stop()
 
 
-def sender(address="127.0.0.1"):
+def open_sender(address="127.0.0.1"):
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.bind((address, 0))
     return sock
@@ -91,15 +91,14 @@ def send_until(sock, port, data, sink, condition):
 def test_every_datagram_is_received_with_a_kernel_time(udp, sink, port, drive):
     source = udp()
     packets = drive(200)
-    with sender() as sock:
+    with open_sender() as sock:
         send_until(sock, port, b"hello", sink, lambda: sink.data)
         sink.data.clear(), sink.times.clear()
         before = time.time_ns()
         for packet in packets:
             sock.sendto(packet, ("127.0.0.1", port))
         assert sink.wait(lambda: sink.data[-1:] == packets[-1:])
-    arrived = [data for data in sink.data if data != b"hello"]
-    assert arrived == packets
+    assert [data for data in sink.data if data != b"hello"] == packets
     assert before - 1_000_000_000 < sink.times[0] <= sink.times[-1] <= time.time_ns()
     assert sink.times == sorted(sink.times)
     assert source.status.sender == "127.0.0.1"
@@ -108,7 +107,7 @@ def test_every_datagram_is_received_with_a_kernel_time(udp, sink, port, drive):
 def test_sender_filter_selects_one_sender(udp, sink, port, drive):
     source = udp("127.0.0.2")
     selected, ignored = drive(2)
-    with sender("127.0.0.2") as unit, sender("127.0.0.3") as other:
+    with open_sender("127.0.0.2") as unit, open_sender("127.0.0.3") as other:
         send_until(unit, port, selected, sink, lambda: sink.data)
         for _ in range(5):
             other.sendto(ignored, ("127.0.0.1", port))
@@ -120,8 +119,8 @@ def test_sender_filter_selects_one_sender(udp, sink, port, drive):
 def test_first_unit_is_used_without_a_filter(udp, sink, port, drive):
     source = udp()
     selected, ignored = drive(2)
-    with sender("127.0.0.2") as unit, sender("127.0.0.3") as other, sender("127.0.0.4") as junk:
-        send_until(junk, port, b"not ncom", sink, lambda: sink.data)
+    with open_sender("127.0.0.2") as unit, open_sender("127.0.0.3") as other, open_sender("127.0.0.4") as no_unit:
+        send_until(no_unit, port, b"not ncom", sink, lambda: sink.data)
         send_until(unit, port, selected, sink, lambda: source.status.sender == "127.0.0.2")
         for _ in range(5):
             other.sendto(ignored, ("127.0.0.1", port))
@@ -136,18 +135,18 @@ class TestTwoUnitsAtOneAddress:
     def source(self, sink, port):
         stream = Continuity()
 
-        def take(data, received_ns, publish):
+        def on_data(data, received_ns, publish):
             for packet in NcomParser().feed(data):
                 stream.update(packet.packet)
-            return sink.take(data, received_ns, publish)
+            return sink.on_data(data, received_ns, publish)
 
-        source = UdpSource("127.0.0.1", port, "", take, sink.changed, stream.continues)
+        source = UdpSource("127.0.0.1", port, "", on_data, sink.on_change, stream.continues)
         source.start()
         yield source
         source.stop()
 
     def test_stream_of_another_car_is_ignored_and_counted(self, source, sink, port, packet):
-        with sender() as unit, sender() as other:
+        with open_sender() as unit, open_sender() as other:
             send_until(unit, port, packet(START), sink, lambda: source.status.sender)
             for k in range(1, 21):
                 other.sendto(packet(START + 4 * k, latitude=latitude_at(6.4)), ("127.0.0.1", port))
@@ -158,11 +157,11 @@ class TestTwoUnitsAtOneAddress:
         assert {data[23:31] for data in sink.data} == {packet(START)[23:31]}
 
     def test_datagrams_of_changing_ports_are_one_stream(self, source, sink, port, packet):
-        with sender() as first:
+        with open_sender() as first:
             send_until(first, port, packet(START), sink, lambda: source.status.sender)
         sent = [packet(START + 4 * k, velocity_ned=(0.0, 0.0, 0.0)) for k in range(1, 21)]
         for data in sent:
-            with sender() as sock:
+            with open_sender() as sock:
                 sock.sendto(data, ("127.0.0.1", port))
         assert sink.wait(lambda: sink.data[-20:] == sent)
         assert source.status.ignored_ports == 0
@@ -193,7 +192,7 @@ def test_busy_port_is_reported_and_opened_when_it_is_free(udp, sink, port, drive
         assert sink.wait(lambda: source.status.problem)
         assert f"127.0.0.1 port {port}: Address already in use" in source.status.problem
     assert sink.wait(lambda: source.status.problem == "" and sink.changes == 2)
-    with sender() as sock:
+    with open_sender() as sock:
         send_until(sock, port, drive(1)[0], sink, lambda: sink.data)
 
 
@@ -211,7 +210,7 @@ def test_is_address(text, valid):
 
 
 def replay(path, sink, **options):
-    source = ReplaySource(path, sink.take, sink.changed, **options)
+    source = ReplaySource(path, sink.on_data, sink.on_change, **options)
     source.start()
     return source
 
@@ -219,15 +218,15 @@ def replay(path, sink, **options):
 def test_replay_sends_every_packet_in_order_and_not_early(tmp_path, sink, drive):
     packets = drive(60, step_ms=10)
     (tmp_path / "a.ncom").write_bytes(b"junk".join(packets))
-    arrived = []  # monotonic times [s], as in a replay
+    delivered = []  # monotonic times [s], as in a replay
 
-    def take(data, received_ns, publish):
-        arrived.append(time.monotonic())
-        if len(arrived) == 1:
+    def on_data(data, received_ns, publish):
+        delivered.append(time.monotonic())
+        if len(delivered) == 1:
             time.sleep(0.005)  # after this delay the following packets catch up, but none is early
-        return sink.take(data, received_ns, publish)
+        return sink.on_data(data, received_ns, publish)
 
-    source = ReplaySource(tmp_path / "a.ncom", take, sink.changed, speed_factor=20.0)
+    source = ReplaySource(tmp_path / "a.ncom", on_data, sink.on_change, speed_factor=20.0)
     began = time.monotonic()
     source.start()
     assert sink.wait(lambda: len(sink.data) == 60)
@@ -235,7 +234,7 @@ def test_replay_sends_every_packet_in_order_and_not_early(tmp_path, sink, drive)
     assert sink.data == packets
     assert (source.status.progress, source.status.datagrams) == (1.0, 60)
     # 10 ms between packets in the file, at 20 times the speed.
-    assert not [k for k, at in enumerate(arrived) if at < began + k * 0.010 / 20]
+    assert not [k for k, at in enumerate(delivered) if at < began + k * 0.010 / 20]
 
 
 def test_replay_from_an_offset_reads_the_status_from_the_start(tmp_path, sink, drive):
@@ -274,7 +273,7 @@ def test_replay_sends_packets_without_a_time(tmp_path, sink, drive):
 def test_replay_of_another_file_is_refused_at_once(tmp_path, sink):
     (tmp_path / "a.ncom").write_bytes(b"text " * 100)
     with pytest.raises(NcomError, match=r"a\.ncom: no NCOM packet"):
-        ReplaySource(tmp_path / "a.ncom", sink.take, sink.changed)
+        ReplaySource(tmp_path / "a.ncom", sink.on_data, sink.on_change)
 
 
 def test_statistics_give_rate_gaps_and_clock_offset(drive):

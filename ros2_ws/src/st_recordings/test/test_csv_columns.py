@@ -271,7 +271,7 @@ def test_missing_accelerations_become_nan_and_remove_no_samples(tmp_path: Path) 
 def test_channel_with_mostly_missing_values_causes_a_warning(tmp_path: Path) -> None:
     names = {**PLAIN, "steering_wheel_angle": "swa"}
     file = replace_cells(write(tmp_path / "d.csv", names),
-                  {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
+                         {(k, column): "n/a" for k in range(40) for column in (2, 7, 10)})
     drive = read_csv(file, CAR)
     warnings = "\n".join(drive.warnings)
     assert "y (column y): 40 of 60 rows (67 %) have no number, more than half; these INS samples were" in warnings
@@ -327,18 +327,15 @@ def test_times_as_text_over_midnight(tmp_path: Path, stamp: str, start: int) -> 
 
 
 def test_quaternion_and_east_north_velocities_give_yaw_and_body_velocities(tmp_path: Path) -> None:
-    plain_file = write(tmp_path / "d.csv", PLAIN)
-    expected = read_csv(plain_file).log
-    yaw, vx, vy = expected.yaw, expected.velocity_x, expected.velocity_y
-    c, s = np.cos(yaw), np.sin(yaw)
-    head, *lines = plain_file.read_text().splitlines()
-    keep = [k for k, name in enumerate(head.split(",")) if name not in (PLAIN["yaw"], PLAIN["velocity_x"],
-                                                                        PLAIN["velocity_y"])]
-    rows = np.column_stack([np.array([line.split(",") for line in lines], float)[:, keep], np.sin(yaw / 2),
-                            np.cos(yaw / 2), 0 * yaw, 0 * yaw, c * vx - s * vy, s * vx + c * vy])
-    names = [*(head.split(",")[k] for k in keep), "qz", "qw", "qx", "qy", "vel_east", "vel_north"]
-    np.savetxt(tmp_path / "q.csv", rows, "%.12f", ",", header=",".join(names), comments="")
-    assert_values(read_csv(tmp_path / "q.csv").log)
+    data = values()
+    yaw, forward, left, zero = data["yaw"], data["velocity_x"], data["velocity_y"], np.zeros(N)
+    data |= {"orientation_x": zero, "orientation_y": zero, "orientation_z": np.sin(yaw / 2),
+             "orientation_w": np.cos(yaw / 2), "velocity_east": forward * np.cos(yaw) - left * np.sin(yaw),
+             "velocity_north": forward * np.sin(yaw) + left * np.cos(yaw)}
+    names = {c: n for c, n in PLAIN.items() if c not in ("yaw", "velocity_x", "velocity_y")}
+    names |= {"orientation_z": "qz", "orientation_w": "qw", "orientation_x": "qx", "orientation_y": "qy",
+              "velocity_east": "vel_east", "velocity_north": "vel_north"}
+    assert_values(read_csv(write(tmp_path / "d.csv", names, data=data)).log)
 
 
 def test_documentation_lists_every_channel_and_unit() -> None:

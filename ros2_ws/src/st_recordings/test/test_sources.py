@@ -166,7 +166,7 @@ def test_each_excludes_drives_with_a_run_file(tmp_path: Path) -> None:
     assert {*runs} == {"a", "b.run.yaml", "c", "sub", "session"} and runs["a"].can == () and runs["b.run.yaml"].problem
 
 
-def test_single_drive_is_read_with_the_each_of_its_folder(tmp_path: Path) -> None:
+def test_single_drive_is_read_with_the_run_file_of_its_folder(tmp_path: Path) -> None:
     a, b, _ = touch(tmp_path, "a.csv", "b.csv", "c.csv", content=DRIVE)
     other, log = touch(tmp_path, "other.ncom", "other.log", content=FRAMES)
     (file,) = touch(tmp_path, "all.run.yaml", content="each: ['[ab].csv', '*.ncom']\noffset: 1.5\n")
