@@ -208,7 +208,7 @@ class Receiver:
 
 
 def _error_number(error: BaseException) -> int | None:
-    """Error number of a python-can error (`error_code`), an OSError, or the cause of either; None without one."""
+    """Error number of a python-can error (`error_code`), an OSError, or the cause of either; None if unknown."""
     for candidate in (error, error.__cause__, error.__context__):
         code = getattr(candidate, "error_code", None) or getattr(candidate, "errno", None)
         if code:

@@ -141,7 +141,7 @@ class History:
         return ghosts
 
     def find_predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """Position x, y [m] that the oldest prediction covering this instant predicted for it; None without one."""
+        """Position x, y [m] that the oldest prediction covering this instant predicted for it; None if none."""
         for path in self._paths.get(model, ()):
             if (point := path.find_position(now_ns)) is not None and path.start_ns < now_ns:
                 return point

@@ -54,8 +54,8 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
-            what = "is a file" if folder.is_file() else "is not empty"
-            raise OutputError(f"{folder} {what}: name another --output (existing files are not overwritten)")
+            problem = "is a file" if folder.is_file() else "is not empty"
+            raise OutputError(f"{folder} {problem}: name another --output (existing files are not overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
             if (free := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:

@@ -100,7 +100,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
 
 
 def _read_last_message(bag: Storage, topic: str, type_name: str) -> Any:
-    """The last message of a topic; None without one."""
+    """The last message of a topic; None if there is none."""
     last = deque(bag.messages(topic), maxlen=1)
     return load_typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
 

@@ -39,7 +39,7 @@ def demo(
     from st_live import configuration
     from st_live.suite import SuiteError
 
-    what = drive.stem if drive else Path(scenario or "S6").stem
+    title = drive.stem if drive else Path(scenario or "S6").stem
     if duration is None and drive is None:
         duration = 60.0
     options = ["--seed", str(seed), "--ncom-rate", str(ncom_rate)]
@@ -51,9 +51,9 @@ def demo(
     with shared.report_errors("demo", SuiteError):
         car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
-        about = {"what": what, "source": "recorded drive" if drive else "virtual Leaf",
+        about = {"what": title, "source": "recorded drive" if drive else "virtual Leaf",
                  "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
-        status = _run(f"demo-{what}", about, car.vehicle, car.make_bridge_parameters(), run_options, output,
+        status = _run(f"demo-{title}", about, car.vehicle, car.make_bridge_parameters(), run_options, output,
                       duration=duration, source=car.start)
     raise typer.Exit(status)
 

@@ -157,7 +157,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         band_rows=make_band_rows(pooled_bands),
         adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=make_share_rows(pooled_bands.get("shares", {})),
-        over=over, what=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
+        over=over, samples=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
         figures={good[0].name: run_figures} if run_figures else {}, in_metres=tables.format_metres, best=tables.is_best,
         values=tables.get_axis_statistics, slug=to_file_name)
     file.write_text(text, encoding="utf-8")

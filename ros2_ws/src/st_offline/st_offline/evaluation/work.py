@@ -266,7 +266,7 @@ def load_course(task: Task) -> Course | None:
 
 def _read_planned_columns(files: Mapping[str, str],
                           vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Time [ns] and inputs for `recorded_plan` from the first CSV with planned columns; None without one."""
+    """Time [ns] and inputs for `recorded_plan` from the first CSV with planned columns; None if none."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = read_header(file)
         kind = next((kind for kind in (PLANNED_INPUTS, PLANNED_PATH) if set(kind) <= set(names)), None)

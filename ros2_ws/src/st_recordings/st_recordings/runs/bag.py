@@ -323,7 +323,7 @@ def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], 
     return log, missing, [*notes, *steering_notes]
 
 
-def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, what: str,
+def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: str,
                             missing: Mapping[str, int]) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """(strictly ascending times [ns] of the usable messages, their indices, notes).
 
@@ -335,6 +335,6 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, what: st
     if (lost := len(time) - len(rows)):
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
-        notes.append(f"{format_share(lost, len(time), what)} have no {' or no '.join(reasons)}; they were left out")
-    ascending, time_notes = select_usable_rows(time[rows], what)
+        notes.append(f"{format_share(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
+    ascending, time_notes = select_usable_rows(time[rows], noun)
     return time[rows[ascending]], rows[ascending], [*notes, *time_notes]

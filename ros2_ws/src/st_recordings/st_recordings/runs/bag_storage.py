@@ -83,9 +83,9 @@ def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage
         return McapStorage(files)
     if suffixes == {".db3"}:
         return SqliteStorage(files)
-    what = "this bag has storage files of both kinds (.mcap, .db3)" if suffixes == {*EXTENSIONS} else (
+    problem = "this bag has storage files of both kinds (.mcap, .db3)" if suffixes == {*EXTENSIONS} else (
         "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)")
-    raise RunError(path, what, "give the folder that `ros2 bag record` or the recorder wrote")
+    raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
 
 def _read_listed_files(directory: Path) -> list[str]:

@@ -403,9 +403,9 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
     if 2 * lost < len(lines):
         try:
             rows = _parse_rows(complete, delimiter, width)
-            what = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
+            warning = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
                 f"{format_share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
-            warnings.append(f"{file}: {what}")
+            warnings.append(f"{file}: {warning}")
             return rows
         except ValueError as parse_error:
             error = parse_error

@@ -21,9 +21,9 @@ _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default
 class RunError(ValueError):
     """A run or one of its files cannot be used. path: the file, folder or option that the message names."""
 
-    def __init__(self, path: Path | str, what: str, advice: str = ""):
-        self.path, self.what, self.advice = path, what, advice
-        super().__init__(escape_unprintable(f"{path}: {what}" + (f"; {advice}" if advice else "")))
+    def __init__(self, path: Path | str, problem: str, advice: str = ""):
+        self.path, self.problem, self.advice = path, problem, advice
+        super().__init__(escape_unprintable(f"{path}: {problem}" + (f"; {advice}" if advice else "")))
 
 
 def escape_unprintable(text: str) -> str:
@@ -31,11 +31,11 @@ def escape_unprintable(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def format_share(count: int, total: int, what: str) -> str:
+def format_share(count: int, total: int, noun: str) -> str:
     """Formats a count and its percentage of the total, such as "98 of 249 rows (39 %)"."""
     percent = 100.0 * count / max(total, 1)
     digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if 99.0 < percent < 100.0 else f"{percent:.0f}"
-    return f"{count} of {total} {what} ({digits} %)"
+    return f"{count} of {total} {noun} ({digits} %)"
 
 
 def shorten(error: Exception) -> str:

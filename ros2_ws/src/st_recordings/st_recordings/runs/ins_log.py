@@ -100,14 +100,14 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
     return time_ns[known], values[known]
 
 
-def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list[str]]:
+def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
     Single rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, the
     clock was set back while recording, and only the longest part without a backward step is used. A first or last row
     with a stamp far from the others is left out.
 
-    time_ns: (n,) int64, in the order of the recording. what: plural noun for the rows.
+    time_ns: (n,) int64, in the order of the recording. noun: plural, of the rows.
     """
     n = len(time_ns)
     rows = np.flatnonzero(is_newer(time_ns))
@@ -123,17 +123,17 @@ def select_usable_rows(time_ns: np.ndarray, what: str) -> tuple[np.ndarray, list
         rows = longest
         times = f"{len(back)} times, first " if len(back) > 1 else ""
         notes.append(f"the clock was set back {times}by {back[0]:.3f} s: "
-                     f"{format_share(n - len(rows), n, what)} are not used; split the recording to use them")
+                     f"{format_share(n - len(rows), n, noun)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{format_share(lost, n, what)} are not later than those before them; they were left out")
+        notes.append(f"{format_share(lost, n, noun)} are not later than those before them; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, notes
     max_end_step = MAX_END_STEP * np.percentile(steps, 95)  # not the median, because rows may arrive in batches
     if steps[-1] > max_end_step:
-        notes.append(f"the last of {n} {what} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
+        notes.append(f"the last of {n} {noun} is {steps[-1] * 1e-9:.3f} s after the previous one; it was left out")
         rows = rows[:-1]
     if len(rows) > 10 and steps[0] > max_end_step:
-        notes.append(f"the first of {n} {what} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
+        notes.append(f"the first of {n} {noun} is {steps[0] * 1e-9:.3f} s before the next one; it was left out")
         rows = rows[1:]
     return rows, notes

@@ -97,9 +97,9 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
 def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
     """Raises RunError, with the notes, if fewer than two measurements remain."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
-        what = "it contains fewer than two measurements of INS or steering"
+        problem = "it contains fewer than two measurements of INS or steering"
         reasons = (note.removeprefix(f"{source.where}: ") for note in notes)
-        raise RunError(source.where, "; ".join([what, *reasons]), "remove it from the command")
+        raise RunError(source.where, "; ".join([problem, *reasons]), "remove it from the command")
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:

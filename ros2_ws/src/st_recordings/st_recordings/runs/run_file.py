@@ -85,7 +85,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads the run.yaml of a single recording (same stem, or same folder) unless it is `path`; None without one."""
+    """Reads the run.yaml of a single recording (same stem, or same folder) unless it is `path`; None if none."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _read_content(own) if own.exists() and own != path else {"each": ""}

@@ -230,8 +230,8 @@ def _read_run_file_or_problem(path: Path) -> list[RunSource]:
         return [RunSource(path.name, "", (path,), problem=error, run_file=path)]
 
 
-def _make_unusable(path: Path, what: str, advice: str) -> RunSource:
-    return RunSource(path.name, "", (path,), problem=RunError(path, what, advice))
+def _make_unusable(path: Path, problem: str, advice: str) -> RunSource:
+    return RunSource(path.name, "", (path,), problem=RunError(path, problem, advice))
 
 
 def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
