@@ -1,4 +1,4 @@
-"""Both plants of the discovery benchmark: the package's equations, the virtual car's states and readings."""
+"""Plants of the discovery benchmark against the equations of the package vehiclemodels and against the virtual car."""
 
 import math
 from dataclasses import replace
@@ -24,18 +24,18 @@ from bench.discovery.plants import vehicle_of as vehicle_of_plant
 from bench.discovery.pushes import Law
 from bench.discovery.sensing import CHANNELS, make_log, make_readings
 
-CALM = (0.0, 0.0, 0.0, 0.0)
-SPEED = 10.0
-CAMBER = 0.025  # share of the yaw rate by camber and roll, which the single track lacks
-EVERYTHING = ["gust_speed=3", "wind_speed=4", "camber_thrust=0.3", "rear_roll_steer=0.02", "steering_backlash=0.02",
-              "steering_delay=0.03", "terrain_wave=0.02", "hillside_slope=0.01", "friction_patch=0.8",
-              "ins_misalignment=0.01", "ins_lever_error=0.2", "yaw_rate_scale=1.02", "velocity_scale=0.98",
-              "lateral_acceleration_bias=0.1", "cg_shift=0.05"]
+FLAT_AND_CALM = (0.0, 0.0, 0.0, 0.0)  # bank, grade [rad], wind [m/s]
+SPEED = 10.0  # m/s
+TOLERANCE = 0.025  # share of the yaw rate from camber and roll, which the single-track model lacks
+ALL_EFFECTS = ["gust_speed=3", "wind_speed=4", "camber_thrust=0.3", "rear_roll_steer=0.02", "steering_backlash=0.02",
+               "steering_delay=0.03", "terrain_wave=0.02", "hillside_slope=0.01", "friction_patch=0.8",
+               "ins_misalignment=0.01", "ins_lever_error=0.2", "yaw_rate_scale=1.02", "velocity_scale=0.98",
+               "lateral_acceleration_bias=0.1", "cg_shift=0.05"]
 SEED = 3
 
 
 def states(p, count: int = 50) -> np.ndarray:
-    """Cars at 10 m/s in all kinds of motion."""
+    """Random states about straight driving at SPEED."""
     draw = np.random.default_rng(7)
     start = np.array(init_mb([0.0, 0.0, 0.0, SPEED, 0.3, 0.0, 0.0], p), float)
     spread = np.full(BODY_STATES, 0.03)
@@ -44,43 +44,43 @@ def states(p, count: int = 50) -> np.ndarray:
 
 
 def circle(angle: float, count: int = 800) -> Programme:
-    """Into a circle within a second; angle: of the road wheels by the nominal ratio times 15.5 [rad]."""
-    still = np.zeros(count)
-    return Programme(np.minimum(0.01 * np.arange(count), 1.0) * angle * 15.5, still, still, still + SPEED, still)
+    """A circle reached within a second. angle: of the road wheels with a steering ratio of 15.5 [rad]."""
+    zero = np.zeros(count)
+    return Programme(np.minimum(0.01 * np.arange(count), 1.0) * angle * 15.5, zero, zero, zero + SPEED, zero)
 
 
-def single_track(v: VehicleParameters, steering_angle: float) -> float:
-    """Steady yaw rate [rad/s] of the linear single track at SPEED for a steering-wheel angle [rad]."""
+def steady_yaw_rate(v: VehicleParameters, steering_angle: float) -> float:
+    """Steady yaw rate [rad/s] of the linear single-track model at SPEED for a steering wheel angle [rad]."""
     front, rear = v.cornering_stiffness_front, v.cornering_stiffness_rear
     gradient = v.mass * (v.cg_to_rear_axle * rear - v.cg_to_front_axle * front) / (v.wheelbase**2 * front * rear)
     return SPEED * v.road_wheel_angle(steering_angle) / (v.wheelbase * (1 + gradient * SPEED**2))
 
 
 @pytest.mark.parametrize("car", CARS)
-def test_the_equations_are_those_of_the_package(car):
+def test_multibody_equations_equal_those_of_vehiclemodels(car):
     p, own = setup_vehicle_parameters(CARS[car].number), parameters_of(car, {})
     for x in states(p):
-        # Within the steering rate the package allows; ours is wider.
+        # Within the limit of the steering rate in the package; here it is wider.
         for u in ((0.0, 0.0), (0.3, 2.0), (-0.2, -5.0)):
             np.testing.assert_array_equal(dynamics(x.copy(), u, own), vehicle_dynamics_mb(list(x), list(u), p))
-            np.testing.assert_array_equal(rates(x.copy(), *u, CALM, own, 0.0, True),
+            np.testing.assert_array_equal(rates(x.copy(), *u, FLAT_AND_CALM, own, 0.0, True),
                                           vehicle_dynamics_mb(list(x), list(u), p))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("car", ["escort"])
-def test_in_a_gentle_circle_the_car_turns_as_its_vehicle_file_says(car):
+def test_steady_yaw_rate_of_the_multibody_car_is_that_of_its_vehicle_file(car):
     for angle in (0.05, -0.05):
         p = circle(angle)
         healthy = drive_multibody(car, {}, p, 1).rows[-1, YAW_RATE]
-        expected = single_track(vehicle_of(car), p.steering_wheel[-1])
-        assert healthy == pytest.approx(expected, rel=CAMBER)
+        expected = steady_yaw_rate(vehicle_of(car), p.steering_wheel[-1])
+        assert healthy == pytest.approx(expected, rel=TOLERANCE)
         for hidden in ({"cg_shift": 0.2}, {"front_stiffness_factor": 0.7}, {"rear_stiffness_factor": 0.75},
                        {"steering_ratio_factor": 1.1}, {"steering_offset": 0.006}):
             change = drive_multibody(car, hidden, p, 1).rows[-1, YAW_RATE] / healthy
-            predicted = single_track(vehicle_of(car, hidden), p.steering_wheel[-1]) / expected
-            assert change == pytest.approx(predicted, abs=CAMBER), hidden
-            # The stiffness of these tyres goes with the load, so a shifted centre of gravity changes next to nothing.
+            predicted = steady_yaw_rate(vehicle_of(car, hidden), p.steering_wheel[-1]) / expected
+            assert change == pytest.approx(predicted, abs=TOLERANCE), hidden
+            # The stiffness of these tyres is proportional to the load, so a shift of the CG has almost no effect.
             assert abs(change - 1) > (0.05 if "cg_shift" not in hidden else 0.001), hidden
 
 
@@ -89,23 +89,23 @@ def programme(count: int) -> Programme:
     return Programme(1.5 * np.sin(4 * t), 0.0 * t, 0.0 * t, 10.0 - 2.0 * t, np.full(count, -2.0))
 
 
-def by_the_plant(settings, p: Programme):
-    """The same drive in Python: states, and what the sensors of st_sim read."""
+def simulate_in_python(settings, p: Programme):
+    """The same drive with the classes of st_sim: states, INS readings, steering wheel angles."""
     plant = Plant(NOMINAL, settings, SEED)
     plant.place(0.0, 0.0, 0.0, float(p.speed[0]))
     ins, steering = Ins(NOMINAL, settings, 0.01, SEED), SteeringSensor(NOMINAL, settings, SEED)
     steering_angle = pedal = 0.0
-    states, read, angles = [], [], []
+    states, readings, angles = [], [], []
     for k in range(len(p.steering_wheel)):
-        s, f, here = plant.state, plant.observe(NOMINAL.mass * pedal), plant.surroundings
+        s, f, surroundings = plant.state, plant.observe(NOMINAL.mass * pedal), plant.surroundings
         truth = Truth(0.01 * k, *s[:4], s[VX], s[VY], s[YAW_RATE], f.acceleration_x, f.acceleration_y,
                       f.yaw_acceleration, steering_angle, 0.0, velocity_z=f.velocity_z,
-                      roll=plant.body_roll + here.bank_angle, pitch=plant.body_pitch + here.grade_angle,
+                      roll=plant.body_roll + surroundings.bank_angle, pitch=plant.body_pitch + surroundings.grade_angle,
                       roll_rate=settings["roll_gradient"] * s[14])
         r = ins.read(truth)
         states.append(s)
-        read.append((r.x, r.y, r.z, r.velocity_x, r.velocity_y, r.velocity_z, r.yaw, r.roll, r.pitch, *r.rates,
-                     *r.specific_force))
+        readings.append((r.x, r.y, r.z, r.velocity_x, r.velocity_y, r.velocity_z, r.yaw, r.roll, r.pitch, *r.rates,
+                         *r.specific_force))
         bend = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * NOMINAL.cg_to_rear_axle / NOMINAL.wheelbase
         target = p.acceleration[k] + 1.2 * (p.speed[k] - s[VX]) + bend - s[VY] * s[YAW_RATE]
         target = min(max(target, -7.0), 3.5)
@@ -115,34 +115,33 @@ def by_the_plant(settings, p: Programme):
             if i == 0:
                 angles.append(steering.read(replace(truth, steering_wheel_angle=steering_angle)))
             plant.step(steering_angle, NOMINAL.mass * pedal)
-    return np.array(states), np.array(read), np.array(angles)
+    return np.array(states), np.array(readings), np.array(angles)
 
 
 @pytest.mark.slow
-def test_compiled_car_and_its_sensors_are_those_of_the_simulation():
-    settings, p = resolve_settings("realistic", EVERYTHING), programme(250)
-    states, read, angles = by_the_plant(settings, p)
+def test_compiled_car_and_sensors_equal_the_virtual_car():
+    settings, p = resolve_settings("realistic", ALL_EFFECTS), programme(250)
+    states, readings, angles = simulate_in_python(settings, p)
     recording = drive(NOMINAL, settings, p, SEED)
     np.testing.assert_allclose(recording.rows[:, :STATES], states, rtol=0, atol=1e-9)
     assert np.ptp(states[:, YAW]) > 0.1
-    mine = make_readings(recording, NOMINAL, settings, SEED)
-    np.testing.assert_allclose(np.array([mine[name] for name in CHANNELS]).T, read, rtol=0, atol=1e-9)
+    compiled = make_readings(recording, NOMINAL, settings, SEED)
+    np.testing.assert_allclose(np.array([compiled[name] for name in CHANNELS]).T, readings, rtol=0, atol=1e-9)
     log = make_log("drive", recording, NOMINAL, LEAF, settings, SEED)
     assert np.abs(log.steering_wheel_angle - angles).max() <= np.radians(0.05) + 1e-12
-    assert np.abs(log.yaw_rate - read[:, 11]).max() < 1e-5
+    assert np.abs(log.yaw_rate - readings[:, 11]).max() < 1e-5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", ["leaf", "escort"])
-def test_both_plants_drive_the_law(plant):
+def test_both_plants_respond_to_a_hidden_relation(plant):
     car = healthy_car(plant, (1, 2))
     vehicle = vehicle_of_plant(plant, car.settings)
     order = Order("run", (5, 6), car.settings)
-    plain = record_run(plant, vehicle, order)
-    same, pushed = (record_run(plant, vehicle, replace(order, law=Law(kind, 0.001)))
+    reference = record_run(plant, vehicle, order)
+    without, with_moment = (record_run(plant, vehicle, replace(order, law=Law(kind, 0.001)))
                     for kind in (pushes.NOTHING, pushes.AIR_MOMENT))
-    assert np.array_equal(plain.yaw_rate, same.yaw_rate)
-    early = slice(0, 30)
-    turned = np.gradient((pushed.yaw_rate - plain.yaw_rate)[early], 0.01)[:8].mean()
-    # The multi-body car's axles are masses of their own, dragged along by springs.
-    assert 0.4 < turned / (0.001 * float(plain.velocity_x[0]) ** 2) < 1.1
+    assert np.array_equal(reference.yaw_rate, without.yaw_rate)
+    yaw_acceleration = np.gradient((with_moment.yaw_rate - reference.yaw_rate)[:30], 0.01)[:8].mean()
+    # The axles of the multi-body car are separate masses, connected by springs.
+    assert 0.4 < yaw_acceleration / (0.001 * float(reference.velocity_x[0]) ** 2) < 1.1

@@ -1,4 +1,4 @@
-"""Cars that share no equation with the project: force of an axle at small slip, cases, files."""
+"""Cars that share no equation with the project: axle force at small slip angles, cases, files."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from bench.strangers.vehicles import CARS, GRAVITY, MULTI_BODY
 
 
 @pytest.mark.parametrize("name", [name for name, car in CARS.items() if car.description != MULTI_BODY])
-def test_small_slip_gives_the_stiffness_of_the_axle(name):
-    """F = C alpha in a steady circle at 0.4 m/s^2, elasticity removed; some curves have bent by a tenth by then."""
+def test_axle_force_at_small_slip_angle_has_the_cornering_stiffness(name):
+    """F = C alpha in a steady circle at 0.4 m/s^2 without compliance; some curves deviate by a tenth there."""
     n, description = CARS[name].numbers, CARS[name].description
     q, k, mid, wheel = np.zeros(plants.STATES), np.zeros((4, plants.STATES)), np.zeros(plants.STATES), 0.006
     q[3] = 15.0
@@ -25,19 +25,19 @@ def test_small_slip_gives_the_stiffness_of_the_axle(name):
     row[0, plants.AX:plants.TURN + 1] = k[0, 3:6]
     slip_f, force_f, slip_r, force_r = (float(value[0]) for value in plants.axle_forces(row, n))
     assert force_f > 0 and 0.2 < q[3] * q[5] < 0.7
-    elastic = n.compliance + n.column * n.trail
-    assert 0.85 < -force_f / (slip_f + elastic * force_f) / n.stiffness_front < 1.05
+    compliance = n.compliance + n.column * n.trail
+    assert 0.85 < -force_f / (slip_f + compliance * force_f) / n.stiffness_front < 1.05
     assert 0.85 < -force_r / (slip_r + n.compliance_rear * force_r) / n.stiffness_rear < 1.1
 
 
 @pytest.mark.parametrize("half", HALVES)
-def test_a_third_of_the_cases_has_nothing_wrong(half):
+def test_a_third_of_the_cases_has_no_hidden_change(half):
     drawn = list(cases(half).values())
     assert len(drawn) == 60 and sum(not case.hidden for case in drawn) == 20
     assert sum(bool(case.uncertainty) for case in drawn) == 20
 
 
-def test_the_files_are_those_of_a_user(tmp_path):
+def test_files_of_a_case_are_readable_and_its_truth_is_stated(tmp_path):
     case = cases("development")["van_offset"]
     truth = write_case(case, tmp_path, shorten=0.3)
     vehicle = read_vehicle(load_car(str(tmp_path / "car")).vehicle)
