@@ -27,8 +27,8 @@ HEALTHY = resolve_settings("realistic")
 COMPARED_DURATION, RAMP_DURATION = 20.0, 26.0  # s, from the start of a drive; the ramp reaches its limit later
 SEED = 1
 SPEED_TOLERANCE, LATERAL_TOLERANCE = 0.03, 0.15
-"""Relative tolerances of mean speed and rms lateral acceleration between the three. The virtual car has lags of tyres and
-steering, and its driver small steering motions; the driver of the benchmark overcorrects the heading in lane changes."""
+"""Relative tolerances of mean speed and rms lateral acceleration between the three. The virtual car has lags of tyres
+and steering, and its driver small steering motions; the driver of the benchmark overcorrects the heading."""
 
 
 def manoeuvre_named(name: str):

@@ -1,4 +1,4 @@
-"""The same measurements and the same configuration give the same bytes: predictions, and errors."""
+"""The same measurements and configuration give identical bytes of predictions and errors."""
 
 import os
 import subprocess
@@ -25,9 +25,9 @@ predictions, errors, count = hashlib.sha256(), hashlib.sha256(), 0
 for k, (t, x, y, yaw, vx, vy, yaw_rate, _, _, delta) in enumerate(weave(9.0).tolist()):
     time_ns = 10**18 + round(t * 1e9)
     sample = InsSample(time_ns=time_ns, x=x, y=y, yaw=yaw, velocity_x=vx, velocity_y=vy, yaw_rate=yaw_rate)
-    for side in (predictor, evaluator):
-        side.add_ins(sample)
-        side.add_steering(time_ns, delta)
+    for consumer in (predictor, evaluator):
+        consumer.add_ins(sample)
+        consumer.add_steering(time_ns, delta)
     start = predictor.find_start(time_ns) if k % 5 == 4 else None
     if isinstance(start, Start):
         for model in predictor.models:
@@ -63,21 +63,21 @@ print(content.hexdigest(), len(found.starts_ns))
 """
 
 
-def outputs(program: str) -> list[str]:
-    """Of two processes that differ in all a process may differ in: the order of sets, and the number of threads."""
-    found = []
+def run_twice(program: str) -> list[str]:
+    """Outputs of two processes with different order of sets and number of threads."""
+    outputs = []
     for seed, threads in (("1", "1"), ("2", "2")):
         environment = os.environ | {"PYTHONHASHSEED": seed, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads,
                                     "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), *sys.path])}
         run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True,
                              check=False)
         assert run.returncode == 0, run.stderr
-        found.append(run.stdout)
-    return found
+        outputs.append(run.stdout)
+    return outputs
 
 
 @pytest.mark.parametrize("program", [LIVE, BATCH], ids=["live classes", "batch over a log"])
-def test_two_processes_give_the_same_bytes(program):
-    first, second = outputs(program)
+def test_results_do_not_depend_on_hash_seed_and_threads(program):
+    first, second = run_twice(program)
     assert first == second
     assert int(first.split()[-1]) > 20
