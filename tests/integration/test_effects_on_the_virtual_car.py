@@ -1,7 +1,7 @@
-"""The effects of the models against those of the virtual car, whose equations are its own: same sign, same size.
+"""Effects of the models against those of the virtual car, which has its own equations: same sign and size.
 
-Each drive has one effect switched on in the plant or its sensors. The model without it misses; with it, at the value
-the plant has, what is left is what the healthy car leaves.
+Each drive has one effect in the plant or its sensors. With the same effect at the same value, the error of the model
+decreases to that of the healthy car.
 """
 
 from functools import cache
@@ -22,11 +22,11 @@ from support import ROOT
 LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
 CAR = read_car(LEAF_FILE)
-# What the virtual car always has and the paper's models do not.
-ALWAYS = {"steered_drive_force": {"share": 1.0}}
+# An effect that the virtual car always has and the models of the paper do not.
+BASELINE_EFFECTS = {"steered_drive_force": {"share": 1.0}}
 PERIOD_NS = 10_000_000
 
-# scenario, settings of the plant, effect, its values, largest part of the error that may be left
+# scenario, settings of the plant, effect, its values, maximum share of the error that may remain
 CASES = [
     ("sweep", {"steering_ratio_factor": 1.07}, "steering_ratio", {"factor": 1.07}, 0.1),
     ("sweep", {"steering_offset": 0.006}, "steering_offset", {"angle": 0.006}, 0.1),
@@ -53,12 +53,12 @@ CASES = [
     ("brake_in_turn", {"longitudinal_load_transfer": 2.0}, "longitudinal_load_transfer",
      {"height": CAR.cg_height}, 0.6),
 ]
-DURATION = {"sweep": 14.0, "brake_in_turn": 20.0}
+DURATION = {"sweep": 14.0, "brake_in_turn": 20.0}  # s
 
 
 @cache
 def drive(scenario: str, settings: tuple[tuple[str, float], ...]) -> DriveLog:
-    """What the sensors recorded: no noise, no rounding."""
+    """The recording of sensors without noise and rounding."""
     settings = {**IDEAL, **dict(settings)}
     car = SimulatedCar(CAR, settings, load_plan(scenario), seed=1)
     ins, steering = Ins(CAR, settings, 0.01, 1), SteeringSensor(CAR, settings, 1)
@@ -76,27 +76,27 @@ def drive(scenario: str, settings: tuple[tuple[str, float], ...]) -> DriveLog:
 
 
 def lateral_error(log: DriveLog, effects: dict) -> float:
-    """Root mean square over two seconds of horizon [m]."""
+    """RMS lateral error over a horizon of 2 s [m]."""
     starts = np.arange(1_000_000_000, int(log.ins_time_ns[-1]) - 2_100_000_000, 100_000_000)
     batch = LogBatch(log, starts, 2.0, backend="numpy")
-    errors = batch.errors(augment("nonlinear", {**ALWAYS, **effects}), LEAF)
+    errors = batch.errors(augment("nonlinear", {**BASELINE_EFFECTS, **effects}), LEAF)
     assert np.isfinite(errors).all()
     return float(np.sqrt(np.square(errors[..., 1]).mean()))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scenario", "settings", "effect", "values", "left"), CASES, ids=[c[2] for c in CASES])
-def test_effect_of_the_model_is_that_of_the_car(scenario, settings, effect, values, left):
+@pytest.mark.parametrize(("scenario", "settings", "effect", "values", "max_ratio"), CASES, ids=[c[2] for c in CASES])
+def test_effect_reduces_the_error_to_that_of_the_healthy_car(scenario, settings, effect, values, max_ratio):
     log = drive(scenario, tuple(settings.items()))
     before, after = lateral_error(log, {}), lateral_error(log, {effect: values})
-    assert after < left * before
+    assert after < max_ratio * before
     assert after < lateral_error(drive(scenario, ()), {}) + 0.003
 
 
 @pytest.mark.slow
-def test_healthy_car_brakes_in_a_turn_as_the_model_with_steered_drive_force():
+def test_steered_drive_force_reduces_the_error_of_braking_in_a_turn():
     log = drive("brake_in_turn", ())
-    plain = LogBatch(log, np.arange(1_000_000_000, 17_000_000_000, 100_000_000), 2.0, backend="numpy")
-    errors = [plain.errors(model, LEAF)[..., 1] for model in ("nonlinear", augment("nonlinear", ALWAYS))]
-    sizes = [float(np.sqrt(np.square(e).mean())) for e in errors]
-    assert sizes[1] < 0.2 * sizes[0]
+    batch = LogBatch(log, np.arange(1_000_000_000, 17_000_000_000, 100_000_000), 2.0, backend="numpy")
+    errors = [batch.errors(model, LEAF)[..., 1] for model in ("nonlinear", augment("nonlinear", BASELINE_EFFECTS))]
+    rms = [float(np.sqrt(np.square(e).mean())) for e in errors]
+    assert rms[1] < 0.2 * rms[0]

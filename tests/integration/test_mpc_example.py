@@ -1,4 +1,4 @@
-"""The NMPC example: a short drive stays on the road, both solvers agree, and the exported model passes for acados."""
+"""The NMPC example: path tracking, agreement of both solvers, safety margin by bands, model export for acados."""
 
 import json
 import sys
@@ -22,14 +22,14 @@ NAMES = ("acados_example", "closed_loop", "controlled_car", "controller", "corri
 
 @pytest.fixture(autouse=True)
 def example(monkeypatch):
-    """The example's own folder first on the path, as when it is started; gone afterwards."""
+    """Puts the folder of the example first on the path, as at its start; removes its modules afterwards."""
     monkeypatch.syspath_prepend(str(ROOT / "examples" / "mpc"))
     yield
     for name in NAMES:
         sys.modules.pop(name, None)
 
 
-def driven(model, solver, seconds=6.5, steps=10):
+def drive_lane_change(model, solver, seconds=6.5, steps=10):
     from closed_loop import drive
     from controller import Controller
 
@@ -37,23 +37,23 @@ def driven(model, solver, seconds=6.5, steps=10):
     return drive(controller, read_car(FILE), PRESETS["realistic"], load_plan("lane_change"), seconds)
 
 
-def test_a_lane_change_is_followed_and_slip_matters():
-    linear, table = driven(MODELS["linear"], "rti")
+def test_linear_model_tracks_a_lane_change_better_than_the_kinematic_one():
+    linear, table = drive_lane_change(MODELS["linear"], "rti")
     assert linear.finished and linear.unsolved == 0 and linear.solutions == 65
-    assert np.ptp(table[:, 2]) > 3.0  # it did change lane
+    assert np.ptp(table[:, 2]) > 3.0  # m, lateral displacement
     assert linear.error_max < 0.15
-    kinematic, _ = driven(MODELS["kinematic"], "rti")
+    kinematic, _ = drive_lane_change(MODELS["kinematic"], "rti")
     assert kinematic.error_rms > 3.0 * linear.error_rms
 
 
-def test_one_iteration_does_what_the_whole_solution_does():
+def test_real_time_iteration_follows_the_path_of_the_converged_solution():
     model = augment("nonlinear", {"tyre_relaxation": {"length": 0.4}})
-    (fast, quick), (whole, full) = (driven(model, solver, 5.0) for solver in ("rti", "ipopt"))
-    assert whole.unsolved == 0 and fast.finished
-    np.testing.assert_allclose(quick[:, 1:3], full[:, 1:3], atol=0.03)
+    (rti, rti_path), (ipopt, ipopt_path) = (drive_lane_change(model, solver, 5.0) for solver in ("rti", "ipopt"))
+    assert ipopt.unsolved == 0 and rti.finished
+    np.testing.assert_allclose(rti_path[:, 1:3], ipopt_path[:, 1:3], atol=0.03)
 
 
-def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatch):
+def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
     import corridor
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
@@ -61,24 +61,24 @@ def test_a_gate_is_passed_along_its_post_and_a_band_keeps_the_car_off(monkeypatc
     from st_offline.model_export import make_half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
-    there, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
-    low, high = corridor.limits(there, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
+    gates, time = [corridor.Gate(30.0, 36.0, -1, 1.0)], 0.05 * np.arange(1, 51)
+    low, high = corridor.limits(gates, np.array([29.0, 33.0]), np.array([0.2, 0.2]))
     assert high == pytest.approx([4.0, -1.2]) and low == pytest.approx([-4.0, -4.0])
-    # 0.3 m at every point, whatever the conditions.
-    nothing = np.full((3, 6, compute_features(np.zeros((1, 4))).shape[1]), 0.0)
-    nothing[:, :, 0] = -30.0
-    band = Band(Scale(nothing, np.stack([np.full(3, 0.3), np.zeros(3)]), time, make_knots(2.5)), {0.9: 1.0},
+    # Half-width 0.3 m at every point under all conditions.
+    coefficients = np.full((3, 6, compute_features(np.zeros((1, 4))).shape[1]), 0.0)
+    coefficients[:, :, 0] = -30.0
+    band = Band(Scale(coefficients, np.stack([np.full(3, 0.3), np.zeros(3)]), time, make_knots(2.5)), {0.9: 1.0},
                 np.zeros((3, 19)))
-    seen = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
+    domain = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
-    plain, kept_off = (corridor.drive(controller, read_car(FILE), LEAF, there, 1, one)
-                       for one in (None, corridor.Margin(make_half_width_function(band, 0.9, LEAF), seen, 0.5)))
+    plain, with_margin = (corridor.drive(controller, read_car(FILE), LEAF, gates, 1, margin)
+                          for margin in (None, corridor.Margin(make_half_width_function(band, 0.9, LEAF), domain, 0.5)))
     assert -0.2 < plain.depth < 0.3
-    assert kept_off.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and kept_off.error > plain.error
+    assert with_margin.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and with_margin.error > plain.error
     assert len(plain.log.x) == 300
 
 
-def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):
+def test_command_writes_results_and_figures_and_does_not_overwrite_them(tmp_path, monkeypatch, capsys):
     import nmpc
 
     monkeypatch.setitem(nmpc.ROADS, "lane_change", (lambda: load_plan("lane_change"), 4.0, "short"))
@@ -94,7 +94,7 @@ def test_command_writes_figures_and_numbers(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("free", [[], ["road_bank.angle"]])
-def test_exported_model_is_what_acados_would_take(tmp_path, free):
+def test_exported_model_loads_in_the_acados_example_with_bounds_and_free_parameters(tmp_path, free):
     import acados_example
 
     model = augment("nonlinear", {"tyre_relaxation": {"length": 0.4}, "road_bank": {"angle": 0.05}})
@@ -107,7 +107,7 @@ def test_exported_model_is_what_acados_would_take(tmp_path, free):
     assert imported.input_bounds[1][0] == pytest.approx(0.61)
 
 
-def test_acados_integrates_the_same(tmp_path):
+def test_acados_integrator_agrees_with_the_exported_step(tmp_path):
     pytest.importorskip("acados_template", reason="acados is not installed")
     import acados_example
 
