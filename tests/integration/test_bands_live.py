@@ -1,7 +1,6 @@
 """Bands in st demo and st replay over DDS: bands of the predictions, coverage by the evaluator, warnings."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from drives import write_drive
 from st_core.bands import Bands, activity_instants, conditions_at
 from st_core.log_evaluation import EvaluationSettings
 from st_core.vehicle import VehicleParameters
+from st_process import run_st
 from st_recordings.runs.bag import read_bag
 from support import ROOT
 from winding_road import Truth, winding_road
@@ -27,13 +27,6 @@ LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 MODELS = ("kinematic", "linear", "nonlinear")
 WARN = 1
 MAX_NOT_COMPARED = 20  # predictions per model: the recorder may receive the inputs 2 s later than the predictor
-
-
-def st(*arguments: object, status: tuple[int, ...] = (0,)) -> str:
-    done = subprocess.run([str(ROOT / "st"), *map(str, arguments)], check=False, capture_output=True, text=True,
-                          cwd=ROOT, timeout=240)
-    assert done.returncode in status, done.stdout + done.stderr
-    return done.stdout + done.stderr
 
 
 def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
@@ -53,9 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("bands")
     for seed in range(10):
         road(base / "calibration" / f"road_{seed}.csv", 40.0, seed)
-    st("calibrate", base / "calibration", "--vehicle", LEAF, "--output", base / "bands.yaml")
+    run_st("calibrate", base / "calibration", "--vehicle", LEAF, "--output", base / "bands.yaml")
     for name, seconds, offset in (("same", 20.0, 0.0), ("offset", 50.0, 0.5)):
-        st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
+        run_st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
            "--no-adaptive", "--output", base / name)
     return base
 
@@ -96,7 +89,7 @@ def compare_with_library(run: Path, file: Path) -> int:
 def test_bands_of_predictions_equal_the_library_live_and_in_a_replay(folder: Path) -> None:
     file = folder / "bands.yaml"
     assert compare_with_library(folder / "same", file) > 4 * 3 * 100
-    st("replay", folder / "same" / "bag", "--fast", "--bands", file, "--output", folder / "replay")
+    run_st("replay", folder / "same" / "bag", "--fast", "--bands", file, "--output", folder / "replay")
     assert compare_with_library(folder / "replay", file) > 4 * 3 * 100
     played, recorded = (read_bag(folder / run / "bag").log for run in ("same", "replay"))
     for name in ("ins_time_ns", "steering_time_ns"):  # all samples: the player waits for its subscribers
@@ -133,5 +126,5 @@ def test_bands_of_another_car_are_refused_in_one_line_before_a_node_starts(folde
     other.write_text(LEAF.read_text().replace("mass: {value: 1", "mass: {value: 2", 1))
     for arguments, reason in ((("--vehicle", other), "the bands are for"), ((), "unknown key")):
         file = LEAF if not arguments else folder / "bands.yaml"
-        text = st("demo", *arguments, "--bands", file, "--output", tmp_path / "run", status=(2,)).strip()
+        text = run_st("demo", *arguments, "--bands", file, "--output", tmp_path / "run", status=2).strip()
         assert reason in text and len(text.splitlines()) == 1, text

@@ -1,4 +1,4 @@
-"""Predictions with the inputs of a course and of a plan in one demo: published, scored, recorded, replayed, verified.
+"""Predictions with the inputs of a course and of a plan in one demo: publication, scores, replay and verification.
 
 The course is built from a recording of an earlier drive of the virtual Leaf; the plan is that of the MPC example.
 """
@@ -18,19 +18,13 @@ pytest.importorskip("casadi", reason="casadi is not installed")
 
 from bags import health, nanoseconds, read_messages
 from raw_drives import write_drives
+from st_process import run_st
 from support import ROOT
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600),
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
-
-
-def run_st(*arguments: object, status: int = 0, **environment: str) -> str:
-    process = subprocess.run([str(ROOT / "st"), *map(str, arguments)], check=False, capture_output=True, text=True,
-                             cwd=ROOT, timeout=240, env={**os.environ, **environment})
-    assert process.returncode == status, process.stdout + process.stderr
-    return process.stdout + process.stderr
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +38,7 @@ def course_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def folder(course_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A live run with both, and its replay."""
+    """A live run with course and plan, and its replay."""
     base = tmp_path_factory.mktemp("planned_inputs")
     domain = {"ROS_DOMAIN_ID": str(10 + os.getpid() % 80)}
     planner = subprocess.Popen([str(ROOT / "st"), "shell", "--", "python", "examples/mpc/plan_node.py"], cwd=ROOT,
@@ -61,7 +55,7 @@ def folder(course_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def position_errors(messages: dict[str, list], modes: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Position errors of the linear model at the end of the horizon [m] by mode, of the starts that all modes have."""
+    """Position errors of the linear model at the end of the horizon [m] by mode, for starts that all modes have."""
     errors = {mode: {nanoseconds(e.header.stamp): np.hypot(e.longitudinal[-1], e.lateral[-1])
                      for e in messages["/evaluator/errors"] if (e.model, e.mode, e.complete) == ("linear", mode, True)}
               for mode in modes}
@@ -70,7 +64,7 @@ def position_errors(messages: dict[str, list], modes: tuple[str, ...]) -> dict[s
 
 
 @pytest.mark.parametrize("run", ["live", "replayed"])
-def test_course_is_published_scored_and_better_than_held_inputs(folder: Path, run: str) -> None:
+def test_course_inputs_reduce_the_position_error_of_constant_inputs(folder: Path, run: str) -> None:
     messages = read_messages(folder / run / "bag")
     published = messages["/predictor/linear/course"]
     starts = {nanoseconds(m.header.stamp) for m in messages["/predictor/linear/prediction"]}
@@ -84,7 +78,7 @@ def test_course_is_published_scored_and_better_than_held_inputs(folder: Path, ru
 
 
 @pytest.mark.parametrize("run", ["live", "replayed"])
-def test_plan_is_published_scored_and_better_than_held_inputs(folder: Path, run: str) -> None:
+def test_planned_inputs_reduce_the_position_error_of_constant_inputs(folder: Path, run: str) -> None:
     messages = read_messages(folder / run / "bag")
     assert len(messages["/plan/inputs"]) > 100, (folder / "planner.txt").read_text()
     published = messages["/predictor/linear/plan"]

@@ -1,4 +1,4 @@
-"""The examples of docs/manual/python.md run, one after another, as a reader would paste them."""
+"""The examples of docs/manual/python.md run in sequence in one namespace."""
 
 import re
 

@@ -1,6 +1,7 @@
-"""st discover on files as a user has them: real drives as they are and edited, and drives of the base model itself.
+"""st discover on CSV files: real drives, unchanged and edited, and drives of the base model.
 
-What is known here is the edit: a value must move by just that, and a fault that begins in the middle is no constant.
+The known quantity is the edit: a parameter must change by its size, and a fault that starts in the middle of the runs
+must not be identified as constant.
 """
 
 import csv
@@ -26,12 +27,12 @@ pytestmark = pytest.mark.slow
 GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 RUNS = ("cpg_lap_medium", "cpg_lap_slow", "cpg_low_speed_a", "rfs_turn_a")
 SETTINGS = DiscoverySettings(where=False, windows=160)
-SCALED, OFFSET = 0.9, 0.02  # of the steering; rad at the road wheels
+SCALE, OFFSET = 0.9, 0.02  # of the steering [1]; of the road wheel angle [rad]
 Row = dict[str, str]
 
 
-def written(folder: Path, edit: Callable[[Row, float], None]) -> list[Path]:
-    """The drives with each row edited. edit(row, share of the run that has passed)."""
+def write_edited(folder: Path, edit: Callable[[Row, float], None]) -> list[Path]:
+    """Writes the drives with each row edited in place. edit(row, elapsed share of the run)."""
     files = []
     for name in RUNS:
         with shared(f"data/hyundai_genesis_oxts/{name}.csv").open(newline="") as lines:
@@ -46,8 +47,8 @@ def written(folder: Path, edit: Callable[[Row, float], None]) -> list[Path]:
     return files
 
 
-def discovered(files: list[Path]) -> dict[str, Any]:
-    """The content of discovery.json, with fewer predictions than the command makes."""
+def discover_in_files(files: list[Path]) -> dict[str, Any]:
+    """The content of discovery.json, from fewer predictions than the command uses."""
     car = VehicleParameters.from_yaml(GENESIS.read_text(), str(GENESIS))
     drives = read_drives(find_runs(files), car, ReadSettings(), 1, lambda: None)
     assert not [d.problem for d in drives if d.problem]
@@ -55,52 +56,47 @@ def discovered(files: list[Path]) -> dict[str, Any]:
                     sensor_estimates=sensor_estimates(drives)).document()
 
 
-def stated(content: dict[str, Any], effect: str, parameter: str) -> dict[str, Any]:
+def parameters_of(content: dict[str, Any], effect: str) -> dict[str, dict[str, Any]]:
     (found,) = [e for e in content["effects"] if e["name"] == effect]
-    return found["parameters"][parameter]
+    return found["parameters"]
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return discovered(written(tmp_path_factory.mktemp("plain"), lambda row, share: None))
+def unedited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return discover_in_files(write_edited(tmp_path_factory.mktemp("unedited"), lambda row, share: None))
 
 
-def test_steering_that_was_scaled_moves_the_ratio_by_just_that(plain, tmp_path):
-    def scaled(row: Row, share: float) -> None:
-        row["delta"] = str(SCALED * float(row["delta"]))
+def test_scaled_steering_changes_only_the_steering_ratio(unedited, tmp_path):
+    def scale(row: Row, share: float) -> None:
+        row["delta"] = str(SCALE * float(row["delta"]))
 
-    content = discovered(written(tmp_path, scaled))
-    before, after = (stated(c, "steering_ratio", "factor") for c in (plain, content))
+    content = discover_in_files(write_edited(tmp_path, scale))
+    before, after = (parameters_of(c, "steering_ratio")["factor"] for c in (unedited, content))
     low, high = after["interval"]
-    assert low <= SCALED * before["value"] <= high < before["value"]
+    assert low <= SCALE * before["value"] <= high < before["value"]
     for effect in ("heading_misalignment", "lateral_acceleration_bias"):
-        for parameter in plain_parameters(plain, effect):
-            a, b = (stated(c, effect, parameter) for c in (plain, content))
-            assert a["interval"][0] <= b["value"] <= a["interval"][1]
+        for name, expected in parameters_of(unedited, effect).items():
+            low, high = expected["interval"]
+            assert low <= parameters_of(content, effect)[name]["value"] <= high
 
 
-def plain_parameters(content: dict[str, Any], effect: str) -> list[str]:
-    (found,) = [e for e in content["effects"] if e["name"] == effect]
-    return list(found["parameters"])
-
-
-def test_offset_that_begins_in_the_middle_is_told_and_not_named(plain, tmp_path):
-    def begun(row: Row, share: float) -> None:
+def test_offset_that_starts_in_the_middle_of_runs_is_reported_as_varying(tmp_path):
+    def add_offset(row: Row, share: float) -> None:
         row["delta"] = str(float(row["delta"]) + OFFSET * (share > 0.5))
 
-    content = discovered(written(tmp_path, begun))
+    content = discover_in_files(write_edited(tmp_path, add_offset))
     assert "steering_offset" not in {e["name"] for e in content["effects"]}
     (varying,) = [b for b in content["varying"] if b["resembles"] == "steering_offset"]
     shares = {value["where"]: value["ratio"] for value in varying["values"]}
-    # Four runs are divided into halves: the offset is in the second ones.
+    # The four runs are divided into halves; the offset is in the second ones.
     halves = [[shares.get(f"{run}, part {k}") for k in (1, 2)] for run in RUNS]
     both = [pair for pair in halves if None not in pair]
     assert len(both) >= 2 and all(second > first + 0.5 for first, second in both), shares
 
 
-def test_base_model_itself_lacks_nothing(tmp_path):
+def test_no_effect_is_found_in_drives_of_the_base_model(tmp_path):
     car = VehicleParameters.from_yaml(LEAF.read_text())
-    files = [as_csv(log, tmp_path / f"{log.name.replace(' ', '_')}.csv") for log in recorded(car, {}, 3)]
+    files = [write_csv(log, tmp_path / f"{log.name.replace(' ', '_')}.csv") for log in recorded(car, {}, 3)]
     out = tmp_path / "out"
     words = ["discover", *files, "--vehicle", LEAF, "--output", out, "--no-report", "--fresh"]
     result = CliRunner().invoke(app, [str(w) for w in words], env={"COLUMNS": "200"})
@@ -110,7 +106,7 @@ def test_base_model_itself_lacks_nothing(tmp_path):
     assert not (out / "model.yaml").exists() and not (out / "vehicle.yaml").exists()
 
 
-def as_csv(log: DriveLog, file: Path) -> Path:
+def write_csv(log: DriveLog, file: Path) -> Path:
     columns = {"t": (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9, "x": log.x, "y": log.y, "yaw": log.yaw,
                "vx": log.velocity_x, "vy": log.velocity_y, "yaw_rate": log.yaw_rate, "ay": log.acceleration_y,
                "delta": log.road_wheel_angle}

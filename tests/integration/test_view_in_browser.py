@@ -26,17 +26,17 @@ pytestmark = [
     pytest.mark.skipif(program() is None, reason="no Chromium: apt install chromium"),
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
-DRIVING = 200  # s; the test ends it before
+DURATION = 200  # s; the test ends the drive earlier
 SIZES = [(390, 844), (1024, 768), (1400, 900)]
-WATCH = 8.0  # s
+MEASURING_TIME = 8.0  # s, per size
 AGES = "window.ages = []; setInterval(() => window.ages.push(picture.age()), 100); 0"
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen, str]]:
-    """(process, address of the page) of circles to the left."""
+    """(process, address of the page) of a demo of left circles."""
     folder = tmp_path_factory.mktemp("page")
-    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", str(DRIVING), "--output",
+    command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", str(DURATION), "--output",
                str(folder / "run")]
     log = folder / "demo.log"
     with log.open("wb") as stream:
@@ -53,24 +53,24 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.
         process.wait(90)
 
 
-async def until(browser: Browser, condition: str) -> None:
+async def wait_until(browser: Browser, condition: str) -> None:
     end = time.monotonic() + 60
     while not await browser.evaluate(condition):
         assert time.monotonic() < end, f"{condition}: {browser.console[-3:]}"
         await asyncio.sleep(0.2)
 
 
-async def watch(demo: subprocess.Popen, url: str, folder: Path) -> tuple[dict, Browser]:
-    """Frames, ages and pictures at each size, and the age after the page has ended."""
+async def measure(demo: subprocess.Popen, url: str, folder: Path) -> tuple[dict, Browser]:
+    """Frame rate, overflow and screenshot at each size, ages of the data, and the state after the server has ended."""
     found: dict = {}
     async with Browser(folder) as browser:
         await browser.open(url)
-        await until(browser, "typeof picture !== 'undefined' && Number.isFinite(picture.age())")
+        await wait_until(browser, "typeof picture !== 'undefined' && Number.isFinite(picture.age())")
         await browser.evaluate(AGES)
         for size in SIZES:
             await browser.emulate(*size, dark=size[0] == 1024)
             before, begin = await browser.evaluate("picture.drawn"), time.monotonic()
-            await asyncio.sleep(WATCH)
+            await asyncio.sleep(MEASURING_TIME)
             after, seconds = await browser.evaluate("picture.drawn"), time.monotonic() - begin
             await browser.picture(folder / f"page_{size[0]}.png")
             overflow = await browser.evaluate("document.documentElement.scrollWidth - innerWidth")
@@ -86,19 +86,19 @@ async def watch(demo: subprocess.Popen, url: str, folder: Path) -> tuple[dict, B
         return found, browser
 
 
-def test_the_page_shows_the_path_at_10_hz_at_every_size(demo, tmp_path: Path) -> None:
-    found, browser = asyncio.run(watch(*demo, tmp_path))
+def test_page_shows_current_predictions_at_every_size_and_an_error_after_the_end(demo, tmp_path: Path) -> None:
+    found, browser = asyncio.run(measure(*demo, tmp_path))
     for width, _ in SIZES:
         rate, overflow = found[width]
         assert rate > 7.0 and overflow <= 0, (width, found[width])
     assert np.median(found["ages"]) < 0.5
-    # The age goes on where the suite has ended.
+    # The age increases after the end of the server.
     assert found["age_after_end"] > 2.5 and found["light"].lower() == "error"
     for word in ("RTK integer", "km/h", "left", "nonlinear"):
         assert word in found["text"]
     assert {u.split("/")[2] for u in browser.requested if u.startswith("http")} == {demo[1].split("/")[2]}
     for width, height in (SIZES[0], SIZES[2]):
-        # The swath of a left circle lies to the left of the car.
+        # On a left circle the swath is to the left of the car.
         picture = np.asarray(Image.open(tmp_path / f"page_{width}.png").convert("RGB"), float)
         road = picture[: height if width > 800 else height // 2, : width - 440 if width > 800 else width]
         background = np.array([251.0, 251.0, 249.0])

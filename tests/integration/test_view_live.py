@@ -32,26 +32,26 @@ VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
 RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0
 
 
-def below(process: subprocess.Popen, word: str) -> list[psutil.Process]:
-    """Processes that this one started, whose command line holds a word."""
+def descendants(process: subprocess.Popen, word: str) -> list[psutil.Process]:
+    """Descendants of a process with `word` in their command line."""
     children = psutil.Process(process.pid).children(recursive=True)
     return [p for p in children if any(word in part for part in p.cmdline())]
 
 
-def listening(process: psutil.Process) -> set[str]:
+def listen_addresses(process: psutil.Process) -> set[str]:
     return {c.laddr.ip for c in process.net_connections(kind="inet") if c.status == psutil.CONN_LISTEN}
 
 
-def test_passenger_page_that_hangs_and_then_is_killed_disturbs_no_prediction(tmp_path: Path) -> None:
+def test_hung_and_killed_passenger_page_does_not_reduce_the_prediction_rate(tmp_path: Path) -> None:
     run = tmp_path / "run"
     command = [str(ROOT / "st"), "demo", "--view", "--scenario", "S2", "--duration", "15", "--output", str(run)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             start_new_session=True)
     try:
         wait_for((run / "truth").exists, 90, "data flow")
-        (page,) = below(demo, "st_live.nodes.passenger")
+        (page,) = descendants(demo, "st_live.nodes.passenger")
         (port,) = (c.laddr.port for c in page.net_connections() if c.status == psutil.CONN_LISTEN)
-        assert listening(page) == {"127.0.0.1"}
+        assert listen_addresses(page) == {"127.0.0.1"}
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/frames", timeout=30) as stream:
             assert stream.readline().startswith(b"data: ")
             time.sleep(3.0)
@@ -71,19 +71,19 @@ def test_passenger_page_that_hangs_and_then_is_killed_disturbs_no_prediction(tmp
     issued = np.array([nanoseconds(m.issued_at) for m in read_messages(run / "bag")["/predictor/linear/prediction"]])
     parts = np.split(issued, np.searchsorted(issued, [stopped_ns, killed_ns]))
     rates = [(len(part) - 1) / ((part[-1] - part[0]) * 1e-9) for part in parts]
-    # As many predictions as before, to the end of the drive.
+    # The rate is unchanged to the end of the drive.
     assert min(rates[1:]) > 0.9 * rates[0] and len(parts[2]) > 25, rates
     scored = json.loads((run / "summary.json").read_text())["models"]["linear"]["hindsight"]["n_starts"]
     assert scored > 0.3 * len(issued)
     assert not [p for p in processes if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
 
 
-def test_view_of_a_recording_idles_and_cleans_up_after_a_signal(circle, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="not beside a sourced ROS")
+def test_view_of_a_recording_uses_no_processor_time_and_cleans_up_after_a_signal(circle, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="not available with a sourced ROS")
     command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE)]
     view = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             env=os.environ | {"TMPDIR": str(tmp_path)}, start_new_session=True)
-    wait_for(lambda: below(view, "--serve-web") and list(tmp_path.glob("st-view-*")), 90, "the server")
+    wait_for(lambda: descendants(view, "--serve-web") and list(tmp_path.glob("st-view-*")), 90, "the server")
     time.sleep(5.0)
     family = [psutil.Process(view.pid), *psutil.Process(view.pid).children(recursive=True)]
     before = sum(sum(p.cpu_times()[:2]) for p in family)
@@ -106,12 +106,12 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
         nodes = [processes.node("st_predictor", name, vehicle) for name in ("predictor", "evaluator", "markers")]
         nodes.append(processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}",
                                     "topics:=[ins/*, vehicle/*, predictor/*, evaluator/*, view/*]"))
-        heard = {f"predictor/{m}/prediction": 3 for m in MODELS} | {
+        subscriptions = {f"predictor/{m}/prediction": 3 for m in MODELS} | {
             "evaluator/errors": 2, "view/markers": 1, "ins/odometry": 4}
         feeder = processes.start([
             sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--subscribers", "3", "--duration", str(DURATION),
             "--radius", str(RADIUS), "--speed", str(SPEED), "--angle", str(ANGLE),
-            *(f"--wait-for={topic}:{count}" for topic, count in heard.items())], "feeder")
+            *(f"--wait-for={topic}:{count}" for topic, count in subscriptions.items())], "feeder")
         assert feeder.wait(90) == 0, processes.log("feeder")
         assert [processes.stop(node) for node in nodes] == [0] * len(nodes)
     finally:
@@ -120,48 +120,49 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
 
 
 @pytest.fixture(scope="module")
-def drawn(circle) -> tuple[int, dict]:
+def recorded(circle) -> tuple[int, dict]:
     return circle[0], read_messages(circle[1])
 
 
-def test_a_recording_is_drawn_as_it_was_seen_live(circle, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="not beside a sourced ROS")
+def test_saved_view_of_a_recording_has_all_entities(circle, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="not available with a sourced ROS")
     file = tmp_path / "view.rrd"
     command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE), "--save", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert int(re.search(r"(\d+) frames", done.stdout).group(1)) > 5 * DURATION
-    shown = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
-    wanted = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "errors")}
-    wanted |= {f"/{what}/{m}" for m in MODELS for what in ("map/paths", "ahead/paths", "ahead/names", "plots/lateral")}
-    wanted |= {"/text", "/plots/steering/measured", "/plots/speed/measured", "/plots/lateral_acceleration/measured"}
-    assert not {entity for entity in wanted if entity not in shown}
+    entities = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
+    expected = {f"/{root}/{what}" for root in ("map", "ahead") for what in ("car", "track", "ghosts", "errors")}
+    expected |= {f"/{what}/{model}" for model in MODELS
+                 for what in ("map/paths", "ahead/paths", "ahead/names", "plots/lateral")}
+    expected |= {"/text", "/plots/steering/measured", "/plots/speed/measured", "/plots/lateral_acceleration/measured"}
+    assert not {entity for entity in expected if entity not in entities}
     again = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert again.returncode == 2 and "exists already" in again.stderr
 
 
-def test_markers_show_the_car_where_it_is_and_each_model_s_name(drawn) -> None:
-    zero_ns, messages = drawn
+def test_markers_have_the_pose_of_the_car_and_the_names_of_the_models(recorded) -> None:
+    zero_ns, messages = recorded
     arrays = messages["/view/markers"]
     assert len(arrays) > 3 * DURATION
-    # From where each model has predicted.
+    # From the first prediction of every model on.
     first = next(k for k, array in enumerate(arrays) if {m.text for m in array.markers if m.ns == "names"} == {*MODELS})
     assert len(arrays) - first > 2 * DURATION
     for array in arrays[first:]:
-        by_space = {}
+        by_namespace = {}
         for marker in array.markers:
             assert marker.header.frame_id == "map"
-            by_space.setdefault(marker.ns, []).append(marker)
-        assert {m.text for m in by_space["names"]} == set(MODELS)
-        (car,) = by_space["car"]
+            by_namespace.setdefault(marker.ns, []).append(marker)
+        assert {m.text for m in by_namespace["names"]} == set(MODELS)
+        (car,) = by_namespace["car"]
         x, y, yaw = pose_at((nanoseconds(car.header.stamp) - zero_ns) * 1e-9, RADIUS, SPEED)
-        nose = car.points[2]
-        # The Leaf's nose: half its length ahead of the wheelbase's middle, which is ahead of the INS.
+        front_end = car.points[2]
+        # The front end of the Leaf: half its length ahead of the centre of the wheelbase, relative to the INS [m].
         ahead = 1.176 - 0.5 * 2.7 + 0.5 * 4.445 + 0.398
-        assert (nose.x, nose.y) == pytest.approx((x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)), abs=0.01)
+        assert (front_end.x, front_end.y) == pytest.approx((x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)), abs=0.01)
 
 
-def test_error_lines_lead_from_the_car_to_where_it_was_expected_a_horizon_ago(drawn) -> None:
-    _, messages = drawn
+def test_error_lines_end_at_the_position_predicted_a_horizon_earlier(recorded) -> None:
+    _, messages = recorded
     predictions = {nanoseconds(p.header.stamp): p for p in messages["/predictor/linear/prediction"]}
     checked = 0
     for array in messages["/view/markers"]:
@@ -174,13 +175,13 @@ def test_error_lines_lead_from_the_car_to_where_it_was_expected_a_horizon_ago(dr
         p, age = predictions[min(old)], (now_ns - min(old)) * 1e-9
         x, y, yaw = (np.interp(age / p.step, np.arange(len(p.x)), v) for v in (p.x, p.y, p.yaw))
         expected = x + p.cg_to_ins_x * np.cos(yaw), y + p.cg_to_ins_x * np.sin(yaw)
-        # Not exactly it where that prediction was lost on its way to the markers; the one after it is 0.1 m off.
+        # If the markers did not receive that prediction, they use the next one, 0.1 m away.
         checked += np.hypot(end.x - expected[0], end.y - expected[1]) < 0.01
     assert checked > 5
 
 
-def test_errors_to_plot_are_the_evaluator_s(drawn) -> None:
-    _, messages = drawn
+def test_plotted_errors_equal_those_of_the_evaluator(recorded) -> None:
+    _, messages = recorded
     scores = {(m.model, nanoseconds(m.header.stamp)): m for m in messages["/evaluator/errors"]
               if m.mode == "forecast" and m.complete}
     for model in MODELS:
@@ -191,7 +192,7 @@ def test_errors_to_plot_are_the_evaluator_s(drawn) -> None:
             assert (error.vector.x, error.vector.y) == (score.longitudinal_mean, score.lateral_mean)
 
 
-def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path: Path) -> None:
+def test_relay_serves_messages_and_schema_on_loopback_only(tmp_path: Path) -> None:
     from st_recordings.runs.bag import definitions_folder
     from st_recordings.runs.cdr import load_typestore
 
@@ -201,7 +202,7 @@ def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path
         relay = processes.start([sys.executable, "-m", "st_live.nodes.relay", "--port", "0"], "relay")
         wait_for(lambda: "/predictor/status (" in processes.log("relay"), 60, "topic found")
         port = int(re.search(r"serving on 127.0.0.1:(\d+)", processes.log("relay")).group(1))
-        assert listening(psutil.Process(relay.pid)) == {"127.0.0.1"}
+        assert listen_addresses(psutil.Process(relay.pid)) == {"127.0.0.1"}
         channel, data = asyncio.run(asyncio.wait_for(first_message(port, "/predictor/status"), 60))
         assert processes.stop(relay) == 0
     finally:
@@ -213,7 +214,7 @@ def test_the_relay_hands_messages_on_byte_for_byte_on_this_machine_only(tmp_path
 
 
 async def first_message(port: int, topic: str) -> tuple[dict, bytes]:
-    """Subscribe as Foxglove does; the channel as advertised, and its first message."""
+    """Subscribes as Foxglove does; returns the advertised channel and its first message."""
     from tornado.websocket import websocket_connect
 
     socket = await websocket_connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
@@ -225,8 +226,8 @@ async def first_message(port: int, topic: str) -> tuple[dict, bytes]:
             found = [c for c in advertised if c.get("topic") == topic]
             if found and channel is None:
                 channel = found[0]
-                wanted = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}
-                await socket.write_message(json.dumps(wanted))
+                request = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}
+                await socket.write_message(json.dumps(request))
         elif message[0] == 1:  # message data: subscription id, receive time, payload
             socket.close()
             return channel, message[13:]
