@@ -36,8 +36,8 @@ def evaluate_drive(log: DriveLog, vehicle: VehicleParameters, model: str, settin
     times, errors = [], {}
     for rows, block in evaluate_blocks([get_model(model)], vehicle, signals, starts, settings):
         times.append(starts[rows])
-        for question, values in block.errors.items():
-            errors.setdefault(question, []).append(to_predicted_frame(values[:, 1:]).astype(np.float32))
+        for pair, values in block.errors.items():
+            errors.setdefault(pair, []).append(to_predicted_frame(values[:, 1:]).astype(np.float32))
     starts = np.concatenate(times)
     return Drive(log.name, starts, conditions_at(signals, starts), {q: np.concatenate(e) for q, e in errors.items()})
 
@@ -55,8 +55,8 @@ def join_drives(name: str, drives: Sequence[Drive]) -> Drive:
 class Score:
     """Coverage and interval score of adaptive bands over several drives; each drive starts with a new band."""
 
-    def __init__(self, time: np.ndarray, question: ModelMode):
-        self._time, self._question = time, question
+    def __init__(self, time: np.ndarray, pair: ModelMode):
+        self._time, self._pair = time, pair
         self._parts: dict[float, list[tuple[np.ndarray, ...]]] = {level: [] for level in LEVELS}
         self._settled: dict[float, list[float]] = {level: [] for level in LEVELS}
 
@@ -66,7 +66,7 @@ class Score:
         if domain is not None:
             rows[rows] = domain(drive.conditions[rows])
         adaptive = AdaptiveBand(self._time, band, sorted(LEVELS))
-        errors, initial = drive.errors[self._question][rows].astype(float), adaptive.factors
+        errors, initial = drive.errors[self._pair][rows].astype(float), adaptive.factors
         factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
         settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLING_TIME

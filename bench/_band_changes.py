@@ -76,8 +76,8 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
 
 
 def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
-    questions = [(model, mode) for model in MODELS for mode in MODES]
-    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in questions},
+    pairs = [(model, mode) for model in MODELS for mode in MODES]
+    return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in pairs},
             CalibrationDomain.of([r.conditions for r in runs]))
 
 
@@ -139,5 +139,5 @@ def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> lis
 
 
 def _row(style: str, change: str, key: tuple[str, str], soon: str, delay: str) -> Row:
-    return {"style": style, "change": change, "model": key[0], "question": key[1], "within a minute": soon,
+    return {"style": style, "change": change, "model": key[0], "mode": key[1], "within a minute": soon,
             "median delay": delay}

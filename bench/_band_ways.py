@@ -16,7 +16,7 @@ Method = Callable[[Band, Sequence[ErrorSamples], ModelMode], Band]
 """Computes a band from the calibrated band, which has the same scale, and from the calibration runs."""
 
 
-def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMode, by_condition: bool = True,
+def parametric_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode, by_condition: bool = True,
                     heavy: bool = False) -> Band:
     """Band of a normal or, if `heavy`, Student t process: quantiles of its maximum over all points and axes.
 
@@ -24,9 +24,9 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
     together, without calibration on held-out runs. The degrees of freedom are the maximum-likelihood estimate for
     single points. by_condition: whether the scale depends on the conditions.
     """
-    scale = band.scale if by_condition else _average_scale(band.scale, runs, question)
+    scale = band.scale if by_condition else _average_scale(band.scale, runs, pair)
     picked = [select_evenly(len(one.conditions), 100) for one in runs]
-    z = np.concatenate([one.errors[question][rows] / scale(one.conditions[rows])
+    z = np.concatenate([one.errors[pair][rows] / scale(one.conditions[rows])
                         for one, rows in zip(runs, picked, strict=True)])
     points = z[:, 4::5].reshape(len(z), -1)
     generator = np.random.default_rng(SEED)
@@ -45,34 +45,34 @@ def parametric_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMod
     return Band(scale, {level: float(np.quantile(highest, level)) for level in LEVELS}, ratios)
 
 
-def scale_to_level(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
+def scale_to_level(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
     """The band with factors for which its coverage of the equally weighted calibration runs is its level."""
     grid = np.linspace(0.0, 1.0, 201)
-    parts = [np.quantile((np.abs(one.errors[question]) / band.scale(one.conditions)).max(axis=(1, 2)), grid)
+    parts = [np.quantile((np.abs(one.errors[pair]) / band.scale(one.conditions)).max(axis=(1, 2)), grid)
              for one in runs]
     return replace(band, factors={level: float(np.quantile(np.concatenate(parts), level)) for level in LEVELS})
 
 
-def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], question: ModelMode) -> Scale:
+def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], pair: ModelMode) -> Scale:
     """Scale that is the same for all conditions: the root mean square error at each knot."""
     time = scale.time
-    squares = np.mean([np.square(one.errors[question].astype(float)).mean(axis=0) for one in runs], axis=0)
+    squares = np.mean([np.square(one.errors[pair].astype(float)).mean(axis=0) for one in runs], axis=0)
     rows = [int(np.abs(time - knot).argmin()) for knot in scale.knots]
     coefficients = np.zeros((3, len(rows), compute_features(np.zeros((1, 4))).shape[1]))
     coefficients[:, :, 0] = 0.5 * np.log(squares[rows].T)
     return Scale(coefficients, scale.floor, time, scale.knots)
 
 
-def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], question: ModelMode) -> Band:
-    return parametric_band(band, runs, question, by_condition=False)
+def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:
+    return parametric_band(band, runs, pair, by_condition=False)
 
 
 METHODS: dict[str, Method] = {
-    "conformal": lambda band, runs, question: band,
+    "conformal": lambda band, runs, pair: band,
     "normal by condition": parametric_band,
-    "Student t by condition": lambda band, runs, question: parametric_band(band, runs, question, heavy=True),
+    "Student t by condition": lambda band, runs, pair: parametric_band(band, runs, pair, heavy=True),
     "normal, same everywhere": _unconditional_band,
     "by condition, scaled to its level": scale_to_level,
-    "same everywhere, scaled to its level": lambda band, runs, question: scale_to_level(
-        _unconditional_band(band, runs, question), runs, question),
+    "same everywhere, scaled to its level": lambda band, runs, pair: scale_to_level(
+        _unconditional_band(band, runs, pair), runs, pair),
 }

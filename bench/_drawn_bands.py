@@ -14,14 +14,14 @@ LARGEST_CONDITIONS = (26.0, 8.0, 6.0, 1.0)  # speed, accelerations, steering act
 
 
 def random_bands(vehicle: VehicleParameters) -> Bands:
-    question = "drawn", "hindsight"
+    pair = "drawn", "hindsight"
     runs = []
     for number in range(RUNS):
         draw = np.random.default_rng([21, number])
         errors = (0.1 * draw.standard_normal((STARTS, 1, 3)) * TIME[:, None]).astype(np.float32)
         runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, LARGEST_CONDITIONS, (STARTS, 4)),
-                                 {question: errors}))
-    band, settings = calibrate(runs, question, TIME), SETTINGS.as_dict()
+                                 {pair: errors}))
+    band, settings = calibrate(runs, pair, TIME), SETTINGS.as_dict()
     domain = CalibrationDomain.of([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,
                  {(model, mode): band for model in MODELS for mode in MODES},

@@ -78,7 +78,7 @@ def run() -> dict:
 def score_changes() -> dict[str, Row]:
     """Delays of the coverage warning; the page contains all rows except those of forecasts without a warning."""
     rows = measure_changes()
-    shown = [row for row in rows if row["question"] == "hindsight" or row["median delay"] != "none"]
+    shown = [row for row in rows if row["mode"] == "hindsight" or row["median delay"] != "none"]
     replace_part(PAGE, "changes in mid-drive", format_records(shown))
     return {", ".join(list(row.values())[:4]): row for row in rows}
 
@@ -106,23 +106,23 @@ def score_adaptive() -> dict[str, Row]:
         sets.append(("Genesis, no file", {}, {"all": ()}, {"all": list(drives.values())}))
     rows = [row for one in sets for row in _adaptive_rows(*one)]
     replace_part(PAGE, "adaptive bands", format_records(rows))
-    return {f"{row['held out']}, {row['question']}": row for row in rows}
+    return {f"{row['held out']}, {row['mode']}": row for row in rows}
 
 
 def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
                    new: Mapping[str, Sequence[Drive]]) -> list[Row]:
     """Rows of both modes. runs: for the calibration, without those of the tested group; empty for no calibration."""
     rows = []
-    for question in (("linear", mode) for mode in MODES):
-        score = Score(TIME, question)
+    for pair in (("linear", mode) for mode in MODES):
+        score = Score(TIME, pair)
         for group, names in groups.items():
             known = [one for name, one in runs.items() if name not in names]
             levels = [level for level in LEVELS if known and level <= compute_highest_level(len(known))]
-            band = calibrate(known, question, TIME, levels) if levels else None
+            band = calibrate(known, pair, TIME, levels) if levels else None
             domain = CalibrationDomain.of([one.conditions for one in known]) if levels else None
             for drive in new[group]:
                 score.add(drive, band, domain)
-        rows.append({"held out": title, "question": question[1]} | score.cells(bool(runs)))
+        rows.append({"held out": title, "mode": pair[1]} | score.cells(bool(runs)))
         print(rows[-1], flush=True)
     return rows
 
@@ -149,19 +149,19 @@ def score_days(runs: Runs) -> list[Row]:
     rows = []
     days = {day: join_runs([runs[name] for name in names]) for day, names in DAYS.items()}
     stated = (0.5, compute_highest_level(len(days) - 1))
-    for question in ((model, mode) for model in MODELS for mode in MODES):
+    for pair in ((model, mode) for model in MODELS for mode in MODES):
         covered = []
         for day, new in days.items():
             known = [one for other, one in days.items() if other != day]
-            band = calibrate(known, question, TIME, stated)
+            band = calibrate(known, pair, TIME, stated)
             domain = CalibrationDomain.of([one.conditions for one in known])
             kept = domain(new.conditions)
             if not kept.any():
                 continue
-            errors = np.abs(new.errors[question][kept].astype(float))
+            errors = np.abs(new.errors[pair][kept].astype(float))
             scores = (errors / band.scale(new.conditions[kept])).max(axis=(1, 2))
             covered.append([float((scores <= band.factors[level]).mean()) for level in stated])
-        rows.append({"model": question[0], "question": question[1]} | {
+        rows.append({"model": pair[0], "mode": pair[1]} | {
             f"{level:.0%} covers (days)": f"{np.mean(shares):.0%} ({', '.join(f'{one:.0%}' for one in shares)})"
             for level, shares in zip(stated, zip(*covered, strict=True), strict=True)})
     return rows
@@ -287,12 +287,12 @@ def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str
 
 
 def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
-               question: tuple[str, str]) -> list[dict]:
+               pair: tuple[str, str]) -> list[dict]:
     """Sums for `summarise_bands` for each new run."""
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
         rows = domain(one.conditions)
-        sums = sum_band_scores(band, one.conditions[rows], one.errors[question][rows].astype(float))
+        sums = sum_band_scores(band, one.conditions[rows], one.errors[pair][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries
 

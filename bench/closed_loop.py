@@ -26,11 +26,11 @@ RATIO_ERROR = 1.08  # factor on the steering ratio in the file
 HIDDEN = {"steering_lag": 0.14, "ins_misalignment": 0.012}  # s, rad
 DRIVES = ("sweep", "slalom", "lane_change", "brake_in_turn", "there_and_back", "weave")
 DURATION, NEW_ROAD, NEW_ROAD_DURATION = 30.0, "S6", 60.0  # s
-LAW = {"drive_offset": 0.2}  # m; a yaw moment in proportion to the force of drive and brakes
-LAW_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
-LAW_DURATION, LAW_NEW_ROAD, LAW_NEW_ROAD_DURATION = 40.0, "S7", 50.0
+RELATION = {"drive_offset": 0.2}  # m; a yaw moment in proportion to the force of drive and brakes
+RELATION_DRIVES = ("sweep", "lane_change", "brake_in_turn", "S6", "slalom.yaml", "stop_and_go.yaml")
+RELATION_DURATION, RELATION_NEW_ROAD, RELATION_NEW_ROAD_DURATION = 40.0, "S7", 50.0
 PERIOD = 0.1  # s between starts
-LAW_BEGINS = "## A law beyond the library"
+RELATION_HEADING = "## A relation outside the library"
 PAGE = project_root() / "docs" / "measurements" / "closed_loop.md"
 IMAGES = project_root() / "docs" / "images"
 
@@ -56,7 +56,7 @@ def run_effects(folder: Path) -> dict:
     result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
               "corrected": corrected.exists(), "position_5s": _position_errors(found), "before": before, "after": after}
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
-                                       after["lateral"].items()}, ("file and model as they were",
+                                       after["lateral"].items()}, ("file and model before",
                                                                    "corrected by st discover"))
     _write(effects=_effects_page(result))
     return result
@@ -69,10 +69,10 @@ def run_relation(folder: Path) -> dict:
     proposed relation.
     """
     folder.mkdir(exist_ok=True)
-    vehicle, car = LEAF_FILE, _effect_options(LAW)
-    found = _discover(folder, LAW_DRIVES, LAW_DURATION, vehicle, car, "--propose")
+    vehicle, car = LEAF_FILE, _effect_options(RELATION)
+    found = _discover(folder, RELATION_DRIVES, RELATION_DURATION, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
-    unseen = ("--scenario", LAW_NEW_ROAD, "--duration", LAW_NEW_ROAD_DURATION, *car, "--seed", 100)
+    unseen = ("--scenario", RELATION_NEW_ROAD, "--duration", RELATION_NEW_ROAD_DURATION, *car, "--seed", 100)
     # A model file is valid for one vehicle file: model.yaml for the corrected one, proposed.yaml for the given one.
     corrected = written["vehicle.yaml"] if written["vehicle.yaml"].exists() else vehicle
     model = ("--model", written["model.yaml"]) if written["model.yaml"].exists() else ()
@@ -89,9 +89,10 @@ def run_relation(folder: Path) -> dict:
     if proposed:
         result |= {"given": proposed[0]["lateral"]["nonlinear"], "proposed": proposed[0]["lateral"]["augmented"]}
         _draw(IMAGES / "closed_loop_law.png", {name: (result["given"], result[key]) for name, key in (
-            ("library", "library"), ("with the law", "proposed"))}, ("vehicle file as given", "with the fourth path"))
+            ("library", "library"), ("with the relation", "proposed"))},
+              ("vehicle file as given", "with the fourth path"))
         shutil.copy(folder / "found" / "figures" / "relation.png", IMAGES / "closed_loop_law_curve.png")
-    _write(law=_law_page(result))
+    _write(relation=_relation_page(result))
     return result
 
 
@@ -206,10 +207,10 @@ def _draw(file: Path, rows: Mapping[str, tuple[float | None, float]], labels: tu
         plt.close(figure)
 
 
-def _write(effects: str = "", law: str = "") -> None:
+def _write(effects: str = "", relation: str = "") -> None:
     """Replaces the given parts of the page."""
-    old, _, rest = PAGE.read_text().partition(LAW_BEGINS)
-    PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (law or LAW_BEGINS + rest))
+    old, _, rest = PAGE.read_text().partition(RELATION_HEADING)
+    PAGE.write_text((effects or old.rstrip("\n") + "\n") + "\n" + (relation or RELATION_HEADING + rest))
 
 
 def _effects_page(result: dict) -> str:
@@ -226,12 +227,12 @@ def _effects_page(result: dict) -> str:
     hidden = ", ".join(f"`{name}={value:g}`" for name, value in HIDDEN.items())
     return "\n".join((
         "# The closed loop, live", "",
-        "See how far predictions are off with a wrong vehicle file, and how far after `st discover` has corrected it.",
+        "See the prediction errors with a wrong vehicle file, and after `st discover` has corrected it.",
         "Written by `./st bench closed_loop`; do not edit. The virtual Leaf (`realistic`) is driven through bridges",
         f"and nodes with {hidden}, and a vehicle file whose steering ratio is",
         f"{100 * (RATIO_ERROR - 1):.0f} % wrong: {len(DRIVES)} drives of {DURATION:g} s ({', '.join(DRIVES)}).",
-        "`st discover` receives the recorded bags and that file, nothing else. Then a new road",
-        f"({NEW_ROAD}) is driven live twice: with the file as it was, and with what `st discover` wrote.", "",
+        "`st discover` receives only the recorded bags and that file. Then a new road",
+        f"({NEW_ROAD}) is driven live twice: with the wrong file, and with the files of `st discover`.", "",
         f"Found (the true factor of the ratio is 1/{RATIO_ERROR:g} = {1 / RATIO_ERROR:.3f}); held-out 5 s position "
         f"{base:.2f} → {augmented:.2f} m:", "",
         "| effect | value, 95 % interval |", "|---|---|", *(row(e) for e in result["found"]), "",
@@ -241,35 +242,40 @@ def _effects_page(result: dict) -> str:
         "![Errors of the models before and after, live](../images/closed_loop.png)", ""))
 
 
-def _law_page(result: dict) -> str:
-    law, (base, library) = result["law"], result["position_5s"]
-    hidden = ", ".join(f"`{name}={value:g}`" for name, value in LAW.items())
+def _relation_page(result: dict) -> str:
+    relation, (base, library) = result["law"], result["position_5s"]
+    hidden = ", ".join(f"`{name}={value:g}`" for name, value in RELATION.items())
     car = leaf()
-    truth = LAW["drive_offset"] * car.mass / car.yaw_inertia
-    lines_of_law = [f"Nothing is proposed: {result['why']}."]
-    if law:
-        others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})" for name, cosine in law["others"].items())
-        read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['explained']:.0f} %)" for r in law["readings"])
-        lines_of_law = [
-            f"**Proposed: {law['place'].replace('_', ' ')} over {law['quantity'].replace('_', ' ')}.** Readings: "
-            f"{read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
+    truth = RELATION["drive_offset"] * car.mass / car.yaw_inertia
+    relation_lines = [f"Nothing is proposed: {result['why']}."]
+    if relation:
+        others = "; ".join(f"{name.replace('_', ' ')} (cosine {cosine:.2f})"
+                           for name, cosine in relation["others"].items())
+        read = "; ".join(f"`{r['text']}` ({r['shape']}, {100 * r['explained']:.0f} %)" for r in relation["readings"])
+        relation_lines = [
+            f"**Proposed: {relation['place'].replace('_', ' ')} over {relation['quantity'].replace('_', ' ')}.** "
+            f"Readings: {read or 'no simple shape'}.", f"Not distinguishable from it: {others or 'none'}.",
             "Held-out position error after 5 s of the recorded drives: "
-            f"{base:.3f} (file as given), {library:.3f} (library), {law['position_5s'][1]:.3f} m (with the law)."]
-    lines = [LAW_BEGINS, "",
-             f"Hidden in the same car is {hidden}: drive and brakes act that far (m) to the right of its middle, a yaw",
-             f"moment that no effect of the library describes. It turns the car by {truth:.3f} rad/s² for each m/s² of",
-             f"drive or brakes. {len(LAW_DRIVES)} live drives of {LAW_DURATION:g} s ({', '.join(LAW_DRIVES)})",
-             "are recorded; `st discover --propose` gets the bags and the right vehicle file. Then a road it has not",
-             f"seen ({LAW_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.", "",
-             f"The library states {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, and keeps "
-             f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *lines_of_law, ""]
+            f"{base:.3f} (file as given), {library:.3f} (library), {relation['position_5s'][1]:.3f} m "
+            "(with the relation)."]
+    lines = [RELATION_HEADING, "",
+             f"Hidden in the same car is {hidden}: drive and brakes act at this distance (m) to the right of the",
+             "centreline, a yaw moment that no effect of the library describes. The yaw acceleration is "
+             f"{truth:.3f} rad/s² for each m/s² of",
+             f"drive or brakes. {len(RELATION_DRIVES)} live drives of {RELATION_DURATION:g} s "
+             f"({', '.join(RELATION_DRIVES)})",
+             "are recorded; `st discover --propose` gets the bags and the correct vehicle file. Then a road not used",
+             f"there ({RELATION_NEW_ROAD}: braking from 16 m/s into a roundabout, and out of it) is driven live twice.",
+             "",
+             f"Effects of the library: stated {', '.join(f'`{n}`' for n in result['stated']) or 'nothing'}, kept "
+             f"{', '.join(f'`{n}`' for n in result['kept']) or 'nothing'}.", *relation_lines, ""]
     if "proposed" in result:
         rows = (("nonlinear, vehicle file as given", "given"), ("fourth path, `model.yaml`: the library", "library"),
-                ("fourth path, `proposed.yaml`: with the law", "proposed"))
+                ("fourth path, `proposed.yaml`: with the relation", "proposed"))
         lines += [f"Live, lateral error over 5 s in hindsight, RMSE over {result['starts']} starts of both drives:", "",
                   "| model | m |", "|---|---|", *(f"| {name} | {result[key]:.3f} |" for name, key in rows), "",
-                  "![Errors with the library's answer and with the proposal, live](../images/closed_loop_law.png)", "",
-                  "![The proposed law](../images/closed_loop_law_curve.png)", ""]
+                  "![Errors with the library and with the proposal, live](../images/closed_loop_law.png)", "",
+                  "![The proposed relation](../images/closed_loop_law_curve.png)", ""]
     return "\n".join(lines)
 
 

@@ -23,10 +23,10 @@ from pathlib import Path
 import sys, time
 sys.path.insert(0, sys.argv[2])
 from _cars import leaf
-from _drive import drive, starts
+from _drive import start_times, weaving_drive
 from st_core.batch import LogBatch
-log = drive(20.0)
-batch = LogBatch(log, starts(log), backend=sys.argv[3])
+log = weaving_drive(20.0)
+batch = LogBatch(log, start_times(log), backend=sys.argv[3])
 for model in ("kinematic", "linear", "nonlinear"):
     batch.predict(model, leaf())
 print(time.process_time())

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line in `command`, or with --laws that in `relation_command`."""
+    """Runs the command line in `command`, or with --relations that in `relation_command`."""
     # Imported here, because tests use plants and cases without the discovery.
     given = sys.argv[1:] if arguments is None else list(arguments)
     if "--laws" in given:
-        from .relation_command import main as laws
-        return laws([word for word in given if word != "--laws"])
+        from .relation_command import main as relations
+        return relations([word for word in given if word != "--laws"])
     from .command import main as command
     return command(given)

@@ -40,7 +40,7 @@ def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> Healthy
     for table, apply in ((_FACTOR, lambda a, b: a * (1.0 + b)), (_ADDED, lambda a, b: a + b)):
         for name, spread in table.items():
             drawn = spread * np.clip(generator.standard_normal(), -2.5, 2.5)
-            if leaf or name in multibody_car.KNOWN_HERE:
+            if leaf or name in multibody_car.SUPPORTED_SETTINGS:
                 values[name] = apply(values[name], drawn)
     values |= others
     # The tremor of the driver is part of the programmes.
@@ -50,7 +50,7 @@ def healthy_car(plant: str, number: tuple[int, ...], **others: float) -> Healthy
 
 def has_setting(plant: str, setting: str) -> bool:
     """Whether a plant has a setting."""
-    return setting in (SETTINGS if plant == LEAF else multibody_car.KNOWN_HERE)
+    return setting in (SETTINGS if plant == LEAF else multibody_car.SUPPORTED_SETTINGS)
 
 
 def _clip(name: str, value: float) -> float:

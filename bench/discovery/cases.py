@@ -13,7 +13,7 @@ from st_sim.settings import Settings
 
 from . import programmes as m
 from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
-from .effects import BY_NAME, FOREIGN, KNOWN, PHYSICS, PLACES, SENSORS, Hidden, is_similar
+from .effects import BY_NAME, KNOWN, OUTSIDE_LIBRARY, PHYSICS, PLACES, SENSORS, Hidden, is_similar
 
 SEALED = "single track, discovery, sealed set 11"
 COUNTS = {"A": 100, "B": 120, "C": 120, "D": 150, "E": 60, "F": 100}
@@ -115,8 +115,8 @@ def _single_effect(set_: str, index: int) -> Case:
     draw, plant = _draw(set_, "A", index), _choose_plant(index)
     number = index // 3 if index % 3 == 2 else index - index // 3
     hidden = _draw_from_deck(set_, "A", plant, number)
-    room = hidden.with_ or {}
-    car = healthy_car(plant, (seed_of(set_, "A", index, "car"),), **(room if plant == LEAF else {}))
+    required = hidden.with_ or {}
+    car = healthy_car(plant, (seed_of(set_, "A", index, "car"),), **(required if plant == LEAF else {}))
     chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
     return Case(set_, "A", index, "one", car, _apply(car.settings, chosen), car.settings, (hidden.library,),
                 _describe(chosen), (chosen[0][1],), with_vy=index % 5 != 4)
@@ -165,14 +165,14 @@ def _with_reference(set_: str, index: int) -> Case:
     group = index // PER_CAR
     with_vy = group % 5 != 4
     # Every third car has settings with which the effects that need them can be hidden.
-    room = {"combined_slip": 0.0} if group % 3 == 0 else {}
-    car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **room)
+    required = {"combined_slip": 0.0} if group % 3 == 0 else {}
+    car = healthy_car(LEAF, (seed_of(set_, "D", "car", group),), **required)
     nominal = healthy_car(LEAF, (0,)).settings | _file_of_leaf()
     if index % 5 < 3:
         hidden = _draw_from_deck(set_, "D", LEAF, index)
-        if hidden.with_ and not room:
+        if hidden.with_ and not required:
             hidden = _draw_from_deck(set_, "D", LEAF, index + 1)
-        if hidden.with_ and not room:
+        if hidden.with_ and not required:
             hidden = BY_NAME["steering_ratio"]
         chosen = [(hidden, float(draw.choice(SCALES, p=ODDS)), int(draw.choice(hidden.signs)))]
         return Case(set_, "D", index, "one", car, _apply(car.settings, chosen), nominal, (hidden.library,),
@@ -227,7 +227,7 @@ def _outside_library(case: Case, number: int, draw: np.random.Generator) -> Case
     """Alternately, a change that no effect describes, and an effect that is removed from the library with all similar
     ones."""
     if number % 2 == 0:
-        return _add_effect(case, FOREIGN[number // 2 % len(FOREIGN)], 1.0, draw)
+        return _add_effect(case, OUTSIDE_LIBRARY[number // 2 % len(OUTSIDE_LIBRARY)], 1.0, draw)
     pool = [h for h in _list_usable(LEAF) if not h.with_]
     hidden = pool[draw.integers(len(pool))]
     names = tuple(n for n in applicable("nonlinear") if not is_similar(n, hidden.library))

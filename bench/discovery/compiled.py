@@ -19,7 +19,7 @@ from st_sim.plant import STANDSTILL_SPEED, STEP, Plant
 from st_sim.settings import Settings
 
 from .pushes import Car as Body
-from .pushes import Law, law_accelerations
+from .pushes import Relation, relation_accelerations
 
 DECIDE = 5
 """Steps between two decisions of the driver, and between two samples: 0.01 s."""
@@ -28,7 +28,7 @@ SPEED_GAIN, MAX_BRAKING, MAX_DRIVE, JERK = 1.2, 7.0, 3.5, 10.0
 """[1/s, m/s^2, m/s^2, m/s^3] of the pedals, as for the driver of st_sim."""
 RECORDED = STATES + 4
 """State, then the derivatives of v_x, v_y, yaw rate and z."""
-NO_LAW = Law()
+NO_RELATION = Relation()
 
 
 class Stopped(Exception):
@@ -64,8 +64,8 @@ class Recording:
 
 
 def drive(car: Car, settings: Settings, programme: Programme, seed: int,
-          later: tuple[Settings, int] | None = None, law: Law = NO_LAW) -> Recording:
-    """Drives a programme. later: (other settings, sample from which on they are valid). law: see `pushes`. Raises
+          later: tuple[Settings, int] | None = None, relation: Relation = NO_RELATION) -> Recording:
+    """Drives a programme. later: (other settings, sample from which on they are valid). relation: see `pushes`. Raises
     Stopped."""
     parts = [(settings, len(programme.steering_wheel))] if later is None else [
         (settings, later[1]), (later[0], len(programme.steering_wheel) - later[1])]
@@ -93,7 +93,7 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
                   for name in ("steering_wheel", "yaw", "gain", "speed", "acceleration")]
         c = make_constants(car, s, STEP)
         body = Body(c.to_front, c.to_rear, c.yaw_inertia / c.mass, car.cornering_stiffness_rear / c.mass)
-        good = kernel(state, options, c, make_road(s), law, body, first, delayed, gusts, *arrays, out[part])
+        good = kernel(state, options, c, make_road(s), relation, body, first, delayed, gusts, *arrays, out[part])
         if not good:
             raise Stopped
         first += count
@@ -129,36 +129,37 @@ def _tuple(s):
     return (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9], s[10], s[11], s[12], s[13], s[14], s[15])
 
 
-def _add_law(rates, s, law, body, time, ax):
-    """The rates of the state with the accelerations of a law."""
-    aside, turning = law_accelerations(law, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
-    return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + aside, rates[6] + turning, rates[7], rates[8],
+def _add_relation(rates, s, relation, body, time, ax):
+    """The rates of the state with the accelerations of a relation."""
+    lateral, yaw = relation_accelerations(relation, body, time, s[VX], s[YAW_RATE], ax, rates[VY], rates[YAW_RATE])
+    return (rates[0], rates[1], rates[2], rates[3], rates[4], rates[5] + lateral, rates[6] + yaw, rates[7], rates[8],
             rates[9], rates[10], rates[11], rates[12], rates[13], rates[14], rates[15])
 
 
 # One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
-def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
+def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noqa: PLR0912, PLR0915
+          steering, yaw, gain, speed, acceleration, out):
     mass, wheelbase, rear, nominal_ratio, ratio, play, wind, gust = options
     memory = exp(-STEP / GUST_TIME)
     kick = gust * sqrt(1.0 - memory * memory)
     s, middle, k1 = state[:STATES].copy(), state[:STATES].copy(), state[:STATES].copy()
-    angle, pedal, loose, gust_x, gust_y, left_over, looked = state[STATES:]
+    angle, pedal, after_play, gust_x, gust_y, heading_offset, previous_gain = state[STATES:]
     oldest, drawn = 0, 0
     force = mass * pedal
     friction, bank, grade = evaluate_road(road, s[X], s[YAW])
     for k in range(len(steering)):
         rates, _ = derivative(_tuple(s), s[RACK], force, (friction, bank, grade, gust_x, wind + gust_y), c)
-        if law[0]:
-            rates = _add_law(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
+        if relation[0]:
+            rates = _add_relation(rates, s, relation, body, (first + k) * DECIDE * STEP, pedal)
         for i in range(STATES):
             out[k, i] = s[i]
         out[k, STATES], out[k, STATES + 1], out[k, STATES + 2] = rates[VX], rates[VY], rates[YAW_RATE]
         out[k, STATES + 3] = rates[Z]
         out[k, RECORDED + 1], out[k, RECORDED + 2] = bank, grade
-        if gain[k] and not looked:
-            left_over = s[YAW] - yaw[k]
-        looked = gain[k]
-        target = steering[k] + gain[k] * (yaw[k] + left_over - s[YAW]) * nominal_ratio
+        if gain[k] and not previous_gain:
+            heading_offset = s[YAW] - yaw[k]
+        previous_gain = gain[k]
+        target = steering[k] + gain[k] * (yaw[k] + heading_offset - s[YAW]) * nominal_ratio
         pedal = control_pedals(pedal, speed[k], acceleration[k], (s[VX], s[VY], s[YAW_RATE], s[RACK]), rear, wheelbase)
         force = mass * pedal
         for step in range(DECIDE):
@@ -169,32 +170,33 @@ def _loop(state, options, c, road, law, body, first, delayed, gusts, steering, y
             if gust:
                 gust_x, gust_y = memory * gust_x + kick * gusts[drawn], memory * gust_y + kick * gusts[drawn + 1]
                 drawn += 2
-            here = (friction, bank, grade, gust_x, wind + gust_y)
+            surroundings = (friction, bank, grade, gust_x, wind + gust_y)
             late = angle
             if len(delayed):
                 late, delayed[oldest] = delayed[oldest], angle
                 oldest = (oldest + 1) % len(delayed)
             if play:
-                loose = min(max(loose, late - play), late + play)
-                late = loose
+                after_play = min(max(after_play, late - play), late + play)
+                late = after_play
             rack = late / ratio
             if c.lag == 0.0:
                 s[RACK] = rack
-            rates, _ = derivative(_tuple(s), rack, force, here, c)
-            if law[0]:
-                rates = _add_law(rates, s, law, body, (first + k) * DECIDE * STEP, pedal)
+            rates, _ = derivative(_tuple(s), rack, force, surroundings, c)
+            if relation[0]:
+                rates = _add_relation(rates, s, relation, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 k1[i] = rates[i]
                 middle[i] = s[i] + STEP * rates[i]
-            rates, _ = derivative(_tuple(middle), rack, force, here, c)
-            if law[0]:
-                rates = _add_law(rates, middle, law, body, (first + k) * DECIDE * STEP, pedal)
+            rates, _ = derivative(_tuple(middle), rack, force, surroundings, c)
+            if relation[0]:
+                rates = _add_relation(rates, middle, relation, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 s[i] += STEP / 2 * (k1[i] + rates[i])
             if s[VX] < STANDSTILL_SPEED:
                 return False
     for i in range(STATES):
         state[i] = s[i]
-    state[STATES], state[STATES + 1], state[STATES + 2] = angle, pedal, loose
-    state[STATES + 3], state[STATES + 4], state[STATES + 5], state[STATES + 6] = gust_x, gust_y, left_over, looked
+    state[STATES], state[STATES + 1], state[STATES + 2] = angle, pedal, after_play
+    state[STATES + 3], state[STATES + 4] = gust_x, gust_y
+    state[STATES + 5], state[STATES + 6] = heading_offset, previous_gain
     return True

@@ -78,7 +78,7 @@ PLACES = (
     Hidden("hillside_slope", None, 0.05),
 )
 """Changes that depend on the place. The slope exists at one of two sites, otherwise the library would describe it."""
-FOREIGN = (
+OUTSIDE_LIBRARY = (
     Hidden("gust_speed", None, 10.0, UP),
     Hidden("rear_roll_steer", None, 0.25),
     Hidden("camber_thrust", None, 1.0, UP),
@@ -91,7 +91,7 @@ PHYSICS = ("steering_lag", "steering_delay", "steering_backlash", "steering_comp
            "tyre_relaxation", "combined_slip", "lateral_load_transfer", "crosswind", "road_bank")
 """Effects of which block B adds up to two of each kind to the wrong parameters."""
 
-DIFFERENT: dict[str, dict[str, str]] = {
+PLANT_DIFFERENCES: dict[str, dict[str, str]] = {
     "leaf": {
         "steering_lag": "the virtual car's steering has a lag of 40 ms, the model none",
         "steering_delay": "the steering's stamps are 4 ms late; part of the lag looks like it",

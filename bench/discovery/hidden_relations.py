@@ -15,8 +15,8 @@ from st_core.vehicle import VehicleParameters
 
 from . import pushes
 from .cars import LEAF
-from .compiled import NO_LAW
-from .pushes import Law
+from .compiled import NO_RELATION
+from .pushes import Relation
 
 FRONT, REAR = ("front_force", "front_grip"), ("rear_force", "rear_grip", "rear_steer")
 GRIP = ("both_grip", "front_grip", "rear_grip", "front_force", "rear_force")
@@ -49,9 +49,9 @@ class Hidden:
     """A hidden relation.
 
     places, shapes: right places of a proposal, and right shapes of its first reading (empty if none is right). slots:
-    slots of the library in which it acts. settings: added to those of the plant; law: change of the equations; change:
-    change of the recording, with its size. elsewhere: law of the multi-body cars, in place of settings that only the
-    virtual Leaf has. removed: effect that is removed from the library, together with similar ones.
+    slots of the library in which it acts. settings: added to those of the plant; relation: change of the equations;
+    change: change of the recording, with its size. elsewhere: relation of the multi-body cars, in place of settings
+    that only the virtual Leaf has. removed: effect that is removed from the library, together with similar ones.
     """
 
     name: str
@@ -59,42 +59,43 @@ class Hidden:
     shapes: tuple[str, ...]
     slots: tuple[str, ...]
     settings: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    law: Law = NO_LAW
+    relation: Relation = NO_RELATION
     change: Change | None = None
     size: float = 0.0
-    elsewhere: Law | None = None
+    elsewhere: Relation | None = None
     removed: str = ""
 
-    def law_in(self, plant: str) -> Law:
-        return self.law if plant == LEAF or self.elsewhere is None else self.elsewhere
+    def relation_in(self, plant: str) -> Relation:
+        return self.relation if plant == LEAF or self.elsewhere is None else self.elsewhere
 
     def settings_in(self, plant: str) -> Mapping[str, float]:
         return self.settings if plant == LEAF or self.elsewhere is None else {}
 
 
 STRAIGHT = ("linear", "straight line")
-LAWS = (
+RELATIONS = (
     Hidden("rear roll steer", REAR, ("linear",), AXLES, {"rear_roll_steer": 0.25},
-           elsewhere=Law(pushes.REAR_STEER, 0.0012)),
+           elsewhere=Relation(pushes.REAR_STEER, 0.0012)),
     Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
-           elsewhere=Law(pushes.CAMBER, 0.06)),
+           elsewhere=Relation(pushes.CAMBER, 0.06)),
     Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_add_kink,
            size=0.25),
     Hidden("rear axle with another curve", REAR, ("cubic", "linear and cubic", "dead zone", "square"),
-           ("rear axle", "both axles"), law=Law(pushes.REAR_CURVE, 0.3)),
+           ("rear axle", "both axles"), relation=Relation(pushes.REAR_CURVE, 0.3)),
     Hidden("lift of the front axle with v^2", FRONT, ("square", *STRAIGHT), ("front axle", "both axles"),
-           law=Law(pushes.LIFT, 0.0012)),
+           relation=Relation(pushes.LIFT, 0.0012)),
     Hidden("gusts", ("side_force", "yaw_moment"), (), ("body",), {"gust_speed": 10.0}),
     Hidden("friction patch", GRIP, (), AXLES, {"friction_patch": -0.4}),
     Hidden("aerodynamic yaw moment with v^2", ("yaw_moment",), ("square", *STRAIGHT), ("body",),
-           law=Law(pushes.AIR_MOMENT, 0.0006)),
+           relation=Relation(pushes.AIR_MOMENT, 0.0006)),
     Hidden("torque steer with a_x", ("yaw_moment",), STRAIGHT, ("body", "front axle"),
-           law=Law(pushes.TORQUE_STEER, 0.05)),
+           relation=Relation(pushes.TORQUE_STEER, 0.05)),
     Hidden("gyroscope with g-sensitivity", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), change=_add_g_sensitivity,
            size=0.004),
     Hidden("steering delay that grows with speed", ("front_steer",), STRAIGHT, ("steering",), change=_add_growing_delay,
            size=0.012),
-    Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES, law=Law(pushes.WARM_UP, 0.25)),
+    Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES,
+           relation=Relation(pushes.WARM_UP, 0.25)),
 )
 """Units of the sizes in this order: rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad;
 rad/m; rad s/m; s^2/m; 1."""
@@ -111,4 +112,4 @@ REMOVED = (
     Hidden("steering offset", ("front_steer", "yaw_moment"), ("constant",), ("steering", "front axle", "body"),
            {"steering_offset": 0.008}, removed="steering_offset"),
 )
-BY_NAME = {hidden.name: hidden for hidden in (*LAWS, *REMOVED)}
+BY_NAME = {hidden.name: hidden for hidden in (*RELATIONS, *REMOVED)}

@@ -10,7 +10,7 @@ from st_core.effects import get_effect
 from .cars import LEAF
 from .cases import Case
 from .drives import Drives, settings_of
-from .effects import DIFFERENT, SCATTER, members
+from .effects import PLANT_DIFFERENCES, SCATTER, members
 from .oracle import Judge, Oracle, Point, null_model
 
 Record = dict[str, Any]
@@ -19,7 +19,7 @@ DIGITS = 5
 
 def plant_differences(plant: str) -> dict[str, str]:
     """Effects that the plant has, but not the base model -> reason."""
-    return DIFFERENT["leaf" if plant == LEAF else "multibody"]
+    return PLANT_DIFFERENCES["leaf" if plant == LEAF else "multibody"]
 
 
 def true_effects(case: Case) -> set[str]:

@@ -22,7 +22,7 @@ from vehiclemodels.init_mb import init_mb
 
 from .compiled import (
     MAX_STEERING_WHEEL_RATE,
-    NO_LAW,
+    NO_RELATION,
     RECORDED,
     Programme,
     Recording,
@@ -39,7 +39,7 @@ from .multibody_car import (
     rest_pitch,
     static_loads,
 )
-from .pushes import REAR_CURVE, Law, law_accelerations
+from .pushes import REAR_CURVE, Relation, relation_accelerations
 from .pushes import Car as Body
 from .sensing import PERIOD, STEERING_PHASE, make_log
 
@@ -82,7 +82,8 @@ class Options(NamedTuple):
 
 
 def drive_multibody(car: str, settings: Mapping[str, float], programme: Programme, seed: int,
-                    later: tuple[Mapping[str, float], int] | None = None, law: Law = NO_LAW) -> Recording:
+                    later: tuple[Mapping[str, float], int] | None = None,
+                    relation: Relation = NO_RELATION) -> Recording:
     """Drives a programme for `nominal_car(car)` with a car of `multibody_car.CARS`.
 
     settings: changes of HEALTHY. later: (other settings, sample from which on they are valid). The recording has the
@@ -97,15 +98,15 @@ def drive_multibody(car: str, settings: Mapping[str, float], programme: Programm
     state[BODY_STATES + 4] = complete_settings(settings)["gust_speed"] * draw()
     state[BODY_STATES + 5] = complete_settings(settings)["gust_speed"] * draw()
     for chosen, first, end in parts:
-        _run(car, complete_settings(chosen), state, programme, slice(first, end), draw, out, law)
+        _run(car, complete_settings(chosen), state, programme, slice(first, end), draw, out, relation)
     return Recording(out[:, :RECORDED], out[:, RECORDED], out[:, RECORDED + 1], out[:, RECORDED + 2])
 
 
 def log_multibody(name: str, car: str, settings: Mapping[str, float], programme: Programme, seed: int,
                   vehicle: VehicleParameters, later: tuple[Mapping[str, float], int] | None = None,
-                  law: Law = NO_LAW) -> DriveLog:
+                  relation: Relation = NO_RELATION) -> DriveLog:
     """The log of such a drive. vehicle: the vehicle file of the reader."""
-    recording = drive_multibody(car, settings, programme, seed, later, law)
+    recording = drive_multibody(car, settings, programme, seed, later, relation)
     after = None if later is None else (complete_settings(later[0]), later[1])
     return make_log(name, recording, nominal_car(car), vehicle, complete_settings(settings), seed, after)
 
@@ -128,11 +129,11 @@ def _settle(car: str, settings: Mapping[str, float], programme: Programme) -> np
 
 
 def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Programme, part: slice, draw,
-         out: np.ndarray, law: Law = NO_LAW) -> None:
+         out: np.ndarray, relation: Relation = NO_RELATION) -> None:
     """Drives a part of the programme; changes `state` and `out`."""
-    p = _with_curve(parameters_of(car, s), law)
+    p = _with_curve(parameters_of(car, s), relation)
     slippery = _with_curve(
-        parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]}), law)
+        parameters_of(car, {**s, "friction_factor": s["friction_factor"] * s["friction_patch"]}), relation)
     stiffness = 2.0 * cornering_stiffness(static_loads(p)[1], p.tire_rear)
     body = Body(p.a, p.b, p.I_z / p.m, stiffness / p.m)
     arrays = [np.ascontiguousarray(getattr(programme, name)[part], float)
@@ -147,58 +148,60 @@ def _run(car: str, s: Mapping[str, float], state: np.ndarray, programme: Program
         to_rear=p.b, wheelbase=p.a + p.b, drag_area=s["drag_area"], still_air=not (s["wind_speed"] or gust),
         wind=s["wind_speed"], gust=gust)
     delayed = np.full(round(s["steering_delay"] / STEP), state[BODY_STATES])
-    if not compile_loop(_loop)(state, options, p, slippery, make_road(s), law, body, part.start or 0, delayed, gusts,
-                               *arrays, out[part]):
+    if not compile_loop(_loop)(state, options, p, slippery, make_road(s), relation, body, part.start or 0, delayed,
+                               gusts, *arrays, out[part]):
         raise Stopped
 
 
-def _with_curve(p, law: Law):
-    """The parameters; for the law REAR_CURVE the rear tyres have another shape, with the same stiffness and
+def _with_curve(p, relation: Relation):
+    """The parameters; for the relation REAR_CURVE the rear tyres have another shape, with the same stiffness and
     friction."""
-    if law.kind != REAR_CURVE:
+    if relation.kind != REAR_CURVE:
         return p
     rear = p.tire_rear
-    return p._replace(tire_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - law.size), p_ey1=rear.p_ey1 - 4.0 * law.size))
+    return p._replace(tire_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - relation.size),
+                                              p_ey1=rear.p_ey1 - 4.0 * relation.size))
 
 
-def _add_law(f, x, law, body, time, ax):
-    """Adds the accelerations of a law to the rates f."""
-    aside, turning = law_accelerations(law, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
-    f[P_VY] += aside
-    f[P_VY_FRONT] += aside
-    f[P_VY_REAR] += aside
+def _add_relation(f, x, relation, body, time, ax):
+    """Adds the accelerations of a relation to the rates f."""
+    lateral, turning = relation_accelerations(relation, body, time, x[P_VX], x[P_YAW_RATE], ax, f[P_VY], f[P_YAW_RATE])
+    f[P_VY] += lateral
+    f[P_VY_FRONT] += lateral
+    f[P_VY_REAR] += lateral
     f[P_YAW_RATE] += turning
 
 
-def rates(x, steering_rate, acceleration, here, p, drag_area, still_air):
+def rates(x, steering_rate, acceleration, surroundings, p, drag_area, still_air):
     """The 29 rates of the package with slope and wind. here: bank, grade [rad], wind towards x and y of the map
     [m/s]."""
-    bank, grade, wind_x, wind_y = here
+    bank, grade, wind_x, wind_y = surroundings
     f = dynamics(x, (steering_rate, acceleration), p)
     air_x, air_y = air_force(still_air, drag_area, x[P_YAW], x[P_VX], x[P_VY], wind_x, wind_y)
-    aside = -GRAVITY * sin(bank)
+    lateral = -GRAVITY * sin(bank)
     f[P_VX] += air_x / p.m - GRAVITY * sin(grade)
-    f[P_VY] += air_y / p.m_s + aside
-    f[P_VY_FRONT] += aside
-    f[P_VY_REAR] += aside
+    f[P_VY] += air_y / p.m_s + lateral
+    f[P_VY_FRONT] += lateral
+    f[P_VY_REAR] += lateral
     f[P_YAW_RATE] += WIND_ARM * air_y / p.I_z
     return f
 
 
 # One kernel compiled as a whole: its parts share the state of driver, actuator, gusts and body.
-def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steering, yaw, gain, speed, acceleration, out):  # noqa: PLR0912, PLR0915
+def _loop(state, o, p, slippery, road, relation, body, first, delayed, gusts,  # noqa: PLR0912, PLR0915
+          steering, yaw, gain, speed, acceleration, out):
     fading = exp(-STEP / GUST_TIME)
     kick = o.gust * sqrt(1.0 - fading * fading)
     x, middle = state[:BODY_STATES].copy(), state[:BODY_STATES].copy()
-    angle, pedal, loose, rack, gust_x, gust_y, left_over, looked = state[BODY_STATES:]
+    angle, pedal, after_play, rack, gust_x, gust_y, heading_offset, previous_gain = state[BODY_STATES:]
     oldest, drawn = 0, 0
     for k in range(len(steering)):
         friction, bank, grade = evaluate_road(road, x[0], x[P_YAW])
         tyres = p if friction == road.friction else slippery
         f = rates(x, 0.0, pedal, (bank, grade, gust_x, o.wind + gust_y), tyres, o.drag_area, o.still_air)
         time = (first + k) * DECIDE * STEP
-        if law[0]:
-            _add_law(f, x, law, body, time, pedal)
+        if relation[0]:
+            _add_relation(f, x, relation, body, time, pedal)
         row = out[k]
         row[:] = 0.0
         row[X], row[Y], row[Z], row[YAW] = x[0], x[1], -x[P_Z], x[P_YAW]
@@ -206,10 +209,10 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
         row[A_Y], row[A_Y_RATE], row[A_X] = -x[P_ROLL], -x[P_ROLL_RATE], x[P_PITCH] - o.level
         row[STATES], row[STATES + 1], row[STATES + 2], row[STATES + 3] = f[P_VX], f[P_VY], f[P_YAW_RATE], -x[P_VZ]
         row[RECORDED + 1], row[RECORDED + 2] = bank, grade
-        if gain[k] and not looked:
-            left_over = x[P_YAW] - yaw[k]
-        looked = gain[k]
-        target = steering[k] + gain[k] * (yaw[k] + left_over - x[P_YAW]) * o.nominal
+        if gain[k] and not previous_gain:
+            heading_offset = x[P_YAW] - yaw[k]
+        previous_gain = gain[k]
+        target = steering[k] + gain[k] * (yaw[k] + heading_offset - x[P_YAW]) * o.nominal
         motion = (x[P_VX], x[P_VY], x[P_YAW_RATE], x[P_STEER])
         pedal = control_pedals(pedal, speed[k], acceleration[k], motion, o.to_rear, o.wheelbase)
         for step in range(DECIDE):
@@ -221,32 +224,32 @@ def _loop(state, o, p, slippery, road, law, body, first, delayed, gusts, steerin
             if o.gust:
                 gust_x, gust_y = fading * gust_x + kick * gusts[drawn], fading * gust_y + kick * gusts[drawn + 1]
                 drawn += 2
-            here = (bank, grade, gust_x, o.wind + gust_y)
+            surroundings = (bank, grade, gust_x, o.wind + gust_y)
             late = angle
             if len(delayed):
                 late, delayed[oldest] = delayed[oldest], angle
                 oldest = (oldest + 1) % len(delayed)
             if o.play:
-                loose = min(max(loose, late - o.play), late + o.play)
-                late = loose
+                after_play = min(max(after_play, late - o.play), late + o.play)
+                late = after_play
             rack = late / o.ratio + o.memory * (rack - late / o.ratio)
             # The rate that brings the wheels to the rack position within the step.
             turn = (rack + o.offset - x[P_STEER]) / STEP
-            f = rates(x, turn, pedal, here, tyres, o.drag_area, o.still_air)
-            if law[0]:
-                _add_law(f, x, law, body, time, pedal)
+            f = rates(x, turn, pedal, surroundings, tyres, o.drag_area, o.still_air)
+            if relation[0]:
+                _add_relation(f, x, relation, body, time, pedal)
             for i in range(BODY_STATES):
                 middle[i] = x[i] + STEP / 2 * f[i]
-            f = rates(middle, turn, pedal, here, tyres, o.drag_area, o.still_air)
-            if law[0]:
-                _add_law(f, middle, law, body, time, pedal)
+            f = rates(middle, turn, pedal, surroundings, tyres, o.drag_area, o.still_air)
+            if relation[0]:
+                _add_relation(f, middle, relation, body, time, pedal)
             for i in range(BODY_STATES):
                 x[i] += STEP * f[i]
             if not (x[P_VX] > MIN_SPEED and abs(x[P_ROLL]) < MAX_ROLL):
                 return False
     for i in range(BODY_STATES):
         state[i] = x[i]
-    state[BODY_STATES], state[BODY_STATES + 1], state[BODY_STATES + 2] = angle, pedal, loose
+    state[BODY_STATES], state[BODY_STATES + 1], state[BODY_STATES + 2] = angle, pedal, after_play
     state[BODY_STATES + 3], state[BODY_STATES + 4], state[BODY_STATES + 5] = rack, gust_x, gust_y
-    state[BODY_STATES + 6], state[BODY_STATES + 7] = left_over, looked
+    state[BODY_STATES + 6], state[BODY_STATES + 7] = heading_offset, previous_gain
     return True

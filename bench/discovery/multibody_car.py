@@ -57,14 +57,14 @@ CARS = MappingProxyType({
 })
 """Front-wheel, rear-wheel and rear-wheel drive."""
 
-WIRE = ("steering_offset", "steering_ratio_factor", "steering_lag", "steering_delay", "steering_backlash")
+STEERING = ("steering_offset", "steering_ratio_factor", "steering_lag", "steering_delay", "steering_backlash")
 BODY = ("mass_factor", "yaw_inertia_factor", "cg_shift", "friction_factor", "front_stiffness_factor",
         "rear_stiffness_factor")
 SURROUNDINGS = ("drag_area", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave", "friction_patch",
                 "wind_speed", "gust_speed")
 SENSORS = ("ins_noise", "ins_time_error", "ins_misalignment", "ins_lever_error", "yaw_rate_scale", "yaw_rate_bias",
            "velocity_scale", "lateral_acceleration_bias", "steering_sensor_noise", "steering_sensor_latency")
-KNOWN_HERE = (*WIRE, *BODY, *SURROUNDINGS, *SENSORS)
+SUPPORTED_SETTINGS = (*STEERING, *BODY, *SURROUNDINGS, *SENSORS)
 """Settings of this plant, with names, units and signs of st_sim.settings, and in addition yaw_rate_bias [rad/s]."""
 
 # The gradients are 1, because this plant records angles in place of accelerations.
@@ -76,9 +76,10 @@ HEALTHY: Mapping[str, float] = MappingProxyType({
 
 def complete_settings(settings: Mapping[str, float]) -> dict[str, float]:
     """HEALTHY with the given settings. Raises ValueError for one that this plant does not have."""
-    strange = [name for name, value in settings.items() if name not in KNOWN_HERE and value != HEALTHY.get(name)]
-    if strange:
-        raise ValueError(f"the multi-body car has no {', '.join(strange)}")
+    unsupported = [name for name, value in settings.items()
+                   if name not in SUPPORTED_SETTINGS and value != HEALTHY.get(name)]
+    if unsupported:
+        raise ValueError(f"the multi-body car has no {', '.join(unsupported)}")
     return {**HEALTHY, **settings}
 
 
@@ -196,11 +197,12 @@ def fit_tyre(load: float, tyre: TyreNumbers) -> tuple[MagicFormula, float]:
     def formula(values: np.ndarray) -> MagicFormula:
         return MagicFormula(nominal_load=load, p_ey3=0.0, **STRAIGHT, **dict(zip(FITTED, values, strict=True)))
 
-    def left(values: np.ndarray) -> np.ndarray:
-        law = formula(values)
-        return ((magic_formula_force(slips, *magic_formula_coefficients(loads, law), law) - target) / size).ravel()
+    def residuals(values: np.ndarray) -> np.ndarray:
+        fitted = formula(values)
+        force = magic_formula_force(slips, *magic_formula_coefficients(loads, fitted), fitted)
+        return ((force - target) / size).ravel()
 
-    found = least_squares(left, np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9), bounds=(low, high),
+    found = least_squares(residuals, np.clip(start, np.array(low) + 1e-9, np.array(high) - 1e-9), bounds=(low, high),
                           x_scale=np.maximum(np.abs(start), 0.1))
     return formula(found.x.tolist()), float(np.sqrt(np.mean(found.fun**2)))
 

@@ -12,11 +12,11 @@ from st_sim.settings import Settings
 from .._cars import LEAF_FILE, leaf
 from . import cars
 from . import programmes as m
-from .compiled import NO_LAW, Programme, Stopped, drive
+from .compiled import NO_RELATION, Programme, Stopped, drive
 from .multibody import log_multibody
-from .multibody_car import KNOWN_HERE, nominal_car
+from .multibody_car import SUPPORTED_SETTINGS, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
-from .pushes import REAR_CURVE, Law
+from .pushes import REAR_CURVE, Relation
 from .sensing import make_log
 
 NOMINAL: Car = read_car(LEAF_FILE)
@@ -28,7 +28,7 @@ MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the dri
 class Order:
     """A run to drive. settings: those of plant and sensors. before: settings until the fraction `from_` of the run,
     None for the same settings throughout. factors: on speed and lateral acceleration. moved: distance of the site to
-    the east [m]. law: see `pushes`."""
+    the east [m]. relation: see `pushes`."""
 
     name: str
     seed: tuple[int, ...]
@@ -38,7 +38,7 @@ class Order:
     before: Settings | None = None
     from_: float = 0.0
     moved: float = 0.0
-    law: Law = NO_LAW
+    relation: Relation = NO_RELATION
 
 
 def record_run(plant: str, vehicle: VehicleParameters, order: Order) -> DriveLog:
@@ -64,23 +64,23 @@ def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme
         first, later = order.before, (order.settings, round(order.from_ * len(programme.steering_wheel)))
     if plant != cars.LEAF:
         return log_multibody(order.name, plant, _select_known(first), programme, noise, vehicle,
-                             later and (_select_known(later[0]), later[1]), order.law)
-    recording = drive(_with_rear_curve(order.law), first, programme, noise, later, order.law)
+                             later and (_select_known(later[0]), later[1]), order.relation)
+    recording = drive(_with_rear_curve(order.relation), first, programme, noise, later, order.relation)
     return make_log(order.name, recording, NOMINAL, vehicle, first, noise, later)
 
 
-def _with_rear_curve(law: Law) -> Car:
-    """The virtual Leaf; for the law REAR_CURVE its rear tyres have another shape, with the same stiffness and
+def _with_rear_curve(relation: Relation) -> Car:
+    """The virtual Leaf; for the relation REAR_CURVE its rear tyres have another shape, with the same stiffness and
     friction."""
-    if law.kind != REAR_CURVE:
+    if relation.kind != REAR_CURVE:
         return NOMINAL
     rear = NOMINAL.tyre_rear
-    return replace(NOMINAL, tyre_rear=replace(rear, p_cy1=rear.p_cy1 * (1.0 - law.size),
-                                              p_ey1=rear.p_ey1 - 4.0 * law.size))
+    return replace(NOMINAL, tyre_rear=replace(rear, p_cy1=rear.p_cy1 * (1.0 - relation.size),
+                                              p_ey1=rear.p_ey1 - 4.0 * relation.size))
 
 
 def _select_known(settings: Settings) -> Settings:
-    return {name: value for name, value in settings.items() if name in KNOWN_HERE}
+    return {name: value for name, value in settings.items() if name in SUPPORTED_SETTINGS}
 
 
 def vehicle_of(plant: str, settings: Settings) -> VehicleParameters:

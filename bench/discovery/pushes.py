@@ -1,8 +1,8 @@
-"""Hidden laws, which are not in the library, as accelerations; the loops of both plants compile the same function.
+"""Hidden relations, which are not in the library, as accelerations; the loops of both plants compile the same function.
 
     F_f / m = (l_r a_y + k^2 r_dot) / l,   F_r / m = (l_f a_y - k^2 r_dot) / l,   a_y = v_y_dot + v_x r,   k^2 = I_z / m
 
-are the axle forces; a law reduces them by a fraction, or adds a force or a moment.
+are the axle forces; a relation reduces them by a fraction, or adds a force or a moment.
 """
 
 from math import exp
@@ -12,8 +12,8 @@ NOTHING, REAR_STEER, CAMBER, LIFT, AIR_MOMENT, TORQUE_STEER, WARM_UP, REAR_CURVE
 WARM_UP_TIME = 15.0  # s, time constant of the warm-up of tyres; shortened to the length of these runs
 
 
-class Law(NamedTuple):
-    """A law. kind: one of the constants above; size: in the unit of the kind, see `hidden_relations`."""
+class Relation(NamedTuple):
+    """A relation. kind: one of the constants above; size: in the unit of the kind, see `hidden_relations`."""
 
     kind: int = NOTHING
     size: float = 0.0
@@ -29,9 +29,9 @@ class Car(NamedTuple):
     rear: float
 
 
-def law_accelerations(law, car, time, vx, r, ax, vy_dot, r_dot):
-    """(lateral [m/s^2], yaw [rad/s^2]) accelerations of a law, left +. time: since the begin of the run [s]."""
-    kind, size = law
+def relation_accelerations(relation, car, time, vx, r, ax, vy_dot, r_dot):
+    """(lateral [m/s^2], yaw [rad/s^2]) accelerations of a relation, left +. time: since the begin of the run [s]."""
+    kind, size = relation
     to_front, to_rear, square, rear = car
     a_y, wheelbase = vy_dot + vx * r, to_front + to_rear
     front_force = (to_rear * a_y + square * r_dot) / wheelbase

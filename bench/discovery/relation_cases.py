@@ -11,19 +11,19 @@ from st_core.vehicle import VehicleParameters
 from .cars import LEAF, PLANTS, HealthyCar, has_setting, healthy_car
 from .cases import seed_of
 from .effects import is_similar
-from .hidden_relations import LAWS, REMOVED, Hidden
+from .hidden_relations import RELATIONS, REMOVED, Hidden
 from .plants import Order, record_run, vehicle_of
 from .resimulated import resimulate
 
 CASES_EACH, CASES_WITHOUT = 5, 60
-COUNTS = {"L": CASES_EACH * len(LAWS), "M": CASES_EACH * len(REMOVED), "N": CASES_WITHOUT}
+COUNTS = {"L": CASES_EACH * len(RELATIONS), "M": CASES_EACH * len(REMOVED), "N": CASES_WITHOUT}
 RUNS, HELD_OUT = 4, 2
 WRONG = {"front_stiffness_factor": 1.15, "steering_ratio_factor": 0.94, "yaw_inertia_factor": 1.2}
 """Factors on the vehicle file in half of block N; the library describes all of them."""
 
 
 @dataclass(frozen=True)
-class LawCase:
+class RelationCase:
     """A case of block L, M or N. hidden: None in N. car: the healthy car. scale: factor on the size. wrong: of the
     file."""
 
@@ -49,8 +49,8 @@ class LawCase:
 
 
 @dataclass(frozen=True)
-class LawDrives:
-    """Drives with the law (suspect, held_out), and without it (healthy, healthy_held_out; empty in block N)."""
+class RelationDrives:
+    """Drives with the relation (suspect, held_out), and without it (healthy, healthy_held_out; empty in block N)."""
 
     suspect: list[DriveLog]
     held_out: list[DriveLog]
@@ -59,14 +59,14 @@ class LawDrives:
     vehicle: VehicleParameters
 
 
-def cases_of(set_: str, block: str) -> list[LawCase]:
-    """All cases of a block, with the laws in turn."""
+def cases_of(set_: str, block: str) -> list[RelationCase]:
+    """All cases of a block, with the relations in turn."""
     return [_make_case(set_, block, i) for i in range(COUNTS[block])]
 
 
-def _make_case(set_: str, block: str, index: int) -> LawCase:
+def _make_case(set_: str, block: str, index: int) -> RelationCase:
     draw = np.random.default_rng(seed_of(set_, block, index, "law"))
-    pool = {"L": LAWS, "M": REMOVED}.get(block)
+    pool = {"L": RELATIONS, "M": REMOVED}.get(block)
     hidden = pool[index % len(pool)] if pool else None
     round_ = index // len(pool) if pool else index
     # Half of the cases have the multi-body cars, in turn, if the plant has the setting.
@@ -74,35 +74,38 @@ def _make_case(set_: str, block: str, index: int) -> LawCase:
     if hidden and not all(has_setting(plant, name) for name in hidden.settings_in(plant)):
         plant = LEAF
     car = healthy_car(plant, (seed_of(set_, block, index, "car"),))
-    return LawCase(set_, block, index, hidden, car, float(draw.choice([1.0, 0.7])), block == "N" and index % 2 == 1)
+    return RelationCase(set_, block, index, hidden, car, float(draw.choice([1.0, 0.7])),
+                        block == "N" and index % 2 == 1)
 
 
-def drives_of(case: LawCase) -> LawDrives:
+def drives_of(case: RelationCase) -> RelationDrives:
     """Drives the cars of a case."""
     car, hidden = case.car, case.hidden
     own = vehicle_of(car.plant, car.settings)
     file_values = {name: car.settings[name] * factor for name, factor in WRONG.items()} if case.wrong else {}
     vehicle = vehicle_of(car.plant, {**car.settings, **file_values})
 
-    def drive(with_law: bool, first: int, count: int) -> list[DriveLog]:
-        return [_record_case_run(case, own if hidden is None else vehicle, with_law, first + i) for i in range(count)]
+    def drive(with_relation: bool, first: int, count: int) -> list[DriveLog]:
+        return [_record_case_run(case, own if hidden is None else vehicle, with_relation, first + i)
+                for i in range(count)]
 
     if hidden is None:
         logs = [resimulate(log, own, int(np.random.default_rng([case.seed, k, 7]).integers(2**31)))
                 for k, log in enumerate((*drive(False, 0, RUNS), *drive(False, 200, HELD_OUT)))]
         logs = [log.with_steering(vehicle) for log in logs]
-        return LawDrives(logs[:RUNS], logs[RUNS:], [], [], vehicle)
-    return LawDrives(drive(True, 0, RUNS), drive(True, 200, HELD_OUT), drive(False, 0, RUNS),
+        return RelationDrives(logs[:RUNS], logs[RUNS:], [], [], vehicle)
+    return RelationDrives(drive(True, 0, RUNS), drive(True, 200, HELD_OUT), drive(False, 0, RUNS),
                      drive(False, 200, HELD_OUT), vehicle)
 
 
-def _record_case_run(case: LawCase, vehicle: VehicleParameters, with_law: bool, number: int) -> DriveLog:
+def _record_case_run(case: RelationCase, vehicle: VehicleParameters, with_relation: bool, number: int) -> DriveLog:
     plant, hidden, settings = case.car.plant, case.hidden, dict(case.car.settings)
     order = Order(f"run_{number + 1}", (case.seed, number), settings)
-    if not with_law:
+    if not with_relation:
         return record_run(plant, vehicle, order)
     for name, more in hidden.settings_in(plant).items():
         settings[name] += case.scale * more
-    law = hidden.law_in(plant)
-    log = record_run(plant, vehicle, replace(order, settings=settings, law=law._replace(size=case.scale * law.size)))
+    relation = hidden.relation_in(plant)
+    relation = relation._replace(size=case.scale * relation.size)
+    log = record_run(plant, vehicle, replace(order, settings=settings, relation=relation))
     return hidden.change(log, vehicle, case.scale * hidden.size) if hidden.change else log

@@ -10,15 +10,15 @@ from st_recordings.paths import source_version
 
 from . import relation_score, relation_tables
 from .compiled import Stopped
-from .relation_cases import COUNTS, LawCase, cases_of
+from .relation_cases import COUNTS, RelationCase, cases_of
 from .relation_run import Record, run_case
 from .run import key_of, read_files, read_records
 
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
-        "Compares proposals with the truth, for laws outside the library that are hidden in two plants. Block L: "
-        "twelve laws, M: six effects removed from the library, N: no law."))
+        "Compares proposals with the truth, for relations outside the library that are hidden in two plants. Block "
+        "L: twelve relations, M: six effects removed from the library, N: no relation."))
     parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
     parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first cases")
@@ -38,14 +38,14 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def interleave_cases(set_: str) -> list[LawCase]:
+def interleave_cases(set_: str) -> list[RelationCase]:
     """All cases, in an order in which all blocks advance at the same rate."""
     cases = [((k + 0.5) / count, block, case) for block, count in COUNTS.items()
              for k, case in enumerate(cases_of(set_, block))]
     return [case for *_, case in sorted(cases, key=lambda c: c[:2])]
 
 
-def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool) -> list[Record]:
+def _run(cases: Sequence[RelationCase], file: Path, until: float | None, whole: bool) -> list[Record]:
     done, records = read_records(file), []
     for case in cases:
         key = key_of(case)
@@ -66,8 +66,8 @@ def _run(cases: Sequence[LawCase], file: Path, until: float | None, whole: bool)
 
 
 def _print_record(r: Record) -> None:
-    law = r["law"]
-    answer = f"{law['place']} over {law['quantity']} {law['reads']}" if law else r["outcome"]
+    relation = r["law"]
+    answer = f"{relation['place']} over {relation['quantity']} {relation['reads']}" if relation else r["outcome"]
     errors = ", ".join(f"{k} {v:.2f}" for k, v in r["position"].items())
     print(f"{r['block']} {r['index']} [{r['plant']}, {r['hidden']} x {r['scale']:g}] -> {answer}; 5 s {errors} m; "
           f"{sum(r['seconds']):.0f} s", flush=True)

@@ -16,7 +16,7 @@ from . import relation_baselines
 from .effects import SCATTER, members
 from .judge import plant_differences
 from .oracle import Oracle
-from .relation_cases import LawCase, drives_of
+from .relation_cases import RelationCase, drives_of
 
 Record = dict[str, Any]
 MAX_ERROR = 100.0  # m, error of a prediction that diverges
@@ -24,7 +24,7 @@ ORACLE_LEFT_OUT = ("front_stiffness", "rear_stiffness")
 """Differences of the plants that the oracle does not fit, because `tyre_stiffness` is their combination."""
 
 
-def run_case(case: LawCase, whole: bool = True) -> Record:
+def run_case(case: RelationCase, whole: bool = True) -> Record:
     """The record of a case. whole: with the oracle and the two baselines. As in `st discover`, a relation is searched
     only if a large error is unexplained."""
     drives = drives_of(case)
@@ -66,9 +66,9 @@ def position_error(windows: RunWindows, model: AugmentedModel) -> float:
     return float(np.mean(np.minimum(np.nan_to_num(np.hypot(*last.T), nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
 
 
-def _oracle_error(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLog],
+def _oracle_error(case: RelationCase, healthy: list[DriveLog], held_out: list[DriveLog],
                   vehicle: VehicleParameters) -> float:
-    """Held-out error [m] without the law: the effects of the plant, fitted to the same programmes of the healthy
+    """Held-out error [m] without the relation: the effects of the plant, fitted to the same programmes of the healthy
     car."""
     names = {*SCATTER, *(n for n in plant_differences(case.car.plant) if members(n) == (n,))} - set(ORACLE_LEFT_OUT)
     best = Oracle(healthy, vehicle, names, {}, case.settings).best
@@ -77,13 +77,13 @@ def _oracle_error(case: LawCase, healthy: list[DriveLog], held_out: list[DriveLo
 
 def _answer_record(found: Discovery, search: RelationSearch) -> Record:
     one = search.relation
-    law, redundant = None, ()
+    relation, redundant = None, ()
     if one is not None:
         redundant = tuple(one.redundant)
-        law = {"place": one.candidate.term, "quantity": one.candidate.quantity, "by": one.candidate.factor,
+        relation = {"place": one.candidate.term, "quantity": one.candidate.quantity, "by": one.candidate.factor,
                "others": dict(one.others), "p_value": one.p_value, "gain": one.gain,
                "shape": one.formulas[0].shape if one.formulas else "",
                "reads": one.formulas[0].text if one.formulas else "", "promised": list(one.position_5s)}
-    return {"outcome": found.outcome, "searched": needs_search(found), "why": search.reason, "law": law,
+    return {"outcome": found.outcome, "searched": needs_search(found), "why": search.reason, "law": relation,
             "alone": [e.name for e in found.effects if not e.alternatives], "redundant": list(redundant),
             "kept": [e.name for e in (*found.effects, *found.minor)]}

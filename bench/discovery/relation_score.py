@@ -14,7 +14,7 @@ from .judge import plant_differences
 from .score import wilson
 
 Record = dict[str, Any]
-WORSE = 1.02  # ratio of the position errors with and without a law above which the law is worse
+WORSE = 1.02  # ratio of the position errors with and without a relation above which the relation is worse
 CLOSABLE = 0.02, 0.1
 """Minimum gain of the oracle for a meaningful share of it: [m], and relative to the error with the library."""
 DURATION = 300.0  # s of driving for which the processor time is reported
@@ -35,12 +35,12 @@ def is_closable(r: Record) -> bool:
 
 
 def is_noticed(r: Record) -> bool:
-    """Whether the answer reports an effect that no known one explains; only then a law is searched."""
+    """Whether the answer reports an effect that no known one explains; only then a relation is searched."""
     return r["searched"]
 
 
 def is_proposed_or_unknown(r: Record) -> bool:
-    """Whether the answer has a law, or its outcome is unknown."""
+    """Whether the answer has a relation, or its outcome is unknown."""
     return r["law"] is not None or r["outcome"] == "unknown"
 
 
@@ -49,7 +49,7 @@ def is_place_right(r: Record) -> bool:
 
 
 def is_slot_right(r: Record) -> bool:
-    """Whether the place of the law, or of one of its alternatives, is right."""
+    """Whether the place of the relation, or of one of its alternatives, is right."""
     return bool(set(list_places(r)) & set(hidden_of(r).places))
 
 
@@ -63,12 +63,12 @@ def is_worse(r: Record) -> bool:
 
 
 def list_places(r: Record) -> list[str]:
-    """Places of the proposed law and of its alternatives."""
+    """Places of the proposed relation and of its alternatives."""
     return list(dict.fromkeys([r["law"]["place"], *(name.partition(" over ")[0] for name in r["law"]["others"])]))
 
 
 def list_misnamed_by_library(r: Record) -> list[str]:
-    """Effects of the library that are stated without alternatives, but neither in the car nor in a slot of the law."""
+    """Effects of the library that are stated alone that are neither in the car nor in a slot of the relation."""
     fine = {*plant_differences(r["plant"]), *SCATTER}
     return [n for n in r["alone"] if n not in fine and get_effect(n).slot not in hidden_of(r).slots]
 
@@ -122,25 +122,25 @@ def score_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     return [
         make_row("noticed (reported as missing)", format_share(map(is_noticed, hidden)), "85 %", "95 %"),
         make_row("... by a proposal, or as the outcome *unknown*", format_share(map(is_proposed_or_unknown, hidden))),
-        make_row("... where the library leaves something", format_share(map(is_noticed, matter))),
+        make_row("... where the library leaves an error", format_share(map(is_noticed, matter))),
         make_row("... on the virtual Leaf, where nothing else is missing", format_share(is_noticed(r) for r in hidden
                                                                                         if r["plant"] == LEAF)),
         make_row("right slot, or a set that contains it, of proposals", format_share(map(is_slot_right, proposed)),
                  "80 %", "90 %"),
-        make_row("... the proposal's own place", format_share(map(is_place_right, proposed))),
-        make_row("... where the library leaves something", format_share(is_slot_right(r) for r in matter if r["law"])),
-        make_row(f"... places named, of {len(ALL_TERMS)}: median / most",
+        make_row("... the place of the proposal itself", format_share(map(is_place_right, proposed))),
+        make_row("... where the library leaves an error", format_share(is_slot_right(r) for r in matter if r["law"])),
+        make_row(f"... places named, of {len(ALL_TERMS)}: median / largest",
                  format_counts(len(list_places(r)) for r in proposed)),
         make_row("held-out gap closed relative to the oracle, median / 10th percentile",
                  format_spread([closed_share(r) for r in matter]), "70 / 40 %", "90 / 60 %"),
-        make_row("held-out made worse, of proposals", format_share(map(is_worse, proposed)), "1 %", "0"),
-        make_row("proposal where nothing is left", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
-        make_row("something reported as missing there", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
-        make_row("a library name stated alone and wrong", format_share(bool(list_misnamed(r)) for r in hidden), "5 %",
-                 "2 %"),
-        make_row("... without what the proposal takes back",
+        make_row("held-out error increased, of proposals", format_share(map(is_worse, proposed)), "1 %", "0"),
+        make_row("proposal without a hidden relation", f"{alarms} of {len(nothing)}", "1 of 60", "0"),
+        make_row("... reported as missing", f"{sum(map(is_noticed, nothing))} of {len(nothing)}"),
+        make_row("a wrong effect of the library stated alone", format_share(bool(list_misnamed(r)) for r in hidden),
+                 "5 %", "2 %"),
+        make_row("... before the corrections of the proposal",
                  format_share(bool(list_misnamed_by_library(r)) for r in hidden)),
-        make_row("first reading of the shape right, where the place is", format_share(map(is_shape_right, shaped)),
+        make_row("first reading of the shape right, if the place is", format_share(map(is_shape_right, shaped)),
                  "60 %", "80 %"),
         make_row("time, 5 minutes of driving, one core, median / largest",
                  f"{np.median(times):.0f} / {max(times):.0f} s"
@@ -164,7 +164,7 @@ def method_rows(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
     most = max(set(inputs), key=inputs.count) if inputs else "-"
     return [
         one("proposal, or none", lambda r: r["position"]["proposed"],
-            "a law; slot right in " + format_share(map(is_slot_right, [r for r in everywhere if r["law"]]))),
+            "a relation; slot right in " + format_share(map(is_slot_right, [r for r in everywhere if r["law"]]))),
         one("sparse regression of residual accelerations", lambda r: r["baselines"]["regression"],
             f"its largest term; a name related to it acts in the slot in {format_share(map(regressed, everywhere))}"),
         one("Gaussian process on residual accelerations", lambda r: r["baselines"]["process"],

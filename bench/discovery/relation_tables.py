@@ -1,4 +1,4 @@
-"""Writes the scores, other methods, laws and failures of blocks L, M and N to docs/measurements/proposals.md."""
+"""Writes the scores, other methods, relations and failures of blocks L, M and N to docs/measurements/proposals.md."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ def as_markdown(records: Sequence[Record]) -> str:
         _origin(records),
         format_table(("score", "measured", "required", "goal"), score.score_rows(records)),
         *_methods(records),
-        "Law by law; position after 5 s on held-out drives, mean over the cases, m:",
+        "By relation; position after 5 s on held-out drives, mean over the cases, m:",
         format_table(("hidden", "cases", "noticed", "slot right", "vehicle file", "library", "with the proposal",
-                      "oracle"), _law_rows(records)),
-        "What failed, case by case:",
+                      "oracle"), _relation_rows(records)),
+        "Wrong answers by case:",
         format_table(("case", "hidden", "answer", "wrong"), _failure_rows(records) or [("-",) * 4])])
 
 
@@ -36,20 +36,20 @@ def _methods(records: Sequence[Record]) -> list[str]:
     if not any(r.get("baselines") for r in records):
         return []
     return ["Other methods on the same cases, starting from the same answer of `st discover`, simulated the same way:",
-            format_table(("method", "gap closed, median / 10th percentile", "made worse", "names"),
+            format_table(("method", "gap closed, median / 10th percentile", "error increased", "names"),
                          score.method_rows(records))]
 
 
 def _origin(records: Sequence[Record]) -> str:
     sets, versions = (", ".join(sorted({r[key] for r in records})) for key in ("set", "version"))
     counts = ", ".join(f"{sum(r['block'] == b for r in records)} of {n} {b}" for b, n in COUNTS.items())
-    looked = ("" if sets.startswith("sealed") else
-              " **Development cases: they were looked at while the method was written.**")
-    return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: laws not in the library, M: an effect taken out of "
-            f"the library, N: nothing left to find).{looked} In brackets: 95 % Wilson interval.")
+    warning = ("" if sets.startswith("sealed") else
+               " **Development cases: they were known during the development of the method.**")
+    return (f"Set: {sets}. Version {versions}. Cases: {counts} (L: relations not in the library, M: an effect removed "
+            f"from the library, N: no hidden relation).{warning} In brackets: 95 % Wilson interval.")
 
 
-def _law_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
+def _relation_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     by: dict[str, list[Record]] = defaultdict(list)
     for r in records:
         by[r["hidden"]].append(r)
@@ -62,8 +62,8 @@ def _law_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for name in [*BY_NAME, "nothing"]:
         rows = by.get(name, [])
         if rows:
-            laws = [r for r in rows if r["law"]]
-            slot = "-" if name == "nothing" else f"{sum(map(score.is_slot_right, laws))} of {len(laws)}"
+            relations = [r for r in rows if r["law"]]
+            slot = "-" if name == "nothing" else f"{sum(map(score.is_slot_right, relations))} of {len(relations)}"
             lines.append((name, str(len(rows)), str(sum(map(score.is_noticed, rows))), slot,
                           *(mean(rows, which) for which in ("base", "found", "proposed", "oracle"))))
     return lines
@@ -74,11 +74,11 @@ def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for r in sorted(records, key=lambda r: (r["block"], r["index"])):
         wrong = list_failures(r)
         if wrong:
-            law = r["law"]
-            by = f" times {law['by']}" if law and law["by"] else ""
+            relation = r["law"]
+            by = f" times {relation['by']}" if relation and relation["by"] else ""
             answer = f"{r['outcome']}, no proposal"
-            if law:
-                answer = f"{law['place']} over {law['quantity']}{by}, {law['reads']}"
+            if relation:
+                answer = f"{relation['place']} over {relation['quantity']}{by}, {relation['reads']}"
             rows.append((f"{r['block']} {r['index']}", f"{r['plant']}: {r['hidden']} x {r['scale']:g}",
                          answer, "; ".join(wrong)))
     return rows
@@ -87,14 +87,14 @@ def _failure_rows(records: Sequence[Record]) -> list[tuple[str, ...]]:
 def list_failures(r: Record) -> list[str]:
     """Errors of an answer; empty for a right one."""
     if r["block"] == "N":
-        return ["a proposal where nothing is left"] if r["law"] else []
+        return ["a proposal without a hidden relation"] if r["law"] else []
     wrong = []
-    # Without an oracle it is not known whether anything is left to notice.
+    # Without an oracle it is unknown whether there is an error to notice.
     if ("oracle" not in r["position"] or score.is_closable(r)) and not score.is_noticed(r):
         wrong.append("not noticed")
     if r["law"]:
         wrong += [] if score.is_slot_right(r) else ["another slot"]
-        wrong += ["made worse"] if score.is_worse(r) else []
+        wrong += ["error increased"] if score.is_worse(r) else []
         if score.is_place_right(r) and score.hidden_of(r).shapes and not score.is_shape_right(r):
             wrong.append(f"shape read as {r['law']['shape'] or 'none'}")
     misnamed = score.list_misnamed(r)

@@ -27,10 +27,10 @@ from .next_drive import try_suggestion
 
 BASELINE_INTERVAL = 3  # every third case of blocks A and B is also given to the other methods
 Record = dict[str, Any]
-Question = Case | EditCase
+AnyCase = Case | EditCase
 
 
-def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -> Record:
+def run_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) -> Record:
     """The record of a case for the score. whole: with baselines and suggested drives."""
     limits = limits or Limits()
     if isinstance(case, EditCase):
@@ -52,7 +52,7 @@ def run_case(case: Question, limits: Limits | None = None, whole: bool = True) -
     return record
 
 
-def describe_case(case: Question) -> Record:
+def describe_case(case: AnyCase) -> Record:
     """The part of a record that describes the case."""
     if isinstance(case, EditCase):
         return {"kind": case.name or "unedited", "size": case.size}
@@ -98,7 +98,7 @@ def _values(effect: FoundEffect) -> dict[str, list[float]]:
     return {n: [p.value, *p.interval] for n, p in effect.parameters.items()}
 
 
-def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[Question]:
+def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = (0, 1)) -> Iterator[AnyCase]:
     """Interleaves the cases of all blocks, so that all blocks are about equally complete when a run is stopped.
 
     part: (k, n), every n-th group from the k-th on, for one of n processes. Cases with the same reference stay
@@ -107,7 +107,7 @@ def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = 
     groups = []
     for block, count in counts.items():
         if block == "F":
-            cases: list[Question] = list(edits.cases_of(set_, count)) if count else []
+            cases: list[AnyCase] = list(edits.cases_of(set_, count)) if count else []
         else:
             cases = list(cases_of(set_, block, count))
         size = PER_CAR if block == "D" else 1
@@ -118,7 +118,7 @@ def interleave_cases(set_: str, counts: dict[str, int], part: tuple[int, int] = 
         yield from group
 
 
-def key_of(case: Question) -> tuple[str, str, int]:
+def key_of(case: AnyCase) -> tuple[str, str, int]:
     return case.set_, case.block, case.index
 
 
@@ -136,7 +136,7 @@ def read_files(files: Iterable[Path]) -> list[Record]:
     return list(kept.values())
 
 
-def run_all(cases: Iterable[Question], file: Path, until: float | None, report: Callable[[Record], None],
+def run_all(cases: Iterable[AnyCase], file: Path, until: float | None, report: Callable[[Record], None],
             limits: Limits | None = None, whole: bool = True) -> list[Record]:
     """Records of all cases, which are appended to the file one by one; cases in the file are not run again.
 
@@ -160,7 +160,7 @@ def run_all(cases: Iterable[Question], file: Path, until: float | None, report: 
     return records
 
 
-def _try_case(case: Question, limits: Limits | None, whole: bool) -> Record:
+def _try_case(case: AnyCase, limits: Limits | None, whole: bool) -> Record:
     # An exception in the discovery is a wrong answer, and does not end the benchmark.
     try:
         return run_case(case, limits, whole)

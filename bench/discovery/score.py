@@ -178,24 +178,24 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
     for r in records:
         blocks[r["block"]].append(r)
     table = Table()
-    _parameters_found(table, [*blocks["A"], *blocks["B"]], "")
-    _nothing_hidden(table, blocks["C"], "")
-    _referenced(table, blocks["D"])
+    _score_found_effects(table, [*blocks["A"], *blocks["B"]], "")
+    _score_healthy(table, blocks["C"], "")
+    _score_with_reference(table, blocks["D"])
     relevant = [r for r in blocks["E"] if r.get("loss_ratio", 0.0) >= MIN_HIDDEN_LOSS_RATIO]
     table.add("E: reported as varying or unknown, not named", "80 %", "92 %", share_of_records(relevant, is_reported))
     for kind in ("place", "time", "unknown"):
         table.add(f"  {kind}", "", "", share_of_records([r for r in relevant if r["kind"] == kind], is_reported))
-    _edits(table, blocks["F"])
+    _score_edits(table, blocks["F"])
     away = {b: [r for r in blocks[b] if r["plant"] != LEAF] for b in "ABC"}
-    _parameters_found(table, [*away["A"], *away["B"]], "multi-body, ")
-    _nothing_hidden(table, away["C"], "multi-body, ")
+    _score_found_effects(table, [*away["A"], *away["B"]], "multi-body, ")
+    _score_healthy(table, away["C"], "multi-body, ")
     table.add("suggested drive, once driven, settles", "60 %", "85 %",
               share_of_records([r for r in records if "settled" in r], lambda r: r["settled"]))
     judged = [r for r in (*blocks["A"], *blocks["B"]) if r.get("shares")]
     table.add("budget shares against truth, mean difference", "≤ 12 %", "≤ 6 %",
               {**value_of([m for r in judged for m in budget_misses(r)]), "percent": True})
     table.add("self-certificate: promised power against measured, mean difference", "≤ 12 %", "≤ 6 %",
-              {**_promises([*blocks["A"], *blocks["B"]]), "percent": True})
+              {**_power_error([*blocks["A"], *blocks["B"]]), "percent": True})
     everything = [r["cpu_s"] for r in records if "cpu_s" in r]
     table.add("processor time of discover per case [s], median", "≤ 20", "≤ 5", value_of(everything, np.median))
     table.add("processor time of discover per case [s], largest", "≤ 20", "≤ 5", value_of(everything, np.max))
@@ -203,41 +203,41 @@ def score_rows(records: Sequence[Record]) -> list[Record]:
     return table.rows
 
 
-def _parameters_found(table: Table, rows: list[Record], who: str) -> None:
+def _score_found_effects(table: Table, rows: list[Record], prefix: str) -> None:
     """Adds the rows of blocks A and B. who: prefix of their names."""
-    slack = "within 6 points of " if who else ""
-    table.add(f"{who}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
+    slack = "within 6 points of " if prefix else ""
+    table.add(f"{prefix}A and B: effects that matter, stated alone or in a set", slack + "90 %", "97 %",
               share_of([is_stated(r, n) for r in rows for n in relevant_effects(r)]))
-    table.add(f"{who}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
+    table.add(f"{prefix}A and B: statements that are false", slack + "≤ 4 %", "≤ 1 %",
               share_of([is_false(r, e) for r in rows for e in r["effects"]]))
-    table.add(f"{who}A and B: mean set size", "≤ 1.6", "≤ 1.25",
+    table.add(f"{prefix}A and B: mean set size", "≤ 1.6", "≤ 1.25",
               value_of([len(g) for r in rows for g in list_statements(r)]))
-    table.add(f"{who}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
+    table.add(f"{prefix}A and B: values inside their 95 % interval", slack + "85 %", "92 %",
               share_of([inside for r in rows for _, inside in values_inside(r)]))
     shares = [closed_share(r) for r in rows]
     for name, q, required, goal in (("median", 0.5, "92 %", "98 %"), ("10th percentile", 0.1, "75 %", "90 %")):
-        table.add(f"{who}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required, goal,
-                  {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
-    table.add(f"{who}A and B: held-out made worse", "≤ 1 %", "0",
+        table.add(f"{prefix}A and B: held-out 5 s position closed relative to the oracle, {name}", slack + required,
+                  goal, {**value_of(shares, lambda v, q=q: np.quantile(v, q)), "percent": True})
+    table.add(f"{prefix}A and B: held-out error increased", "≤ 1 %", "0",
               share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _nothing_hidden(table: Table, rows: list[Record], who: str) -> None:
+def _score_healthy(table: Table, rows: list[Record], prefix: str) -> None:
     exactly = [r for r in rows if r["kind"] == "base"]
     identified = [r for r in rows if r["kind"] == "identified"]
-    table.add(f"{who}C: something stated", "≤ 3 %", "≤ 1 %",
+    table.add(f"{prefix}C: something stated", "≤ 3 %", "≤ 1 %",
               share_of([*(bool(r["effects"]) for r in exactly), *(bool(list_false(r)) for r in identified)]))
-    table.add(f"  {who}base exactly right: something stated", "", "",
+    table.add(f"  {prefix}base exactly right: something stated", "", "",
               share_of_records(exactly, lambda r: bool(r["effects"])))
-    table.add(f"  {who}file identified: something stated that is not truly different", "", "", share_of_records(
+    table.add(f"  {prefix}file identified: something stated without a true difference", "", "", share_of_records(
         identified, lambda r: bool(list_false(r))))
-    table.add(f"  {who}file identified: anything stated", "", "",
+    table.add(f"  {prefix}file identified: anything stated", "", "",
               share_of_records(identified, lambda r: bool(r["effects"])))
-    table.add(f"  {who}C: held-out made worse", "≤ 1 %", "0",
+    table.add(f"  {prefix}C: held-out error increased", "≤ 1 %", "0",
               share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _referenced(table: Table, rows: list[Record]) -> None:
+def _score_with_reference(table: Table, rows: list[Record]) -> None:
     single = [r for r in rows if r["kind"] == "one" and "detectability" in r]
     for level, required, goal in (("strong", "95 %", "98 %"), ("medium", "85 %", "94 %"), ("weak", "70 %", "85 %")):
         table.add(f"D: exact name, {level}, with v_y", required, goal, share_of_records(
@@ -248,11 +248,11 @@ def _referenced(table: Table, rows: list[Record]) -> None:
     for name, shifted, required, goal in (("same", False, "≤ 2 %", "≤ 1 %"), ("shifted", True, "≤ 4 %", "≤ 2 %")):
         table.add(f"D: alarms, {name} conditions", required, goal, share_of_records(
             [r for r in healthy if r["shifted"] == shifted], lambda r: r["outcome"] not in ("none", "not_testable")))
-    table.add("  D: held-out made worse", "≤ 1 %", "0",
+    table.add("  D: held-out error increased", "≤ 1 %", "0",
               share_of_records([r for r in rows if "position" in r], is_worse))
 
 
-def _edits(table: Table, rows: list[Record]) -> None:
+def _score_edits(table: Table, rows: list[Record]) -> None:
     plain = next((r for r in rows if r["index"] < 0), None)
     compared = [] if plain is None else [compare_edit(plain, r) for r in rows if r["index"] >= 0]
     table.add("F: moves by the edit, inside the interval; others do not beyond theirs", "90 %", "96 %",
@@ -261,7 +261,7 @@ def _edits(table: Table, rows: list[Record]) -> None:
     table.add("  others do not move", "", "", share_of([not e.others for e in compared]))
 
 
-def _promises(rows: Iterable[Record]) -> Record:
+def _power_error(rows: Iterable[Record]) -> Record:
     """Mean over the effects of the difference between mean promised power and share of cases in which they were
     found."""
     by: dict[str, list[tuple[float, bool]]] = defaultdict(list)

@@ -12,7 +12,7 @@ from . import score
 from .cars import LEAF
 from .cases import COUNTS
 from .edit_score import compare_edit
-from .effects import DIFFERENT, KNOWN
+from .effects import KNOWN, PLANT_DIFFERENCES
 from .figures import draw_confusion
 from .score import format_result, list_statements, relevant_effects, share_of, share_of_records, value_of
 
@@ -39,10 +39,10 @@ on the virtual Leaf. In brackets: cases, and the 95 % Wilson interval."""
 
 
 def write(records: Sequence[Record]) -> None:
-    usual = [r for r in records if "limit" not in r]
-    PAGE.write_text(as_markdown(usual, [r for r in records if "limit" in r]))
+    unchanged = [r for r in records if "limit" not in r]
+    PAGE.write_text(as_markdown(unchanged, [r for r in records if "limit" in r]))
     FIGURE.parent.mkdir(exist_ok=True)
-    draw_confusion(usual, FIGURE)
+    draw_confusion(unchanged, FIGURE)
 
 
 def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
@@ -56,10 +56,10 @@ def as_markdown(records: Sequence[Record], ablated: Sequence[Record]) -> str:
         "## Other methods", "Share of the oracle's improvement in held-out 5 s position, on the cases of A and B that "
         "were given to all of them.", _methods(records),
         "## Limits of the decision", _ablation(ablated),
-        "## What is truly different between plant and model", "Naming one of these is right, whatever is hidden.",
-        format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in DIFFERENT.items()
+        "## True differences between plant and model", "Naming one of these is right, whatever is hidden.",
+        format_table(("plant", "effect", "why"), [(plant, name, why) for plant, rows in PLANT_DIFFERENCES.items()
                                                   for name, why in rows.items()]),
-        "## What failed", *_failure_tables(records),
+        "## Wrong answers", *_failure_tables(records),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -70,16 +70,16 @@ def _origin(records: Sequence[Record]) -> str:
     sets, versions = (sorted({r[key] for r in records}) for key in ("set", "version"))
     text = (f"Set: {', '.join(sets)}. Version {', '.join(versions)}. Cases: "
             + ", ".join(f"{counts[block]} {block} of {n}" for block, n in COUNTS.items()) + ".")
-    looked_at = sum(r["set"] != "sealed" for r in records if r["index"] >= 0)
-    if not looked_at:
+    development = sum(r["set"] != "sealed" for r in records if r["index"] >= 0)
+    if not development:
         return text
-    which = f"All {looked_at}" if looked_at == counts.total() else f"{looked_at} of the {counts.total()}"
-    warning = (f"**Development cases.** {which} cases below were looked at while the decision was "
-               "written: they show progress, not quality.")
+    which = f"All {development}" if development == counts.total() else f"{development} of the {counts.total()}"
+    warning = (f"**Development cases.** {which} cases below were known during the development of "
+               "the decision: they show progress, not quality.")
     if "sealed" not in sets:
         warning += " **The sealed set has not been opened yet.**"
     if len(versions) > 1:
-        warning += f" They were answered by {len(versions)} versions, so no score is that of one."
+        warning += f" The answers are from {len(versions)} versions, so no score belongs to one version."
     return f"{warning}\n\n{text}"
 
 
@@ -128,7 +128,7 @@ def _methods(records: Sequence[Record]) -> str:
     worse = share_of_records(residuals, lambda residual: residual["after"] > residual["before"])
     text = ("Sparse regression of the residual accelerations predicts no positions. Its largest term names a hidden "
             f"effect in {format_result(named)}; the residual on held-out drives grows in {format_result(worse)}.")
-    return format_table(("method", "median", "10th percentile", "made worse"), rows) + "\n\n" + text
+    return format_table(("method", "median", "10th percentile", "error increased"), rows) + "\n\n" + text
 
 
 ABLATED = ("A and B: effects that matter, stated alone or in a set", "A and B: statements that are false",
@@ -143,13 +143,14 @@ def _ablation(records: Sequence[Record]) -> str:
     for r in records:
         by[r["limit"][0], r["limit"][1]].append(r)
     rows = []
-    for (name, factor), mine in sorted(by.items()):
-        measured = {r["name"]: format_result(r) for r in score.score_rows(mine)}
-        rows.append((f"{name} x {factor:g}" if name else "as they are", *(measured[n] for n in ABLATED)))
-    usual = by["", 1.0]
-    cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in usual).items()))
-    about = (f"The same cases with half and twice each limit; set {usual[0]['set']}, version {usual[0]['version']}, "
-             f"{cases}. So few cases show only which changes of a limit do harm, not which value is best.")
+    for (name, factor), matching in sorted(by.items()):
+        measured = {r["name"]: format_result(r) for r in score.score_rows(matching)}
+        rows.append((f"{name} x {factor:g}" if name else "unchanged", *(measured[n] for n in ABLATED)))
+    unchanged = by["", 1.0]
+    cases = ", ".join(f"{n} {block}" for block, n in sorted(Counter(r["block"] for r in unchanged).items()))
+    about = (f"The same cases with half and twice each limit; set {unchanged[0]['set']}, version "
+             f"{unchanged[0]['version']}, {cases}. So few cases show only which changes of a limit do harm, not which "
+             "value is best.")
     return "\n\n".join((about, format_table(("limit", *ABLATED), rows)))
 
 
@@ -202,5 +203,5 @@ def list_failures(r: Record, plain: Record | None) -> list[str]:
     wrong += [f"missed: {n} (x{r['worth'][n]:.2f})" for n in relevant_effects(r) if not score.is_stated(r, n)]
     wrong += [f"value of {n} outside" for n, inside in score.values_inside(r) if not inside]
     if "position" in r and score.is_worse(r):
-        wrong.append("held-out made worse")
+        wrong.append("held-out error increased")
     return wrong

@@ -21,7 +21,7 @@ from bench.discovery.multibody import BODY_STATES, drive_multibody, rates
 from bench.discovery.multibody_car import CARS, dynamics, parameters_of, vehicle_of
 from bench.discovery.plants import LEAF, NOMINAL, Order, record_run
 from bench.discovery.plants import vehicle_of as vehicle_of_plant
-from bench.discovery.pushes import Law
+from bench.discovery.pushes import Relation
 from bench.discovery.sensing import CHANNELS, make_log, make_readings
 
 FLAT_AND_CALM = (0.0, 0.0, 0.0, 0.0)  # bank, grade [rad], wind [m/s]
@@ -139,7 +139,7 @@ def test_both_plants_respond_to_a_hidden_relation(plant):
     vehicle = vehicle_of_plant(plant, car.settings)
     order = Order("run", (5, 6), car.settings)
     reference = record_run(plant, vehicle, order)
-    without, with_moment = (record_run(plant, vehicle, replace(order, law=Law(kind, 0.001)))
+    without, with_moment = (record_run(plant, vehicle, replace(order, relation=Relation(kind, 0.001)))
                     for kind in (pushes.NOTHING, pushes.AIR_MOMENT))
     assert np.array_equal(reference.yaw_rate, without.yaw_rate)
     yaw_acceleration = np.gradient((with_moment.yaw_rate - reference.yaw_rate)[:30], 0.01)[:8].mean()
