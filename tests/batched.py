@@ -1,4 +1,4 @@
-"""Many predictions in one pass of the numpy backend, to be compared with `predict` one by one."""
+"""Predictions in one pass of the numpy backend, for comparison with single predictions by `predict`."""
 
 from collections.abc import Mapping
 
@@ -13,13 +13,13 @@ from st_core.vehicle import VehicleParameters
 def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
                   velocity_x_dot: np.ndarray, horizon: float = 5.0,
                   signals: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """(n, steps + 1, 6). states: (n, 6). Inputs and signals: (n,) held, or (n, 2 * steps + 1) on the half-step grid."""
+    """States (n, steps + 1, 6). states: (n, 6). Inputs and signals: (n,) constant, or (n, 2 * steps + 1) at half steps."""
     model = get_model(model)
     p, count = model.parameters(vehicle), len(states)
     step = 0.05
     steps = step_count(horizon, step)
-    known = [np.asarray(a, float).T for a in (road_wheel_angle, velocity_x_dot, *((signals or {}).values()))]
-    angle, acceleration, *others = np.broadcast_arrays(*map(np.atleast_2d, known))
+    inputs = [np.asarray(a, float).T for a in (road_wheel_angle, velocity_x_dot, *((signals or {}).values()))]
+    angle, acceleration, *others = np.broadcast_arrays(*map(np.atleast_2d, inputs))
     with np.errstate(all="ignore"):
         fields = model.inputs(angle, acceleration, p, *others)
         w = np.array([np.broadcast_to(f, angle.shape).ravel() for f in fields])

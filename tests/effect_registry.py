@@ -1,4 +1,4 @@
-"""The registry of effects after a test that adds some: as it was before."""
+"""Restores the registry of effects after a test that adds effects."""
 
 import sys
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from st_core.effects import EFFECTS
 
 
 def restored() -> Iterator[None]:
-    """A fixture, once `pytest.fixture` is put around it."""
+    """Generator for `pytest.fixture`: removes the effects and modules that a test has added."""
     before, modules = dict(EFFECTS), set(sys.modules)
     yield
     EFFECTS.clear()

@@ -11,10 +11,10 @@ from st_core.identification.steering_ratio import Turntable
 from st_core.tyres import tyre_force
 from st_core.vehicle import VehicleParameters
 
-SCALE_NOISE, SCALE_ERROR, SCALE_STEP = 0.8, 0.5, 0.5  # kg: from weighing to weighing, of a scale, of its display
+SCALE_NOISE, SCALE_ERROR, SCALE_STEP = 0.8, 0.5, 0.5  # kg: repeatability, error of a scale, resolution
 PITCH_NOISE, RADIUS_NOISE = np.radians(0.05), 0.003  # rad, m
-STEERING_STEP, TABLE_NOISE = np.radians(0.1), np.radians(0.1)  # rad: logged angle, reading of a turntable
-FORCE_NOISE, LOAD_NOISE = 20.0, 10.0  # N; half a percent of the largest force
+STEERING_STEP, TABLE_NOISE = np.radians(0.1), np.radians(0.1)  # rad: resolution of the angle, noise of a turntable
+FORCE_NOISE, LOAD_NOISE = 20.0, 10.0  # N; the force noise is 0.5 % of the largest force
 RADII = (0.302, 0.299)  # m, loaded wheels front and rear
 TYRE_STIFFNESS = 20000.0  # kg/m, of one tyre
 
@@ -57,7 +57,7 @@ def turntable(car: VehicleParameters, seed: int) -> Turntable:
                              + random.normal(0.0, TABLE_NOISE, len(steering))) / np.radians(0.1)) * np.radians(0.1)
                    for sign in (1.0, -1.0))
     noisy = np.round((steering + random.normal(0.0, np.radians(1.0), len(steering))) / STEERING_STEP) * STEERING_STEP
-    # The steering wheel is never exactly at its mark; the logged angle is its actual one.
+    # The steering wheel is never exactly at its mark; the logged angle is the actual one.
     true_mean = noisy / car.steering_ratio - mean
     return Turntable(noisy, left + true_mean, right + true_mean,
                      ("to the left",) * len(half) + ("to the right",) * len(half))

@@ -1,4 +1,4 @@
-"""CANedge2 log files of layout 2 (firmware 01.07), block by block as the logger leaves them: unfinalised, unsorted.
+"""Writes CANedge2 log files of layout 2 (firmware 01.07), block by block as the logger: unfinalised and unsorted.
 
 One data group; one channel group per bus and kind (CAN1_Rx, CAN2_Rx_IDE, ...); 48-bit time in microseconds; 8 payload
 bytes in the record; the bus is only in the group's name. Source: ASAM MDF 4.1 and the facts about CANedge2 files.

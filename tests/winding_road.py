@@ -21,7 +21,8 @@ class Truth:
 def winding_road(car: VehicleParameters, truth: Truth, seconds: float, seed: int, noise: float = 1.0) -> np.ndarray:
     """Rows of (t, x, y, yaw, v_x, v_y, yaw rate, steering wheel angle as measured) at RATE, INS point; SI.
 
-    Straights, bends to both sides up to 3 m/s^2, 6 to 15 m/s. Noise 1: that of an INS with RTK and a 0.1 deg sensor.
+    Straights, and bends to both sides up to 3 m/s^2, at 6 to 15 m/s. noise: 1 for an INS with RTK and a steering sensor
+    with a resolution of 0.1 deg.
     """
     random = np.random.default_rng(seed)
     real = replace(car, cornering_stiffness_front=car.cornering_stiffness_front * truth.scale,
@@ -33,9 +34,9 @@ def winding_road(car: VehicleParameters, truth: Truth, seconds: float, seed: int
     speed = 10.5 + 4.5 * np.sin(2.0 * np.pi * time / 37.0)
     acceleration = np.gradient(speed, step)
     phases = random.uniform(0.0, 2.0 * np.pi, 2)
-    winding = np.clip(2.0 * np.sin(2.0 * np.pi * time / 29.0 + phases[1]), 0.0, 1.0)  # straights between
-    pull = 3.0 * np.sin(2.0 * np.pi * time / 11.0 + phases[0]) * winding
-    delta = pull * (car.wheelbase / speed**2 + 0.002)
+    winding = np.clip(2.0 * np.sin(2.0 * np.pi * time / 29.0 + phases[1]), 0.0, 1.0)  # straights in between
+    lateral_acceleration = 3.0 * np.sin(2.0 * np.pi * time / 11.0 + phases[0]) * winding
+    delta = lateral_acceleration * (car.wheelbase / speed**2 + 0.002)
     state = np.array([0.0, 0.0, speed[0], 0.0, 0.0, 0.0])
     rows = []
     for k in range(len(time)):
