@@ -13,7 +13,7 @@ from st_core.vehicle import VehicleParameters
 def predict_batch(model: str | Model, vehicle: VehicleParameters, states: np.ndarray, road_wheel_angle: np.ndarray,
                   velocity_x_dot: np.ndarray, horizon: float = 5.0,
                   signals: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """States (n, steps + 1, 6). states: (n, 6). Inputs and signals: (n,) constant, or (n, 2 * steps + 1) at half steps."""
+    """States (n, steps + 1, 6). states: (n, 6). Inputs, signals: (n,) constant, or (n, 2 * steps + 1) at half steps."""
     model = get_model(model)
     p, count = model.parameters(vehicle), len(states)
     step = 0.05

@@ -1,4 +1,4 @@
-"""A virtual CAN interface of the kernel, made and unmade by a test, and frames that python-can does not send."""
+"""A virtual CAN interface of the kernel, created and deleted by a test, and frames that python-can cannot send."""
 
 import shutil
 import socket
@@ -10,20 +10,20 @@ _PROBE = "stprobe0"
 
 
 def ip_link(*words: str) -> subprocess.CompletedProcess:
-    """`ip link ...`; its return code and words are the caller's to look at."""
+    """Runs `ip link ...`; the caller evaluates return code and output."""
     command = [shutil.which("ip") or "/sbin/ip", "link", *words]
     return subprocess.run(command, check=False, capture_output=True, text=True)
 
 
 def unavailable() -> str:
-    """Why no virtual CAN interface can be had from this kernel; empty if one can."""
+    """Reason why this kernel provides no virtual CAN interface; empty if it does."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
         return f"no CAN in this kernel ({error.strerror})"
-    made = ip_link("add", _PROBE, "type", "vcan")
-    if made.returncode:
-        return f"no virtual CAN interface can be made here ({made.stderr.strip()})"
+    created = ip_link("add", _PROBE, "type", "vcan")
+    if created.returncode:
+        return f"no virtual CAN interface can be created ({created.stderr.strip()})"
     ip_link("del", _PROBE)
     return ""
 
@@ -66,7 +66,7 @@ class Interface:
         self._send(struct.pack("=IB3x8s", identifier, len(data), data))
 
     def send_error(self, error_class: int, data: bytes = bytes(8)) -> None:
-        """An error frame as a controller's driver makes it."""
+        """An error frame as sent by the driver of a controller."""
         self.send(ERROR_FLAG | error_class, data)
 
     def send_fd(self, identifier: int, data: bytes) -> None:

@@ -19,14 +19,14 @@ def no_can() -> str:
 
 @pytest.fixture
 def interface(no_can):
-    """Up, for classical and FD frames; deleted afterwards."""
+    """A vcan interface that is up; deleted after the test."""
     if no_can:
-        pytest.skip(f"{no_can}; test_guest.py runs this test in a guest that has it")
-    made = vcan.Interface(NAME)
-    made.create()
-    yield made
-    if made.exists():
-        made.delete()
+        pytest.skip(f"{no_can}; test_guest.py runs this test in a guest with CAN")
+    created = vcan.Interface(NAME)
+    created.create()
+    yield created
+    if created.exists():
+        created.delete()
 
 
 @pytest.fixture(scope="session")
@@ -41,10 +41,7 @@ def decoder(can_files) -> Decoder:
 
 @pytest.fixture
 def start_receiver(interface):
-    """start_receiver(...) -> a started Receiver on the interface.
-
-    seen: (frame, time_ns) each; states: (state, reason) each.
-    """
+    """start_receiver(...) -> a running Receiver with lists: `seen` (frame, time_ns), `states` (state, reason)."""
     started = []
 
     def start(on_frame=None, filters=None, silence=0.5) -> Receiver:

@@ -1,10 +1,10 @@
-"""Loads kernel modules, given as files in the order of their dependencies: `insmod` without the package that has it."""
+"""Loads kernel modules from files in the order of their dependencies, as `insmod`, which may not be installed."""
 
 import ctypes
 import os
 import sys
 
-FINIT_MODULE = 313  # x86-64, the one architecture that User-Mode Linux is packaged for
+FINIT_MODULE = 313  # on x86-64, the only architecture for which User-Mode Linux is packaged
 libc = ctypes.CDLL(None, use_errno=True)
 for name in sys.argv[1:]:
     descriptor = os.open(name, os.O_RDONLY)

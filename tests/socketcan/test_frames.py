@@ -1,4 +1,4 @@
-"""What kinds of frame a real SocketCAN hands over, and what becomes of them."""
+"""Reception of all kinds of frames from SocketCAN."""
 
 import struct
 import threading
@@ -20,32 +20,31 @@ def frame(identifier: int, data: bytes = b"") -> can.Message:
     return can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
 
 
-def test_kernel_filters_pass_exactly_what_was_asked_for(interface):
+def test_kernel_filters_pass_only_the_selected_identifiers(interface):
     with open_bus("socketcan", interface.name, id_filters([(STEERING, False), (FRONT, False)])) as bus:
         for identifier in (0x001, STEERING, 0x003, EXTENDED_FLAG | STEERING, 0x283, FRONT, 0x7FF):
             interface.send(identifier, b"\1")
-        arrived = [bus.recv(5.0) for _ in range(2)]
-        assert [m.arbitration_id for m in arrived] == [STEERING, FRONT]
+        received = [bus.recv(5.0) for _ in range(2)]
+        assert [m.arbitration_id for m in received] == [STEERING, FRONT]
         assert bus.recv(0.1) is None
 
 
-def test_11_and_29_bit_identifiers_of_one_number_are_two_messages(interface):
+def test_filters_distinguish_11_and_29_bit_identifiers(interface):
     with open_bus("socketcan", interface.name, id_filters([(STEERING, True)])) as bus:
         interface.send(STEERING)
         interface.send(EXTENDED_FLAG | STEERING)
-        arrived = bus.recv(5.0)
-        assert (arrived.arbitration_id, arrived.is_extended_id) == (STEERING, True)
+        received = bus.recv(5.0)
+        assert (received.arbitration_id, received.is_extended_id) == (STEERING, True)
         assert bus.recv(0.1) is None
 
 
-def test_stamps_are_the_kernels_own(interface):
-    """Of the moment of arrival, however late the frame is read."""
+def test_stamps_are_kernel_times_of_arrival_for_frames_read_later(interface):
     with open_bus("socketcan", interface.name) as bus:
         before = time.time()
         interface.send(STEERING)
         after = time.time()
         time.sleep(0.3)
-        # A float of seconds holds a stamp to a quarter of a microsecond.
+        # The resolution of a float is a quarter of a microsecond.
         assert before - 1e-6 <= bus.recv(5.0).timestamp <= after + 1e-6
 
 
@@ -63,18 +62,18 @@ def test_stamps_are_the_kernels_own(interface):
     (0x200, "0000000000008070", "error counters (transmit 128, receive 112)"),
     (0x00C, "0004080000000000", "controller (receive warning level), protocol violation (dominant bit not sent)"),
 ])
-def test_error_frames_pass_the_filters_and_are_told_in_words(error_class, data, text, interface):
+def test_error_frames_pass_the_filters_and_are_described(error_class, data, text, interface):
     with open_bus("socketcan", interface.name, id_filters([(STEERING, False)])) as bus:
         interface.send_error(error_class, bytes.fromhex(data))
-        arrived = bus.recv(5.0)
-        assert arrived.is_error_frame
-        assert describe_error_frame(arrived)[0] == text
+        received = bus.recv(5.0)
+        assert received.is_error_frame
+        assert describe_error_frame(received)[0] == text
 
 
-def test_the_state_of_the_bus_follows_its_error_frames(interface, start_receiver):
+def test_state_of_the_bus_follows_error_frames(interface, start_receiver):
     receiver = start_receiver()
     wait_for(lambda: receiver.status().opened == 1)
-    for send, wanted in (
+    for send, expected in (
         (lambda: interface.send(STEERING), BusState.OK),
         (lambda: interface.send_error(0x004, bytes.fromhex("0020000000000000")), BusState.ERROR_PASSIVE),
         (lambda: interface.send(STEERING), BusState.ERROR_PASSIVE),
@@ -85,26 +84,27 @@ def test_the_state_of_the_bus_follows_its_error_frames(interface, start_receiver
         count = receiver.status().frames + receiver.status().error_frames
         send()
         wait_for(lambda count=count: receiver.status().frames + receiver.status().error_frames == count + 1)
-        wait_for(lambda wanted=wanted: receiver.status().state is wanted, what=wanted)
-    assert (receiver.status().frames, receiver.status().error_frames) == (3, 3)
+        wait_for(lambda expected=expected: receiver.status().state is expected, what=expected)
+    status = receiver.status()
+    assert (status.frames, status.error_frames, status.last_error) == (3, 3, "controller restarted")
 
 
-@pytest.mark.parametrize("size", [0, 5, 8, 12, 64])
-def test_fd_frames_on_the_bus_are_none_of_ours(size, interface, start_receiver, decoder):
-    """Even with the identifier and the length of a message of the table: a classical controller would not see them."""
+def test_fd_frames_are_ignored(interface, start_receiver, decoder):
+    """Also those with the identifier and length of a message of the table: a classical controller ignores them."""
     receiver = start_receiver(filters=id_filters(decoder.keys))
     wait_for(lambda: receiver.status().opened == 1)
     good = decoder.encode("Leaf_Steering", {"steering_wheel_angle": 0.1}, 1)
-    interface.send_fd(STEERING, bytes(size))
+    for size in (0, 5, 8, 12, 64):
+        interface.send_fd(STEERING, bytes(size))
     interface.send(STEERING, bytes(good.data))
-    interface.send_fd(STEERING, bytes(size))
+    interface.send_fd(STEERING, bytes(5))
     interface.send(FRONT)
     wait_for(lambda: len(receiver.seen) >= 2)
     assert [(f.arbitration_id, f.is_fd) for f, _ in receiver.seen] == [(STEERING, False), (FRONT, False)]
     assert decoder.decode(*receiver.seen[0]).values["steering_wheel_angle"] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_remote_frames_and_every_length(interface, start_receiver, decoder):
+def test_remote_frames_and_frames_of_wrong_length_are_not_decoded(interface, start_receiver, decoder):
     decoded = []
     receiver = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
     wait_for(lambda: receiver.status().opened == 1)
@@ -118,7 +118,7 @@ def test_remote_frames_and_every_length(interface, start_receiver, decoder):
     assert decoder.statistics("Leaf_Steering").good == 1
 
 
-def test_four_thousand_frames_in_bursts_arrive_in_order(interface, start_receiver):
+def test_frames_in_bursts_are_received_in_order(interface, start_receiver):
     receiver = start_receiver()
     wait_for(lambda: receiver.status().opened == 1)
     with open_bus("socketcan", interface.name) as bus:
@@ -132,14 +132,14 @@ def test_four_thousand_frames_in_bursts_arrive_in_order(interface, start_receive
 
 
 def test_frames_lost_to_a_full_receive_buffer_are_counted(interface, start_receiver, decoder):
-    """A stalled process: the kernel drops what does not fit, the counter in the frames tells how many."""
+    """While the process is blocked, the kernel drops frames; the counter in the frames gives their number."""
     gate = threading.Event()
 
-    def take(message, time_ns):
+    def on_frame(message, time_ns):
         gate.wait(30.0)
-        decoder.decode(message, 0)  # all of one instant: a gap in time would be a pause, not a loss
+        decoder.decode(message, 0)  # equal times: a gap in time would count as a pause, not as a loss
 
-    receiver = start_receiver(on_frame=take)
+    receiver = start_receiver(on_frame=on_frame)
     wait_for(lambda: receiver.status().opened == 1)
     sent = 3000
     with open_bus("socketcan", interface.name) as bus:
@@ -148,16 +148,16 @@ def test_frames_lost_to_a_full_receive_buffer_are_counted(interface, start_recei
         gate.set()
         statistics = decoder.statistics("Leaf_WheelSpeedFront")
         wait_for(lambda: (count := statistics.good) and not time.sleep(0.3) and statistics.good == count)
-        kept = statistics.good
-        assert 10 < kept < sent
-        # The next frame shows the gap; an 8-bit counter tells it modulo 256.
+        decoded = statistics.good
+        assert 10 < decoded < sent
+        # The next frame reveals the gap; an 8-bit counter gives its length modulo 256.
         bus.send(decoder.encode("Leaf_WheelSpeedFront", {"vehicle_speed": 10.0}, sent))
-        wait_for(lambda: statistics.good == kept + 1)
+        wait_for(lambda: statistics.good == decoded + 1)
     assert (statistics.good + statistics.lost) % 256 == (sent + 1) % 256
     assert receiver.status().state is BusState.OK
 
 
-def test_a_babbling_identifier_stays_in_the_kernel(interface, start_receiver, decoder):
+def test_frames_of_an_unused_identifier_are_filtered_by_the_kernel(interface, start_receiver, decoder):
     receiver = start_receiver(filters=id_filters(decoder.keys))
     wait_for(lambda: receiver.status().opened == 1)
     with open_bus("socketcan", interface.name) as bus:
@@ -170,11 +170,11 @@ def test_a_babbling_identifier_stays_in_the_kernel(interface, start_receiver, de
     assert receiver.status().frames == 30
 
 
-def test_two_receivers_hear_the_same(interface, start_receiver):
+def test_two_receivers_receive_identical_frames(interface, start_receiver):
     first, second = start_receiver(), start_receiver()
     wait_for(lambda: first.status().opened == second.status().opened == 1)
     for k in range(100):
         interface.send(0x100 + k, bytes([k]))
     wait_for(lambda: len(first.seen) == len(second.seen) == 100)
-    heard = [[(f.arbitration_id, f.data, t) for f, t in receiver.seen] for receiver in (first, second)]
-    assert heard[0] == heard[1]
+    frames = [[(f.arbitration_id, f.data, t) for f, t in receiver.seen] for receiver in (first, second)]
+    assert frames[0] == frames[1]

@@ -1,4 +1,4 @@
-"""The whole canedge_bridge process on a real SocketCAN: frames in, topics and diagnostics out, over DDS."""
+"""The process canedge_bridge on SocketCAN: topics and diagnostics over DDS."""
 
 import os
 import signal
@@ -102,7 +102,7 @@ def start(interface, can_files, tmp_path):
 
 @pytest.fixture
 def steer(interface, decoder):
-    """steer() -> a task that sends steering at 100 Hz and front wheel speeds at 50 Hz from inside the kernel."""
+    """steer() -> a task; the kernel sends steering at 100 Hz and front wheel speeds at 50 Hz."""
     buses = []
 
     def begin(angle=0.2):
@@ -115,12 +115,12 @@ def steer(interface, decoder):
 
     yield begin
     for bus in buses:
-        with suppress(can.CanError):  # its interface may be gone
+        with suppress(can.CanError):  # the interface may be deleted
             bus.shutdown()
 
 
-def test_from_the_kernel_to_the_topics_also_after_a_halt(start, steer):
-    """SIGSTOP for longer than the receive buffer lasts; then what is published is new again."""
+def test_steering_is_published_with_current_stamps_after_the_process_was_stopped(start, steer):
+    """SIGSTOP for longer than the receive buffer covers."""
     rig = start()
     steer(0.2)
     messages = rig.more("vehicle/steering", 100)
@@ -131,15 +131,15 @@ def test_from_the_kernel_to_the_topics_also_after_a_halt(start, steer):
     rig.wait_for_check("bus", OK)
     rig.wait_for_check("signals", OK)
     os.kill(rig.process.pid, signal.SIGSTOP)
-    halted = time.time()
+    stopped = time.time()
     time.sleep(4.0)
     os.kill(rig.process.pid, signal.SIGCONT)
-    assert rig.wait_for_newer("vehicle/steering", halted + 5, 20)[-1].valid
+    assert rig.wait_for_newer("vehicle/steering", stopped + 5, 20)[-1].valid
     assert rig.processes.stop(rig.process, signal.SIGTERM) == 0
 
 
-def test_down_up_deleted_made_anew_and_bus_off_under_a_running_node(start, steer, interface):
-    """The interface has no controller that could go off: its error frames, and the silence after them, are real."""
+def test_check_of_the_bus_reports_error_frames_and_an_interface_that_is_down_or_deleted(start, steer, interface):
+    """A virtual interface has no controller, so the error frames are sent by the test."""
     rig = start()
     rig.wait_for_check("bus", WARN, "no frame yet")
     interface.send_error(0x004, bytes.fromhex("0020000000000000"))
@@ -152,7 +152,7 @@ def test_down_up_deleted_made_anew_and_bus_off_under_a_running_node(start, steer
     interface.down()
     rig.wait_for_check("bus", ERROR, "down")
     interface.up()
-    rig.more("vehicle/steering")  # the kernel's own sender goes on by itself
+    rig.more("vehicle/steering")  # sent periodically by the kernel
     rig.wait_for_check("bus", OK)
     interface.delete()
     rig.wait_for_check("bus", ERROR, "gone")
@@ -168,7 +168,7 @@ def test_down_up_deleted_made_anew_and_bus_off_under_a_running_node(start, steer
     assert "Traceback" not in rig.processes.log("canedge_bridge")
 
 
-def test_started_before_the_interface_exists_every_frame_is_recorded_as_it_was(start, steer, interface):
+def test_frames_are_published_unchanged_by_a_node_started_before_the_interface(start, steer, interface):
     interface.delete()
     rig = start(publish_frames=True)
     rig.wait_for_check("bus", ERROR, "gone")

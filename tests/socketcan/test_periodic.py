@@ -1,4 +1,4 @@
-"""Frames sent by the kernel's broadcast manager at a fixed period, as a control unit sends them."""
+"""Frames sent by the broadcast manager of the kernel with a fixed period, as by a control unit."""
 
 from contextlib import suppress
 
@@ -10,7 +10,7 @@ from ros_processes import wait_for
 
 pytestmark = pytest.mark.socketcan
 
-PERIOD = 0.01
+PERIOD = 0.01  # s
 
 
 @pytest.fixture
@@ -20,61 +20,61 @@ def sender(interface):
 
 
 @pytest.fixture
-def listening(start_receiver, decoder):
-    """A receiver whose frames are decoded; `decoded` in order."""
+def receiver(start_receiver, decoder):
+    """A receiver with a list `decoded` of its decoded frames."""
     decoded = []
-    receiver = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
-    receiver.decoded = decoded
-    wait_for(lambda: receiver.status().opened == 1)
-    return receiver
+    started = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
+    started.decoded = decoded
+    wait_for(lambda: started.status().opened == 1)
+    return started
 
 
 def steering(decoder, counters):
     return [decoder.encode("Leaf_Steering", {"steering_wheel_angle": 0.2}, k) for k in counters]
 
 
-def test_a_full_turn_of_the_counter_passes_every_check(sender, listening, decoder):
+def test_frames_with_correct_counter_and_checksum_are_valid(sender, receiver, decoder):
     task = sender.send_periodic(steering(decoder, range(16)), PERIOD)
-    wait_for(lambda: len(listening.decoded) >= 200)
+    wait_for(lambda: len(receiver.decoded) >= 200)
     task.stop()
-    assert all(d.valid and d.values["steering_wheel_angle"] == pytest.approx(0.2, abs=1e-3) for d in listening.decoded)
+    assert all(d.valid and d.values["steering_wheel_angle"] == pytest.approx(0.2, abs=1e-3) for d in receiver.decoded)
     statistics = decoder.statistics("Leaf_Steering")
     assert (statistics.wrong_counter, statistics.wrong_checksum, statistics.lost) == (0, 0, 0)
 
 
-def test_a_frozen_sender_is_not_valid(sender, listening, decoder):
-    """A control unit that hangs while its CAN controller repeats the last frame."""
+def test_repeated_frames_of_a_frozen_sender_are_invalid(sender, receiver, decoder):
+    """A control unit hangs while its CAN controller repeats the last frame."""
     task = sender.send_periodic(steering(decoder, [7]), PERIOD)
-    wait_for(lambda: len(listening.decoded) >= 50)
+    wait_for(lambda: len(receiver.decoded) >= 50)
     task.stop()
-    assert listening.decoded[0].valid
-    assert not any(d.valid for d in listening.decoded[1:])
-    assert decoder.statistics("Leaf_Steering").wrong_counter >= len(listening.decoded) - 1
+    assert receiver.decoded[0].valid
+    assert not any(d.valid for d in receiver.decoded[1:])
+    assert decoder.statistics("Leaf_Steering").wrong_counter >= len(receiver.decoded) - 1
 
 
-def test_a_skipped_counter_costs_one_fault_and_counts_the_loss(sender, listening, decoder):
+def test_gap_of_the_counter_makes_one_frame_invalid_and_counts_the_lost_ones(sender, receiver, decoder):
     task = sender.send_periodic(steering(decoder, [*range(0, 5), *range(8, 16)]), PERIOD)
-    wait_for(lambda: len(listening.decoded) >= 13 * 5)
+    wait_for(lambda: len(receiver.decoded) >= 13 * 5)
     task.stop()
-    faults = [d for d in listening.decoded[:13 * 5] if not d.valid]
+    faults = [d for d in receiver.decoded[:13 * 5] if not d.valid]
     assert len(faults) == 5
     assert decoder.statistics("Leaf_Steering").lost >= 15
 
 
-def test_a_sender_that_pauses(sender, listening, decoder):
+def test_pause_of_the_sender_is_reported_as_silence(sender, receiver, decoder):
     task = sender.send_periodic(steering(decoder, range(16)), PERIOD)
     for _ in range(2):
-        wait_for(lambda: listening.status().state is BusState.OK)
+        wait_for(lambda: receiver.status().state is BusState.OK)
         task.stop()
-        wait_for(lambda: listening.status().state is BusState.SILENT)
+        wait_for(lambda: receiver.status().state is BusState.SILENT)
         task.start()
-    wait_for(lambda: listening.status().state is BusState.OK)
+    wait_for(lambda: receiver.status().state is BusState.OK)
     task.stop()
-    assert listening.status().opened == 1
+    assert receiver.status().opened == 1
 
 
-def test_several_messages_at_their_own_periods(sender, listening, decoder):
-    """The two kinds of the car and one of the INS, each counted by its own statistics."""
+def test_messages_with_different_periods_are_counted_separately(sender, receiver, decoder):
+    """Two messages of the car and one of the INS, each with its own statistics."""
     speeds = [decoder.encode("Leaf_WheelSpeedFront", {"vehicle_speed": 8.0}, k) for k in range(256)]
     tasks = [
         sender.send_periodic(steering(decoder, range(16)), 0.01),
@@ -86,19 +86,20 @@ def test_several_messages_at_their_own_periods(sender, listening, decoder):
     for task in tasks:
         task.stop()
     assert [decoder.statistics(name).lost for name in names] == [0, 0, 0]
-    assert {d.message for d in listening.decoded} == set(names)
+    assert {d.message for d in receiver.decoded} == set(names)
 
 
-def test_frames_go_on_after_the_interface_was_away(interface, listening, decoder):
-    with suppress(can.CanError), open_bus("socketcan", interface.name) as bus:  # its end finds no interface any more
+def test_frames_are_received_after_the_interface_was_recreated(interface, receiver, decoder):
+    # The bus is closed after its interface is deleted.
+    with suppress(can.CanError), open_bus("socketcan", interface.name) as bus:
         bus.send_periodic(steering(decoder, range(16)), PERIOD)
-        wait_for(lambda: len(listening.decoded) >= 20)
+        wait_for(lambda: len(receiver.decoded) >= 20)
         interface.delete()
-        wait_for(lambda: listening.status().state is BusState.GONE)
+        wait_for(lambda: receiver.status().state is BusState.GONE)
     interface.create()
     with open_bus("socketcan", interface.name) as bus:
-        count = len(listening.decoded)
+        count = len(receiver.decoded)
         task = bus.send_periodic(steering(decoder, range(16)), PERIOD)
-        wait_for(lambda: len(listening.decoded) >= count + 20)
+        wait_for(lambda: len(receiver.decoded) >= count + 20)
         task.stop()
-    assert listening.decoded[-1].valid
+    assert receiver.decoded[-1].valid

@@ -1,12 +1,12 @@
 #!/bin/bash
-# Runs a command inside a User-Mode Linux guest whose kernel has CAN (can, can-raw, can-bcm, vcan), for machines whose own
-# has none. The guest sees this machine's file tree read-only, so the same Python environment works there. No root, no KVM.
+# Runs a command in a User-Mode Linux guest whose kernel has CAN (can, can-raw, can-bcm, vcan), for machines without it.
+# The guest mounts the file tree of this machine read-only and so has the same Python environment. Needs no root and no KVM.
 #
 #   uml.sh -c CACHE -o OUT [-m MEMORY] [-t SECONDS] command args...
 #
-# CACHE keeps the Debian package user-mode-linux (41 MB), fetched at the first use. OUT is the one place the guest can
-# write. Exit status: the command's; 69: the package cannot be had; 70: the guest could not start here (boot.log says why);
-# 71: the guest started but left no exit status.
+# CACHE keeps the Debian package user-mode-linux (41 MB), downloaded at the first use. OUT is the only folder to which the
+# guest can write. Exit status: that of the command; 69: the package is not available; 70: the guest could not start (see
+# boot.log); 71: the guest started but wrote no exit status.
 set -u
 memory=1024M limit=600 cache='' out=''
 while getopts m:c:o:t: flag; do
@@ -16,7 +16,7 @@ shift $((OPTIND - 1))
 [ -n "$cache" ] && [ -n "$out" ] && [ $# -ge 1 ] || { echo "usage: uml.sh -c CACHE -o OUT command args..." >&2; exit 64; }
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
-fetch() {  # unpacked beside and moved, so that a half-finished download is never taken for a whole one
+fetch() {  # unpacked into another folder and moved, so that an incomplete download is never used
     mkdir -p "$cache" && rm -rf "$cache/new" && mkdir "$cache/new" || return
     ls "$cache"/user-mode-linux_*.deb >/dev/null 2>&1 || ( cd "$cache" && timeout 300 apt-get download user-mode-linux >&2 ) || return
     dpkg-deb -x "$cache"/user-mode-linux_*.deb "$cache/new" && mv "$cache/new" "$cache/unpacked"
@@ -24,7 +24,7 @@ fetch() {  # unpacked beside and moved, so that a half-finished download is neve
 
 if [ -x /usr/bin/linux.uml ]; then tree=/; else
     tree=$cache/unpacked
-    [ -x "$tree/usr/bin/linux.uml" ] || fetch || { echo "the Debian package user-mode-linux cannot be fetched here" >&2; exit 69; }
+    [ -x "$tree/usr/bin/linux.uml" ] || fetch || { echo "the Debian package user-mode-linux cannot be downloaded" >&2; exit 69; }
 fi
 modules=$(echo "$(realpath "$tree")"/usr/lib/uml/modules/*/kernel)
 mkdir -p "$out"; out=$(realpath "$out"); rm -f "$out/rc" "$out/started"
@@ -51,6 +51,6 @@ chmod +x "$out/init"
 timeout -k 5 "$limit" "$tree/usr/bin/linux.uml" mem="$memory" root=/dev/root rootfstype=hostfs rootflags=/ ro quiet loglevel=1 \
     init="$out/init" con=null con0=null,fd:1 con1=null ssl=null </dev/null 2>"$out/boot.log" | tr -d '\r' | tee "$out/console.log"
 [ -s "$out/rc" ] && exit "$(cat "$out/rc")"
-[ -e "$out/started" ] && { echo "the guest left no exit status" >&2; exit 71; }
+[ -e "$out/started" ] && { echo "the guest wrote no exit status" >&2; exit 71; }
 echo "User-Mode Linux could not start: $(tail -n 3 "$out/boot.log" "$out/console.log" | tr '\n' ' ')" >&2
 exit 70
