@@ -80,18 +80,18 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
 
 def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal], reasons: Sequence[str],
                         minimum_overlap: float, search: tuple[float, float] | None) -> Alignment:
-    fine = pairs[CUTOFFS[-1]]
+    fine_pairs = pairs[CUTOFFS[-1]]
     reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     between_origins = (reference_ns - other_ns) * 1e-9  # times as floats count from the origin of each clock
     span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
-    peaks = find_peaks(fine, minimum_overlap, span)
+    peaks = find_peaks(fine_pairs, minimum_overlap, span)
     if peaks is None:
         return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion at "
                                            "any offset")
     coarse = peaks[0].offset
     # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
-    low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)
-    high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
+    low = max(min(p.other.origin for p in fine_pairs), min(p.reference.origin for p in fine_pairs) - coarse)
+    high = min(max(p.other.time[-1] for p in fine_pairs), max(p.reference.time[-1] for p in fine_pairs) - coarse)
     middle = (low + high) / 2
     try:
         solution = fit(pairs[CUTOFFS[0]], coarse, middle)
@@ -100,9 +100,10 @@ def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedS
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
     lags = []  # of each signal alone
-    for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
-        alone = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
-        lags.append(SignalLag(pair.name, alone.offset - solution.offset, alone.offset_deviation, residual, correlation))
+    for pair, residual, correlation in zip(fine_pairs, solution.residual, solution.correlation, strict=True):
+        single = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
+        difference = single.offset - solution.offset
+        lags.append(SignalLag(pair.name, difference, single.offset_deviation, residual, correlation))
     excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
     if len(lags) > 1:
         weights = np.array([s.deviation**-2 for s in lags])
@@ -117,7 +118,7 @@ def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedS
         other_ns + round(middle * 1e9), reference_ns - other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
         offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons), tuple(lags), peak,
         second_peak, max(high - low, 0.0))
-    return _add_verdict(result, solution, fine, other_ns)
+    return _add_verdict(result, solution, fine_pairs, other_ns)
 
 
 def _select_usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
@@ -160,20 +161,20 @@ def _resample_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
 def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
     refusals, doubts = [], []
     # Correlations after the fit are used, because drift reduces the peak of the coarse search.
-    weakest = min(max(s.correlation, 0.0) for s in result.signals)
-    strongest = max(s.correlation for s in result.signals)
-    if strongest < USABLE_CORRELATION:
-        refusals.append(f"the signals do not match (correlation {strongest:.2f} at best): the recordings do "
-                        "not overlap in time, are not of the same drive, or part of a signal is wrong")
-    elif weakest < GOOD_CORRELATION:
+    lowest_correlation = min(max(s.correlation, 0.0) for s in result.signals)
+    highest_correlation = max(s.correlation for s in result.signals)
+    if highest_correlation < USABLE_CORRELATION:
+        refusals.append(f"the signals do not match (correlation {highest_correlation:.2f} at best): the recordings "
+                        "do not overlap in time, are not of the same drive, or part of a signal is wrong")
+    elif lowest_correlation < GOOD_CORRELATION:
         worst = min(result.signals, key=lambda s: s.correlation)
         doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, expected {GOOD_CORRELATION}")
     if result.ambiguous and result.peak and result.second_peak:
         (best, correlation), (second, second_correlation) = result.peak, result.second_peak
         doubts.append(f"an offset {second - best:+.2f} s away fits nearly as well, with correlation "
                       f"{second_correlation:.2f} against {correlation:.2f} (repeated laps?)")
-    cause = ("little motion" if strongest >= GOOD_CORRELATION else
-             f"the signals differ (correlation {strongest:.2f} at best)")
+    cause = ("little motion" if highest_correlation >= GOOD_CORRELATION else
+             f"the signals differ (correlation {highest_correlation:.2f} at best)")
     if solution.offset_deviation > USABLE_DEVIATION:
         refusals.append(f"{cause}: the uncertainty of the offset is {solution.offset_deviation * 1e3:.0f} ms")
     elif solution.offset_deviation > GOOD_DEVIATION:
@@ -182,7 +183,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
         if abs(row.difference) > max(MAX_DISAGREEMENT, 3 * row.deviation):
             doubts.append(f"the offset from {row.name} alone differs by {row.difference * 1e3:+.1f} ms")
     doubts += _describe_unusual_drift(result)
-    search = WIDE_STEP_SEARCH if weakest < GOOD_CORRELATION else STEP_SEARCH
+    search = WIDE_STEP_SEARCH if lowest_correlation < GOOD_CORRELATION else STEP_SEARCH
     lags = measure_window_lags(pairs, solution.offset, search)
     step = find_clock_step(lags)
     if step:
@@ -213,18 +214,18 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
     Empty if no signal is usable. Lags with an overlap of less than 40 % of the shorter recording are left out.
     """
-    fine, reference_ns, other_ns = _make_fine_pairs(signals)
-    curve = mean_correlation(fine, _min_overlap(fine), (-np.inf, np.inf)) if fine else None
+    fine_pairs, reference_ns, other_ns = _make_fine_pairs(signals)
+    curve = mean_correlation(fine_pairs, _min_overlap(fine_pairs), (-np.inf, np.inf)) if fine_pairs else None
     return (curve[0] + (reference_ns - other_ns) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
     """Offsets that remain in windows of 30 s with an alignment, searched within 2 s; time [s] since `at_ns`."""
-    fine, reference_ns, other_ns = _make_fine_pairs(signals)
-    if not fine:
+    fine_pairs, reference_ns, other_ns = _make_fine_pairs(signals)
+    if not fine_pairs:
         return []
     middle = (alignment.at_ns - other_ns) * 1e-9
-    lags = measure_window_lags(fine, (alignment.offset_ns - (reference_ns - other_ns)) * 1e-9, 2.0)
+    lags = measure_window_lags(fine_pairs, (alignment.offset_ns - (reference_ns - other_ns)) * 1e-9, 2.0)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in lags]
 

@@ -61,7 +61,8 @@ class Relation:
 
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
         """Held-out position error (without, with) [m] of runs where the ratio is MIN_REPORTED_RATIO or more."""
-        return {name: pair for name, pair in self.runs.items() if pair[1] >= MIN_REPORTED_RATIO * pair[0]}
+        return {name: (without, with_it) for name, (without, with_it) in self.runs.items()
+                if with_it >= MIN_REPORTED_RATIO * without}
 
 
 @dataclass(frozen=True)
