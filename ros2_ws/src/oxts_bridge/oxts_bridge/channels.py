@@ -54,8 +54,8 @@ ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
 class Field:
     """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: from the vendor, or from this project if the vendor gives none. unit: of the physical value. cyclic: width
-    [bits] of a counter that wraps; status.StatusTracker unwraps it.
+    name: from the vendor, or from this project if the vendor gives none. unit: unit of the physical value. cyclic:
+    width [bits] of a counter that wraps; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
         bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper

@@ -131,7 +131,7 @@ def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, 
                            altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
-    x, y: current position in the local frame [m]. heading: of the x axis, clockwise from north [deg]. latitude,
+    x, y: current position in the local frame [m]. heading: heading of the x axis, clockwise from north [deg]. latitude,
     longitude [rad], altitude [m]: current position. Iterates because the radii of curvature depend on the origin.
     """
     s, c = sin(radians(heading)), cos(radians(heading))

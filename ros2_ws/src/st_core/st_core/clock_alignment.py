@@ -30,7 +30,7 @@ STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide 
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with the offset [ns] given for the log time at_ns; its uncertainty is NaN. signals: to check it."""
+    """Alignment with an offset [ns] given for the log time at_ns, of unknown uncertainty, checked by the signals."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
     given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
@@ -264,9 +264,9 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
     """Alignment by CAN frames with the time of the INS: a robust line (soft L1) through the median offset per second.
 
-    other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none.
-    reference_time_ns: time in the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in
-    a frame to its stamp in the log [s], with its standard deviation latency_uncertainty [s].
+    other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none. reference_time_ns:
+    time in the frame, UTC. resolution: resolution of the time in the frame [s]. latency: delay from the time in a frame
+    to its stamp in the log [s], with its standard deviation latency_uncertainty [s].
     """
     if len(other_time_ns) < 2:
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")

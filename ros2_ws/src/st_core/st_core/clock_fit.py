@@ -40,9 +40,9 @@ class Resampled:
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Resampled:
     """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4), keep every fifth point.
 
-    time: [s], strictly increasing. values: NaN where they must not be used. cutoff: of the low-pass [Hz], equal for
-    both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s], because the zero
-    of the angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
+    time: [s], strictly increasing. values: NaN where they must not be used. cutoff: cut-off frequency of the low-pass
+    [Hz], equal for both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s],
+    because the zero of the angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]

@@ -38,7 +38,7 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:
     """Degrees of freedom of a variance `total`, the sum of a known and an estimated variance.
 
-    degrees_of_freedom: of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
+    degrees_of_freedom: those of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
     """
     return degrees_of_freedom * (total / estimated) ** 2 if estimated > 0.0 else math.inf
 

@@ -34,8 +34,8 @@ class MagicFormula(NamedTuple):
 def slip_angle(velocity_lateral, velocity_forward, minimum_speed):
     """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; + when the wheel slides to its left.
 
-    velocity_lateral, velocity_forward: of the wheel, in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0; below it the
-    angle is deliberately underestimated. Source: paper, slip angle equation.
+    velocity_lateral, velocity_forward: velocity of the wheel in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0;
+    below it the angle is deliberately underestimated. Source: paper, slip angle equation.
     """
     return atan(velocity_lateral / maximum(absolute(velocity_forward), minimum_speed))
 

@@ -42,7 +42,7 @@ LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: of the last restart."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: cause of the last restart."""
 
     package: str
     name: str

@@ -113,7 +113,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
 
 
 def find_settled_starts(starts_ns: np.ndarray, ins_time_ns: np.ndarray, cutoff: float) -> np.ndarray:
-    """(n,) whether the acceleration filter had settled at each start. cutoff: of the filter [Hz].
+    """(n,) whether the acceleration filter had settled at each start. cutoff: cut-off frequency of the filter [Hz].
 
     Settling begins at the first prediction after the first recorded INS sample, and again after every pause that may
     be a restart of the predictor: longer than RESTART_PAUSE and longer than three prediction intervals.

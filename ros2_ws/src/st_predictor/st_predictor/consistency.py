@@ -54,7 +54,7 @@ class Consistency:
         self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
-        """Run the checks if they are due; returns whether they were due. now: of a steady clock [s].
+        """Run the checks if they are due; returns whether they were due. now: time of a monotonic clock [s].
 
         An exception in a check is not raised, but becomes a warning.
         """
@@ -123,7 +123,7 @@ def _make_pending_verdict(driving_time: float) -> Verdict:
 
 
 def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
-    """findings: worst first. previous_faults: names of the faults in the previous check. duration: of the data [s]."""
+    """findings: worst first. previous_faults: names of the previous faults. duration: length of the data [s]."""
     values = {}
     for finding in findings:
         interval = finding.interval

@@ -27,7 +27,7 @@ class Pose(NamedTuple):
 def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
 
-    pose: of the INS point. Front and rear overhang are assumed equal: the vehicle file contains only the length.
+    pose: pose of the INS point. Front and rear overhang are assumed equal: the vehicle file contains only the length.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
     front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width

@@ -94,9 +94,9 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
          options: shared.RunOptions, output: Path | None, reports_car: bool = False, **arguments: Any) -> int:
     """Run the suite and report the results; returns the exit status.
 
-    name: of the default output folder. about: entries of summary.json. bridges: parameters of the bridges. reports_car:
-    whether to report that the Leaf's file is used. arguments: further ones of `session.run`. Raises SuiteError,
-    StCoreError and RunError.
+    name: start of the name of the default output folder. about: entries of summary.json. bridges: parameters of the
+    bridges. reports_car: whether to report that the Leaf's file is used. arguments: further arguments of `session.run`.
+    Raises SuiteError, StCoreError and RunError.
     """
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder

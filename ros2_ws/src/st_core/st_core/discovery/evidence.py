@@ -145,8 +145,8 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
                 gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """`Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: of random
-    signs."""
+    """`Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: number of
+    random sign vectors."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     for effect, s in by_effect.items():
@@ -225,8 +225,8 @@ def column_shares(problem: Problem, without: np.ndarray, with_effect: np.ndarray
 
 
 def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivities: Sensitivities) -> np.ndarray:
-    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: to the parameters of the fit and of
-    the effect, at a nearby vector."""
+    """(b, k) efficient scores of an effect that is not in the fit. sensitivities: with respect to the parameters of the
+    fit and of the effect, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
     q = problem.loss.quadratic(rows, sensitivities.of(indices)).sum_groups(problem.block, problem.blocks)
@@ -386,7 +386,7 @@ def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
 
 def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, names: list[str]) -> Agreement:
     """Compare the values of an effect in the parts of the driving by a random-effects model. part: (n,) part of each
-    window. names: of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
+    window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
     fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design
     effect."""
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))

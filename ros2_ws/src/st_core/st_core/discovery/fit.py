@@ -81,9 +81,9 @@ class Sensitivities:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: to at least these parameters.
-    quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each block at values
-    fitted without its fold."""
+    """A set of effects with fitted values. indices: (a,) free parameters. sensitivities: with respect to at least these
+    parameters. quadratic: approximation of the loss of each window in these parameters. held_out: (b,) loss of each
+    block at values fitted without its fold."""
 
     names: tuple[str, ...]
     vector: np.ndarray
@@ -262,9 +262,9 @@ class Problem:
 
     def fit(self, names: Iterable[str], sensitivities: Sensitivities, vector: np.ndarray | None = None,
             fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
-        """Fit a set of effects by robust Gauss-Newton. sensitivities: to at least the free parameters, at a nearby
-        vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh: effects whose
-        sensitivities are recomputed at each step."""
+        """Fit a set of effects by robust Gauss-Newton. sensitivities: with respect to at least the free parameters, at
+        a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh:
+        effects whose sensitivities are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
         first, vector = sensitivities.vector if vector is None else vector, self.start.copy()

@@ -49,8 +49,8 @@ class SearchState:
 
 
 class Search:
-    """A search from several starts. partitions: of the driving. sensors: as in `evidence`. tick: called at every refit.
-    judge: gives the verdict on an effect."""
+    """A search from several starts. partitions: partitions of the driving. sensors: see `evidence.Sensors`. tick:
+    called at every refit. judge: gives the verdict on an effect."""
 
     def __init__(self, problem: Problem, limits: Limits, partitions: Mapping[str, Partition], sensors: Mapping,
                  seed: int = 0, tick: Callable[[], None] = lambda: None,

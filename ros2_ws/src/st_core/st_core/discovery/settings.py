@@ -63,11 +63,11 @@ class DiscoverySettings:
     """Options of a discovery.
 
     channels: measurements to use. Without velocity_y, sideslip is used neither as a measurement nor in initial states.
-    seed: of all random numbers. horizon [s]: of the predictions. windows: approximate number of predictions; they start
-    at least `interval` [s] apart, as closer starts add little with a horizon of 5 s. block [s]: duration of a block;
-    blocks count as independent. effects: names to choose from; None for all that apply. limits: of the decisions.
-    certify: measure the power by one step of the search on simulated drives instead of predicting it. where: report the
-    conditions, times and places of the largest errors.
+    seed: seed of all random numbers. horizon [s]: horizon of the predictions. windows: approximate number of
+    predictions; they start at least `interval` [s] apart, as closer starts add little with a horizon of 5 s. block [s]:
+    duration of a block; blocks count as independent. effects: names to choose from; None for all that apply. limits:
+    thresholds of the decisions. certify: measure the power by one step of the search on simulated drives instead of
+    predicting it. where: report the conditions, times and places of the largest errors.
 
     Raises ConfigurationError naming the key and the limit.
     """

@@ -34,8 +34,9 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of PENALTIES.
     vector: in the space of the candidate. residuals: (n, m). indices: (a,) free parameters, the coefficients last.
-    sensitivities: (a, n, m) to these parameters. penalty: (a, a). quadratic: of the loss, by block. held_out: (b,) loss
-    of each block at values fitted without its fold. steps: by fold, step to these values."""
+    sensitivities: (a, n, m), with respect to these parameters. penalty: (a, a). quadratic: approximation of the loss,
+    by block. held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, step to these
+    values."""
 
     candidate: Candidate | None
     smooth: float
@@ -72,9 +73,9 @@ class RunWindows(Windows):
 
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model. model: the discovered model. gain: its
-    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted_indices: of the
-    parameters fitted together with a relation. vehicle_indices: of the other vehicle parameters, which are projected
-    out of its evidence. All fits use the residual scale of `model`."""
+    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted_indices:
+    parameters fitted together with a relation. vehicle_indices: the other vehicle parameters, which are projected out
+    of its evidence. All fits use the residual scale of `model`."""
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):

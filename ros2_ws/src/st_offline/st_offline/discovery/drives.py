@@ -47,12 +47,12 @@ class Drive:
 class Request:
     """Options of `st discover`, and the drives and effects read with them.
 
-    base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: of the search. runs,
-    reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects: folder
-    of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for runs/discover-<time>.
-    jobs: number of processes. formats: of figure files. report: whether to write a page. cached: whether to use a
-    cached result. force: whether to use runs with errors. propose: whether to search for a relation beyond the library;
-    if None, this depends on the size of the residual.
+    base: name of a model, or a model file. vehicle_text: content of vehicle_file. settings: settings of the search.
+    runs, reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects:
+    folder of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for
+    runs/discover-<time>. jobs: number of processes. formats: formats of the figure files. report: whether to write a
+    page. cached: whether to use a cached result. force: whether to use runs with errors. propose: whether to search for
+    a relation beyond the library; if None, this depends on the size of the residual.
     """
 
     base: str

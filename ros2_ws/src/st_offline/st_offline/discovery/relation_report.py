@@ -34,7 +34,7 @@ class RelationReport:
 
 def report_relation(search: RelationSearch, discovery: Discovery, vehicle: VehicleParameters,
                     folder: str) -> RelationReport:
-    """Report of a search for a relation. folder: of the results, for the commands in the report."""
+    """Report of a search for a relation. folder: folder of the results, named in the commands of the report."""
     relation = search.relation
     terms = ", ".join(quantities.TERM_NAMES[name] for name in search.find_unexamined_terms())
     not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]

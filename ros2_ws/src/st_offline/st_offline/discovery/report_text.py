@@ -118,7 +118,7 @@ def _describe_errors(discovery: Discovery) -> str:
 def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
-    recommendations. findings: of the checks, by recording."""
+    recommendations. findings: those of the checks, by recording."""
     unknown = [describe_residual(discovery), list_inseparable(discovery), list_undetectable(discovery)]
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"

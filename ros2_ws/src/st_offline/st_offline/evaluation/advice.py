@@ -48,8 +48,8 @@ TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold"
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time per prediction [s]. floats: of a single prediction without numba. compiled: of a single prediction
-    with numba, None if the model cannot be compiled. batch: mean over a batch of at most MAX_BATCH predictions."""
+    """Processor time per prediction [s]. floats: single prediction without numba. compiled: single prediction with
+    numba, None if the model cannot be compiled. batch: mean over a batch of at most MAX_BATCH predictions."""
 
     floats: float
     compiled: float | None

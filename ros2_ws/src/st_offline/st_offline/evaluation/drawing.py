@@ -49,7 +49,7 @@ class PageFigure:
 
 @dataclass(frozen=True)
 class FigureOutput:
-    """Destination of figures. folder: of the files, None for no files. prefix: of the ids on the page."""
+    """Destination of figures. folder: folder of the files, None for no files. prefix: start of the ids on the page."""
 
     folder: Path | None
     formats: tuple[str, ...]

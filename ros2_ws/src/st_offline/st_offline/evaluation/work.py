@@ -46,10 +46,10 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, fo
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: by name, or (file name, content) of a model.yaml. starts: times of the
-    predictions drawn in detail [s], () for an automatic choice. folder: for the results; None for no files. formats: of
-    the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name, content).
-    adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
+    """Settings of an evaluation. models: names, or (file name, content) of a model.yaml. starts: times of the
+    predictions drawn in detail [s], () for an automatic choice. folder: folder of the results; None for no files.
+    formats: of the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name,
+    content). adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
 
     vehicle: VehicleParameters
     models: tuple[str | tuple[str, str], ...]

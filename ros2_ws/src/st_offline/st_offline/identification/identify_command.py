@@ -38,7 +38,7 @@ STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "
 
 @dataclass(frozen=True)
 class IdentificationJob:
-    """Options of `st identify`. vehicle_file: file of `setup.vehicle`. folder: of the results."""
+    """Options of `st identify`. vehicle_file: file of `setup.vehicle`. folder: folder of the results."""
 
     experiment: Experiment
     files: tuple[Path, ...]
