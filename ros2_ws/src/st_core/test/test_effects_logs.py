@@ -1,6 +1,7 @@
 """Effects on vehicle, steering and sensors: batches over a log equal individual predictions on Python floats."""
 
 import functools
+import itertools
 
 import numpy as np
 import pytest
@@ -38,21 +39,20 @@ def predict_individually(base, name, share, car) -> np.ndarray:
     return np.array(paths)
 
 
-@pytest.fixture(scope="module", params=["numpy", "lanes"])
-def batch(request) -> LogBatch:
-    if request.param == "lanes":
-        pytest.importorskip("numba", reason="numba is not installed")
-    return LogBatch(LOG, STARTS, HORIZON, STEP, backend=request.param)
-
-
+@pytest.mark.parametrize("backend", ["numpy", "lanes"])
 @pytest.mark.parametrize("base", MODELS)
-def test_batch_over_a_log_equals_individual_predictions(leaf, batch, base):
-    everything = set_effects_to_null(augment(base, applicable(base)))
-    for name in applicable(base):
-        effect = EFFECTS[name]
+def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):
+    if backend == "lanes":
+        pytest.importorskip("numba", reason="numba is not installed")
+    batch, on_sample = LogBatch(LOG, STARTS, HORIZON, STEP, backend=backend), np.isin(STARTS, LOG.ins_time_ns)
+    all_at_null = set_effects_to_null(augment(base, applicable(base)))
+    for name, share in itertools.product(applicable(base), SHARES):
+        effect, values = EFFECTS[name], {name: values_of(name, share)}
         if not (effect.vehicle or effect.steering or effect.observe):
             continue
-        for share in SHARES:
-            states = batch.predict(everything.with_values({name: values_of(name, share)}), leaf)
-            expected = predict_individually(base, name, share, leaf)
-            np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12, err_msg=name)
+        # In lanes one kernel with all effects, in numpy this effect alone.
+        model = all_at_null.with_values(values) if backend == "lanes" else augment(base, values)
+        expected = predict_individually(base, name, share, leaf)
+        np.testing.assert_allclose(batch.predict(model, leaf), expected, rtol=1e-12, atol=1e-12, err_msg=name)
+        # At starts on a sample predicted and measured readings agree: the sensor correction is inverted.
+        np.testing.assert_allclose(batch.errors(model, leaf)[on_sample, 0], 0.0, atol=1e-9, err_msg=name)
