@@ -5,21 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drive_kinds import odometry, time
 from raw_drives import LEAF, write_drives
+from ros_messages import STORE, header, odometry, serialise
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.clock_types import Verdict
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import check_bag
 from st_recordings.runs import ReadSettings, find_runs, read
-from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.can_logs import read_can_logs
-from st_recordings.runs.cdr import CAN_FRAME, ODOMETRY, load_typestore
+from st_recordings.runs.cdr import CAN_FRAME, ODOMETRY
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, Frames
 
-STORE = load_typestore(definitions_folder())
 CAR = VehicleParameters.from_yaml(LEAF.read_text())
 BUSES = ("/can0/from_can_bus", "/can10/from_can_bus")
 
@@ -34,12 +32,9 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> tuple[DriveLog, Frames]:
 
 
 def serialise_frame(frames: Frames, k: int, stamp_ns: int, bus: str) -> bytes:
-    types = STORE.types
-    header = types["std_msgs/msg/Header"](stamp=time(stamp_ns), frame_id=bus.split("/")[1])
-    message = types[CAN_FRAME](header=header, id=int(frames.id[k]) & ~EXTENDED, is_rtr=False,
-                               is_extended=bool(frames.id[k] & EXTENDED), is_error=False, dlc=int(frames.length[k]),
-                               data=frames.payload[k, :8])
-    return bytes(STORE.serialize_cdr(message, CAN_FRAME))
+    return serialise(CAN_FRAME, header=header(stamp_ns, bus.split("/")[1]), id=int(frames.id[k]) & ~EXTENDED,
+                     is_rtr=False, is_extended=bool(frames.id[k] & EXTENDED), is_error=False,
+                     dlc=int(frames.length[k]), data=frames.payload[k, :8])
 
 
 def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugin = StoragePlugin.MCAP,
@@ -49,7 +44,9 @@ def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugi
         odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
         buses = [writer.add_connection(bus, CAN_FRAME, typestore=STORE) for bus in BUSES]
         for k, time_ns in enumerate(log.ins_time_ns.tolist()):
-            writer.write(odom, time_ns, odometry(log, k, time_ns))
+            pose = odometry(time_ns, log.x[k], log.y[k], log.yaw[k], log.velocity_x[k], log.velocity_y[k],
+                            log.yaw_rate[k])
+            writer.write(odom, time_ns, pose)
         for k, time_ns in enumerate(frames.time_ns.tolist()):
             bus = int(frames.id[k]) % 2
             writer.write(buses[bus], time_ns, serialise_frame(frames, k, time_ns if stamped else 0, BUSES[bus]))
