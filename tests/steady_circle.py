@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from st_core.log import DriveLog
 from st_core.types import InsSample, VehicleState, cg_to_ins_position, wrap_angle
 
 
@@ -39,3 +40,11 @@ class Circle:
         """x, y, yaw of the INS point."""
         samples = [self.ins(float(t)) for t in times]
         return tuple(np.array([getattr(s, name) for s in samples]) for name in ("x", "y", "yaw"))
+
+    def log(self, road_wheel_angle: float, seconds: float) -> DriveLog:
+        """INS and steering at 100 Hz, without noise."""
+        time = 0.01 * np.arange(round(100 * seconds))
+        rows = np.array([self.ins(float(t))[1:] for t in time])
+        rows[:, 2] = np.unwrap(rows[:, 2])
+        time_ns = 1_700_000_000_000_000_000 + np.round(time * 1e9).astype(np.int64)
+        return DriveLog("circle", time_ns, *rows.T, time_ns, np.full(len(time), road_wheel_angle))

@@ -9,10 +9,9 @@ from st_core.bands.shares import PARAMETERS, SENSORS, sum_squared_contributions
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
-from st_core.prediction import predict
 from st_core.provenance import Provenance
 from st_core.regression import white_noise
-from st_core.types import ControlInput, VehicleState
+from steady_circle import Circle
 
 SETTINGS = EvaluationSettings()
 SPEED, SECONDS = 10.0, 20.0
@@ -52,26 +51,15 @@ def test_start_state_noise_propagates_to_the_end_of_the_path(leaf):
 
 def test_parameter_error_of_one_standard_deviation_explains_the_whole_error(leaf):
     """Wheelbase wrong by its own standard deviation: error and share are equal to first order."""
-    radius_log = circle_drive(leaf, 0.06)
+    angle = 0.06  # rad
+    yaw_rate = SPEED / leaf.wheelbase * np.tan(angle)  # no slip at the rear axle
+    log = Circle(SPEED, leaf.cg_to_rear_axle * yaw_rate, yaw_rate, leaf.cg_to_ins_x).log(angle, SECONDS)
     stated = replace(leaf.with_values({"wheelbase": leaf.wheelbase * 1.02}),
                      provenance={"wheelbase": Provenance(0.02 * leaf.wheelbase)})
-    total, parts = shares("kinematic", stated, radius_log)
+    total, parts = shares("kinematic", stated, log)
     assert set(cause for cause in parts if cause[0] == PARAMETERS) == {(PARAMETERS, "wheelbase")}
     assert parts[PARAMETERS, "wheelbase"][4, 1] == pytest.approx(total[4, 1], rel=0.15)
     assert sum(one[4, 1] for cause, one in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
-
-
-def circle_drive(vehicle, angle: float) -> DriveLog:
-    """The kinematic car on a circle, measured at the INS point without noise."""
-    rear = vehicle.wheelbase - vehicle.cg_to_front_axle
-    slip = np.arctan(rear / vehicle.wheelbase * np.tan(angle))
-    rate = SPEED / vehicle.wheelbase * np.tan(angle)
-    start = VehicleState(0.0, 0.0, SPEED, SPEED * np.tan(slip), 0.0, rate)
-    x, y, v_x, v_y, yaw, r = predict("kinematic", vehicle, start, ControlInput(angle, 0.0), SECONDS, 0.01).states.T
-    d_x, d_y = vehicle.cg_to_ins_x, vehicle.cg_to_ins_y
-    ns = np.round(np.arange(len(x)) * 1e7).astype(np.int64)
-    return DriveLog("circle", ns, x + np.cos(yaw) * d_x - np.sin(yaw) * d_y, y + np.sin(yaw) * d_x + np.cos(yaw) * d_y,
-                    yaw, v_x - r * d_y, v_y + r * d_x, r, ns, np.full(len(x), angle))
 
 
 def test_interval_of_a_model_file_counts_as_a_standard_deviation(leaf):

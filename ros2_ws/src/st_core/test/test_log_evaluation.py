@@ -93,14 +93,6 @@ def test_statistics_equal_those_of_the_live_evaluator(live_and_log):
                 assert errors.statistics(axis, over) == pytest.approx((expected.mean, expected.max, expected.rmse))
 
 
-def circle_log(circle: Circle, angle: float, seconds=8.0) -> DriveLog:
-    time = np.arange(0.0, seconds, 0.01)
-    samples = [circle.ins(float(t)) for t in time]
-    x, y, yaw, v_x, v_y, rate = (np.array([getattr(s, n) for s in samples]) for n in InsSample._fields[1:])
-    stamps = T0 + np.round(time * 1e9).astype(np.int64)
-    return DriveLog("circle", stamps, x, y, np.unwrap(yaw), v_x, v_y, rate, stamps, np.full(len(time), angle))
-
-
 @pytest.mark.parametrize("inputs", ["interpolate", "hold"])
 @pytest.mark.parametrize("acceleration", ["causal", "zero_phase"])
 def test_circle_matches_the_paper_for_every_setting(leaf, inputs, acceleration):
@@ -109,7 +101,7 @@ def test_circle_matches_the_paper_for_every_setting(leaf, inputs, acceleration):
     v_x = np.sqrt(3.77 * radius)
     circle = Circle(v_x, v_y, v_x / radius, leaf.cg_to_ins_x)
     settings = EvaluationSettings(acceleration=acceleration, inputs=inputs)
-    result = evaluate_log(MODELS, leaf, circle_log(circle, np.radians(14.20)), settings)
+    result = evaluate_log(MODELS, leaf, circle.log(np.radians(14.20), 8.0), settings)
     published = {"kinematic": (0.83, 1.22), "linear": (-0.20, -0.31), "nonlinear": (-0.23, -0.35)}
     for model, expected in published.items():
         for mode in MODES:
