@@ -9,16 +9,16 @@ from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WAR
 from st_core.bands.scale import Scale, compute_features, make_knots
 from st_core.evaluation import make_score
 
-TIME = 0.5 * np.arange(1, 11)
-STEP = 100_000_000
-CONDITION = np.array([10.0, 1.0, 0.2, 0.02])
+TIME = 0.5 * np.arange(1, 11)  # s
+STEP_NS = 100_000_000
+CONDITION = np.array([10.0, 1.0, 0.2, 0.02])  # m/s, m/s^2, m/s^2, rad/s
 
 
-def unit_band(half=2.0, ninety=4.0) -> Band:
-    """A scale of 1 everywhere."""
+def unit_band() -> Band:
+    """Scale 1 everywhere; factors 2 at 50 %, 4 at 90 %."""
     knots = make_knots(5.0)
     coefficients = np.zeros((3, len(knots), compute_features(np.zeros((1, 4))).shape[1]))
-    return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: half, 0.9: ninety}, np.ones((3, 19)))
+    return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: 2.0, 0.9: 4.0}, np.ones((3, 19)))
 
 
 def draw_errors(seconds, magnitude, seed=3):
@@ -27,12 +27,12 @@ def draw_errors(seconds, magnitude, seed=3):
     count = 10 * seconds
     slow = np.convolve(rng.normal(size=count + 50), np.ones(51) / math.sqrt(51.0), mode="valid")
     shape = np.ones((count, len(TIME), 3)) * np.abs(slow)[:, None, None]
-    return STEP * np.arange(count), shape * np.array([magnitude(k / count) for k in range(count)])[:, None, None]
+    return STEP_NS * np.arange(count), shape * np.array([magnitude(k / count) for k in range(count)])[:, None, None]
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
 @pytest.mark.parametrize("magnitude", [lambda t: 0.2, lambda t: 20.0, lambda t: 1.0 if t < 0.5 else 5.0,
-                                  lambda t: 1.0 + math.sin(20.0 * t)], ids=["narrow", "wide", "step", "waves"])
+                                       lambda t: 1.0 + math.sin(20.0 * t)], ids=["narrow", "wide", "step", "waves"])
 def test_long_run_coverage_equals_the_level_for_any_errors(calibrated, magnitude):
     starts, errors = draw_errors(900, magnitude)
     adaptive = AdaptiveBand(TIME, unit_band() if calibrated else None)
@@ -76,11 +76,11 @@ def test_uncalibrated_level_starts_in_proportion_to_a_calibrated_one():
 
 
 def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
-    starts, errors = draw_errors(600, lambda t: 1.0 + 3.0 * (t > 300.0))
+    starts, errors = draw_errors(600, lambda t: 1.0 + 3.0 * (t > 0.5))
     bands = AdaptiveBands(TIME, ["linear"], ["forecast", "course"])
     stated, inside = [], []
     waiting = {}
-    for start, adaptive in zip(starts.tolist(), errors, strict=True):
+    for start, window_errors in zip(starts.tolist(), errors, strict=True):
         scored_start = start - round(TIME[-1] * 1e9)
         if scored_start in waiting:
             path, widths = waiting.pop(scored_start)
@@ -93,7 +93,7 @@ def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
         stated.append(bool(found))
         # Small angles: the frame of the prediction is that of the measurement.
         issued = bands.half_widths["linear"]["forecast", 0.9][1:].copy() if found else None
-        waiting[start] = adaptive * (1.0, 1.0, 1.0e-3), issued
+        waiting[start] = window_errors * (1.0, 1.0, 1.0e-3), issued
     seconds = (starts - starts[0]) * 1e-9
     assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
     n, covered = bands.counts["linear", "forecast"]

@@ -23,10 +23,10 @@ from st_core.readings import predict_readings
 from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 
-BEGIN = 1_700_000_000_000_000_000
-PERIOD = 10_000_000
-DURATION = 9.0
-BRAKING = -0.6
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 10_000_000
+DURATION = 9.0  # s
+BRAKING = -0.6  # m/s^2
 SETTINGS = PredictionSettings(horizon=2.0)
 
 
@@ -39,8 +39,8 @@ class Drive:
     """INS samples and steering of a car that `model` describes exactly."""
 
     def __init__(self, model, vehicle):
-        self.time_ns = BEGIN + PERIOD * np.arange(round(DURATION / (PERIOD * NANOSECOND)) + 1)
-        grid = np.arange(2 * len(self.time_ns) - 1) * 0.5 * PERIOD * NANOSECOND
+        self.time_ns = START_NS + PERIOD_NS * np.arange(round(DURATION / (PERIOD_NS * NANOSECOND)) + 1)
+        grid = np.arange(2 * len(self.time_ns) - 1) * 0.5 * PERIOD_NS * NANOSECOND
         # True road wheel angle; effects with memory have settled before the drive begins.
         before = np.arange(-8.0, 0.0, 0.005)
         recorded = np.concatenate((before, grid))
@@ -49,10 +49,10 @@ class Drive:
         p = model.parameters(vehicle)
         w = [model.inputs(float(a), BRAKING, p) for a in angle]
         start = model.start_state((5.0, -3.0, 13.0, 0.0, 0.4, 0.1), w[0], p)
-        states = np.array(integrate.rk4(model.rhs, start, w, p, PERIOD * NANOSECOND))
+        states = np.array(integrate.rk4(model.rhs, start, w, p, PERIOD_NS * NANOSECOND))
         readings = predict_readings(model, vehicle, tuple(states.T))
         self.samples = [InsSample(int(t), *(float(c[i]) for c in readings[:6])) for i, t in enumerate(self.time_ns)]
-        self.angles = steering_wheel((self.time_ns - BEGIN) * NANOSECOND)
+        self.angles = steering_wheel((self.time_ns - START_NS) * NANOSECOND)
 
     def feed(self, *receivers):
         for sample, angle in zip(self.samples, self.angles, strict=True):
@@ -62,17 +62,17 @@ class Drive:
             yield sample.time_ns
 
 
-CASES = [(base, name) for base in ("linear", "nonlinear") for name in applicable(base)]
+EFFECTS_BY_BASE = [(base, name) for base in ("linear", "nonlinear") for name in applicable(base)]
 
 
-@pytest.mark.parametrize(("base", "name"), CASES)
+@pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)
 def test_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, name):
     model = augment(base, [name])
     predictor = Predictor(leaf, [base, model], SETTINGS)
     evaluator = Evaluator(leaf, SETTINGS, models=[model])
     scores = []
     for time_ns in Drive(model, leaf).feed(predictor, evaluator):
-        elapsed = time_ns - BEGIN
+        elapsed = time_ns - START_NS
         if elapsed > 2_500_000_000 and elapsed % 500_000_000 == 0:
             start = predictor.find_start(time_ns)
             assert isinstance(start, Start)
@@ -99,7 +99,7 @@ def test_base_model_misses_the_effect_that_the_augmented_model_predicts(leaf):
     evaluator = Evaluator(leaf, SETTINGS, models=[model])
     predictor = Predictor(leaf, ["linear", model], SETTINGS)
     for time_ns in Drive(model, leaf).feed(predictor, evaluator):
-        if time_ns == BEGIN + 4_000_000_000:
+        if time_ns == START_NS + 4_000_000_000:
             start = predictor.find_start(time_ns)
             for which in predictor.models:
                 path = predictor.run(start, which)
@@ -111,18 +111,18 @@ def test_base_model_misses_the_effect_that_the_augmented_model_predicts(leaf):
 def history_of(angle, memory=20.0) -> MeasurementHistory:
     history = MeasurementHistory(memory, 0.1, 5.0)
     for k in range(800):
-        time_ns = BEGIN + k * PERIOD
+        time_ns = START_NS + k * PERIOD_NS
         history.add_ins(InsSample(time_ns, 0.1 * k, 0.0, 0.0, 10.0, 0.0, 0.0))
-        history.add_steering(time_ns, float(angle(k * PERIOD * NANOSECOND)))
+        history.add_steering(time_ns, float(angle(k * PERIOD_NS * NANOSECOND)))
     return history
 
 
-NOW = 7.0
+NOW = 7.0  # s after the first sample
 
 
 def forecast(leaf, effects, angle):
     view = ModelView(augment("linear", effects), leaf, history_of(angle))
-    _, inputs = view.read_start(BEGIN + round(NOW / NANOSECOND), 100, 0.05)
+    _, inputs = view.read_start(START_NS + round(NOW / NANOSECOND), 100, 0.05)
     return inputs
 
 
@@ -154,15 +154,15 @@ def test_only_effects_with_memory_need_an_input_sequence(leaf):
 
 def test_long_steps_leave_no_gap_in_constant_inputs(leaf):
     view = ModelView(augment("linear", ["steering_lag"]), leaf, history_of(lambda t: 0.02))
-    _, inputs = view.read_start(BEGIN + round(NOW / NANOSECOND), 5, 1.0)
+    _, inputs = view.read_start(START_NS + round(NOW / NANOSECOND), 5, 1.0)
     np.testing.assert_allclose(inputs.road_wheel_angle, 0.02, atol=1e-12)
 
 
 def test_measured_inputs_are_shifted_by_the_delay(leaf):
     view = ModelView(augment("linear", {"steering_delay": {"time": 0.123}}), leaf, history_of(np.sin))
-    times = BEGIN + np.arange(5_500_000_000, 7_500_000_000, 25_000_000)
+    times = START_NS + np.arange(5_500_000_000, 7_500_000_000, 25_000_000)
     inputs = view.read_inputs(times)
-    np.testing.assert_allclose(inputs.road_wheel_angle, np.sin((times - BEGIN) * NANOSECOND - 0.123), atol=2e-5)
+    np.testing.assert_allclose(inputs.road_wheel_angle, np.sin((times - START_NS) * NANOSECOND - 0.123), atol=2e-5)
     beyond = view.read_inputs(times + 5_000_000_000)
     assert np.isnan(beyond.road_wheel_angle[-10:]).all()
 
@@ -170,7 +170,7 @@ def test_measured_inputs_are_shifted_by_the_delay(leaf):
 def test_unknown_start_is_rejected(leaf):
     view = ModelView(augment("linear", ["mass"]), leaf, history_of(lambda t: 0.0))
     with pytest.raises(StCoreError, match="state or inputs not known"):
-        view.read_start(BEGIN - 1, 100, 0.05)
+        view.read_start(START_NS - 1, 100, 0.05)
 
 
 def test_model_with_an_unmeasured_signal_is_rejected(leaf):
@@ -197,7 +197,7 @@ def test_batch_over_a_log_equals_the_live_classes(leaf, effects, inputs):
     predictor, evaluator = Predictor(leaf, [model], SETTINGS), Evaluator(leaf, SETTINGS, models=[model])
     starts, paths = [], []
     for time_ns in drive.feed(predictor, evaluator):
-        if time_ns - BEGIN in (5_200_000_000, 5_700_000_000, 6_133_000_000 - 3_000_000):
+        if time_ns - START_NS in (5_200_000_000, 5_700_000_000, 6_133_000_000 - 3_000_000):
             start = predictor.find_start(time_ns)
             starts.append(start.time_ns)
             paths.append(predictor.run(start, "augmented"))
