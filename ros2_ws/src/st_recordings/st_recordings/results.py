@@ -177,13 +177,13 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
 
 def collect_versions() -> dict[str, str]:
     """Versions of the suite, of Python and of the installed libraries on which results depend."""
-    found = {"source": source_version(), "python": platform.python_version()}
+    versions = {"source": source_version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:

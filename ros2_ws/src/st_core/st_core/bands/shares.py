@@ -88,23 +88,23 @@ def sum_squared_contributions(
 
 def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameters]]:
     """By uncertain parameter, the cars with a value one standard deviation lower and higher; without invalid cars."""
-    found = {}
+    variants = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:
             with contextlib.suppress(ConfigurationError):
-                found[key] = [vehicle.with_values({key: value_of(vehicle, key) + by}) for by in (-sigma, sigma)]
-    return found
+                variants[key] = [vehicle.with_values({key: value_of(vehicle, key) + by}) for by in (-sigma, sigma)]
+    return variants
 
 
 def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
     """By parameter of an effect, the models with a value one standard deviation lower and higher, within its bounds."""
-    found: dict[str, list[Model]] = {}
+    variants: dict[str, list[Model]] = {}
     if not isinstance(model, AugmentedModel):
-        return found
+        return variants
     for (effect, name), (low, high) in intervals.items():
         value, sigma = model.values[effect][name], (high - low) / (2.0 * Z95)
         bounds = next(p.bounds for p in get_effect(effect).parameters if p.name == name)
         pair = [float(np.clip(value + side * sigma, *bounds)) for side in (-1.0, 1.0)]
         if pair[0] < pair[1]:
-            found[f"{effect}.{name}"] = [model.with_values({effect: {name: end}}) for end in pair]
-    return found
+            variants[f"{effect}.{name}"] = [model.with_values({effect: {name: end}}) for end in pair]
+    return variants

@@ -79,9 +79,9 @@ def judge(e: Evidence, limits: Limits) -> Reason:
         if refused:
             return refused
     elif not is_relevant(e, limits):
-        return Reason(IRRELEVANT, e.name, _relevance_figures(e, limits), "redundant sensors confirm it, but it "
-                      f"reduces the baseline error of every channel by at most {most_affected(e, limits)[1]:.1%}, and "
-                      f"the position error after 5 s by {100 * position_reduction(e):.1f} cm")
+        return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
+                      f"reduces the baseline error of every channel by at most {find_most_affected(e, limits)[1]:.1%}, "
+                      f"and the position error after 5 s by {100 * position_reduction(e):.1f} cm")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
@@ -166,11 +166,11 @@ def position_reduction(e: Evidence) -> float:
 def is_relevant(e: Evidence, limits: Limits) -> bool:
     """Whether an effect is large enough to be named, judged by its error reduction in the most affected channel or in
     position or, if redundant sensors confirm it, by its size."""
-    return (most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
+    return (find_most_affected(e, limits)[1] >= limits.relevant or position_reduction(e) >= limits.relevant_position
             or (is_confirmed(e, limits) and e.size >= limits.min_relative_size))
 
 
-def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
+def find_most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
     with an error above the noise; ("", 0) if there is none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
@@ -178,8 +178,8 @@ def most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     return (CHANNEL_OF_COLUMN[column].name if column else ""), share
 
 
-def _relevance_figures(e: Evidence, limits: Limits) -> dict[str, float]:
-    return {"share": most_affected(e, limits)[1], "position": position_reduction(e), "relevant": limits.relevant,
+def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
+    return {"share": find_most_affected(e, limits)[1], "position": position_reduction(e), "relevant": limits.relevant,
             "relevant_position": limits.relevant_position}
 
 
@@ -212,7 +212,7 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not checks.excludes_null and not confirmed_by_sensors:
         return minor("it reduces the errors, but the interval of its value contains the value without influence")
-    size, figures = _describe_effect_size(e, limits), _relevance_figures(e, limits)
+    size, figures = _describe_effect_size(e, limits), _relevance_values(e, limits)
     if is_relevant(e, limits):
         return Reason(NAMED, e.name, figures, size)
     return minor(f"it is significant, but {size}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm is "
@@ -221,7 +221,7 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
 
 def _describe_effect_size(e: Evidence, limits: Limits) -> str:
     """Clause with the largest error reductions."""
-    channel, share = most_affected(e, limits)
+    channel, share = find_most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_in_condition > e.position else ""
     return f"it reduces {channel_part}the position error after 5 s by {100 * position_reduction(e):.1f} cm{where}"

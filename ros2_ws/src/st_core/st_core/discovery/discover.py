@@ -176,7 +176,7 @@ class _Analysis:
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
                 tuple(r.name for r in others), evidence.position, _local_estimates(evidence),
-                search.find_cancelling(state.fit, name), *decision.most_affected(evidence, self.limits)))
+                search.find_cancelling(state.fit, name), *decision.find_most_affected(evidence, self.limits)))
         leave_one_out = waterfall.leave_one_out(problem, state.fit)
         axles, curves, combinations = self._analyse_axles(state, joint_fit, noise_ratio)
         verdicts = self._name_effects(state, effects, axles, leave_one_out)

@@ -118,12 +118,12 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
     """Separability of every named effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
-    found = []
+    separabilities = []
     for effect in effects:
         others = tuple(n for n in fit.names if n != effect.name)
-        found += [Separability(effect.name, rival, *separation(h, problem, others, effect.name, rival, values,
+        separabilities += [Separability(effect.name, rival, *separation(h, problem, others, effect.name, rival, values,
                                                                design_effect)) for rival in effect.alternatives]
-    return tuple(found)
+    return tuple(separabilities)
 
 
 def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,

@@ -31,7 +31,7 @@ class SearchState:
     """State of the search. fit: fit of the current set. order: names in order of selection. By effect of the set:
     evidence for it, fit without it, and rivals that were tried in its place. refused: (evidence, verdict, fit) of each
     effect that was tried in addition and rejected. cached_scores: scores of the effects outside the set. near: sets
-    that fit nearly as well, see `_near_sets`."""
+    that fit nearly as well, see `_find_near_sets`."""
 
     fit: Fit
     order: list[str]
@@ -77,7 +77,7 @@ class Search:
             start = self._prune(first.fit.vector, list(dict.fromkeys(names)))
             while start and start.names:  # remove the effects that fail the test, weakest first
                 state = SearchState(start, list(start.names), cached_scores=self._scores(start))
-                weakest = self._weakest_failing(state, self.limits.relevant)
+                weakest = self._find_weakest_failing(state, self.limits.relevant)
                 if not weakest:
                     break
                 start = self._rescale(self._refit_without(start, weakest))
@@ -86,7 +86,7 @@ class Search:
                 p.loss.scale, p.design_effect = scale, design_effect
         state = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
-        state.near = self._near_sets(state)
+        state.near = self._find_near_sets(state)
         state.rivals = {name: [replace(r, added=self._added_share(state, r)) for r in rivals]
                         for name, rivals in state.rivals.items()}
         self._add_partial_rivals(state)
@@ -134,7 +134,7 @@ class Search:
         assert state is not None  # no set was visited before
         return self._drop_rejected(state).fit
 
-    def _near_sets(self, state: SearchState) -> list[NearSet]:
+    def _find_near_sets(self, state: SearchState) -> list[NearSet]:
         """The sets with a held-out loss per residual that exceeds that of the final set by less than
         `limits.unexplained_share`; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
@@ -218,7 +218,7 @@ class Search:
             return None
         without, fits = self._refine(state.fit, fits)
         best, state.refused = 0.0, {}  # best: largest gain of a significant effect that was refused
-        for effect in self._members_first(fits, without):
+        for effect in self._order_members_first(fits, without):
             gain = self._gain(without, fits[effect])
             if gain < CONTENDER_SHARE * best:
                 break
@@ -251,7 +251,7 @@ class Search:
     def _gain(without: Fit, fit: Fit) -> float:
         return float((without.held_out - fit.held_out).sum())
 
-    def _members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
+    def _order_members_first(self, fits: Mapping[str, Fit], without: Fit) -> list[str]:
         """Names by decreasing gain; a member precedes its composite effect unless the composite is clearly better."""
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
@@ -360,13 +360,13 @@ class Search:
 
     def _drop_rejected(self, state: SearchState) -> SearchState:
         """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
-        while weakest := self._weakest_failing(state):
+        while weakest := self._find_weakest_failing(state):
             fit = self._rescale(state.without[weakest])
             refused = {weakest: (state.evidence[weakest], self._judge(state.evidence[weakest], self.limits), state.fit)}
             state = SearchState(fit, [n for n in state.order if n != weakest], refused={**state.refused, **refused})
         return state
 
-    def _weakest_failing(self, state: SearchState, required: float = np.inf) -> str:
+    def _find_weakest_failing(self, state: SearchState, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails. An
         effect passes without a refit if its removal is predicted to raise the loss per residual by more than three
         times `required`."""

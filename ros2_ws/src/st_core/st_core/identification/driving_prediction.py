@@ -157,17 +157,17 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
                                   systematic)
-    found = result["yaw_inertia"]
+    estimate = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
-    implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(found.value, 10.0)))
+    implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(estimate.value, 10.0)))
                    if text.startswith("yaw_inertia")]
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
         warnings.append(text)
-        found = replace(found, status="unidentifiable", verdict=f"{text} {found.verdict}")
-    conflict = describe_contradiction(found, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
+        estimate = replace(estimate, status="unidentifiable", verdict=f"{text} {estimate.verdict}")
+    conflict = describe_contradiction(estimate, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
                                       "the vehicle file (as +/- 10 %)")
-    return replace(result, estimates=(found, *result.estimates[1:]), coverage=covered,
+    return replace(result, estimates=(estimate, *result.estimates[1:]), coverage=covered,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 

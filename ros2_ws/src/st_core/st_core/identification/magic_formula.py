@@ -174,17 +174,17 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
     """Estimates of the tyre's parameters, named as in the vehicle file, such as "tyre_front.p_ky1"."""
-    found = fit_tyre(data, start)
-    fit, tyre = found.fit, found.tyre
-    levels, level = found.levels, found.level
-    data = replace(data, slip=-data.slip) if found.flipped else data
-    function = _make_residuals(data, found.staged, found.names)
+    tyre_fit = fit_tyre(data, start)
+    fit, tyre = tyre_fit.fit, tyre_fit.tyre
+    levels, level = tyre_fit.levels, tyre_fit.level
+    data = replace(data, slip=-data.slip) if tyre_fit.flipped else data
+    function = _make_residuals(data, tyre_fit.staged, tyre_fit.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
               f"then all loads simultaneously, profile likelihood; residual {100 * fit.residual_deviation / peak:.2f} "
               "% of the largest force")
     estimates = []
-    for k, name in enumerate(found.names[:-1]):
+    for k, name in enumerate(tyre_fit.names[:-1]):
         (low, low_open), (high, high_open) = (find_interval_end(function, fit, k, side) for side in (-1.0, 1.0))
         key = f"{data.tyre}.{name}"
         # The profile interval of a normal distribution is 3.92 deviations wide; the covariance ignores bounds.
@@ -207,10 +207,10 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     correlation = correlation_matrix(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
-              "level": level, "residuals": fit.residuals, "grid": grid, "names": found.names[:-1],
+              "level": level, "residuals": fit.residuals, "grid": grid, "names": tyre_fit.names[:-1],
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
-              "stiffness": np.array([found.compute_stiffness(load) for load in levels])}
-    warnings = [*_make_warnings(data, found, peak),
+              "stiffness": np.array([tyre_fit.compute_stiffness(load) for load in levels])}
+    warnings = [*_make_warnings(data, tyre_fit, peak),
                 *describe_correlations([e.parameter for e in estimates], correlation, 0.98)]
     return Identification("tyre", tuple(estimates), (data.name,), (), correlation,
                           measure_slip_coverage(data, levels, level), tuple(warnings), figure)
@@ -271,22 +271,22 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
     return [low for low, _ in limits], [high for _, high in limits]
 
 
-def _make_warnings(data: FlatPlank, fit: TyreFit, peak: float) -> list[str]:
+def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]:
     sentences = []
-    if fit.flipped:
+    if tyre_fit.flipped:
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
                          "of the slip angle was changed.")
-    if len(fit.levels) < 3:
-        fixed = "p_ky4 is" if len(fit.levels) == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {len(fit.levels)} load{'s' * (len(fit.levels) > 1)}: {fixed} taken "
+    if (loads := len(tyre_fit.levels)) < 3:
+        fixed = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
+        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed} taken "
                          "from the vehicle file.")
-    shift, uncertainty = fit.fit.values[-1], fit.fit.standard_errors[-1]
+    shift, uncertainty = tyre_fit.fit.values[-1], tyre_fit.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or a wrong zero of the wheel angle); the models' tyre is symmetric.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    largest = max(float(np.abs(tyre_force(grid, load, fit.staged) - tyre_force(grid, load, fit.tyre)).max())
-                  for load in fit.levels)
+    largest = max(float(np.abs(tyre_force(grid, load, tyre_fit.staged) - tyre_force(grid, load, tyre_fit.tyre)).max())
+                  for load in tyre_fit.levels)
     if largest > 0.01 * peak:
         sentences.append(f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, "
                          f"{100 * largest / peak:.1f} % of the largest force: the load dependence of the formula does "

@@ -80,7 +80,7 @@ def _raise_if_all_failed(problems: Sequence[RunError | str | None]) -> None:
 def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,
                  console: Console) -> list[RunReport]:
     """Evaluate all runs with a progress display; returns the reports in the order of the sources."""
-    found: dict[str, RunReport] = {}
+    reports: dict[str, RunReport] = {}
     with make_progress_bars(console) as progress:
         runs = progress.add_task("runs", total=len(sources))
         starts = progress.add_task("", visible=False)
@@ -92,9 +92,9 @@ def evaluate_all(sources: Sequence[RunSource], task: Task, workers: int, schedul
                                                        completed=done)
 
         for report in evaluate_runs(sources, task, workers, scheduler, watch):
-            found[report.name] = report
+            reports[report.name] = report
             progress.advance(runs)
-    return [found[source.name] for source in sources]
+    return [reports[source.name] for source in sources]
 
 
 def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, scheduler: str | None,

@@ -49,13 +49,13 @@ def summarise_by_model(evaluation: LogEvaluation, select: np.ndarray | slice = A
 
 def summarise_by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[str, Entry]]]:
     """{model: {mode: {second: {axis: {mean, max, rmse}}}}}: errors of the complete starts after 1, 2, ... s."""
-    found: dict[str, dict[str, dict[str, Entry]]] = {model: {} for model in evaluation.models}
+    summary: dict[str, dict[str, dict[str, Entry]]] = {model: {} for model in evaluation.models}
     for (model, mode), errors in evaluation.errors.items():
         values = errors.at_seconds[errors.complete]
-        found[model][mode] = {} if not len(values) else {
+        summary[model][mode] = {} if not len(values) else {
             str(k + 1): {axis: _name_statistics(v.mean(), np.abs(v).max(), np.sqrt(np.square(v).mean()))
                          for axis, v in zip(AXES, values[:, k].T, strict=True)} for k in range(values.shape[1])}
-    return found
+    return summary
 
 
 def summarise_by_bin(evaluation: LogEvaluation) -> list[Entry]:
@@ -74,12 +74,12 @@ def summarise_by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]
 
 def pool_models(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
     """Pool several {model: {mode: entry}} as if all starts were in one run."""
-    found: dict[str, dict[str, list[Entry]]] = {}
+    grouped: dict[str, dict[str, list[Entry]]] = {}
     for document in entries:
         for model, modes in document.items():
             for mode, entry in modes.items():
-                found.setdefault(model, {}).setdefault(mode, []).append(entry)
-    return {model: {mode: _pool_statistics(parts) for mode, parts in modes.items()} for model, modes in found.items()}
+                grouped.setdefault(model, {}).setdefault(mode, []).append(entry)
+    return {model: {mode: _pool_statistics(parts) for mode, parts in modes.items()} for model, modes in grouped.items()}
 
 
 def pool_entries(entries: Sequence[Entry], *keys: str) -> list[Entry]:

@@ -62,7 +62,7 @@ class Storage(ABC):
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
         """Numeric fields (cdr.Layout) of all messages, by topic name and field. Topics with messages of different
         layouts are omitted."""
-        found = {}
+        uniform = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
             gathered = _GatheredFields(topic.type_name, names, store)
@@ -70,8 +70,8 @@ class Storage(ABC):
                 sizes = np.array([len(row) for row in rows])
                 gathered.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
             if gathered.is_uniform and gathered.parts:
-                found[topic.name] = gathered.columns()
-        return found
+                uniform[topic.name] = gathered.columns()
+        return uniform
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
