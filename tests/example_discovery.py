@@ -76,13 +76,13 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
     candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
     candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
-                                      "takes away 0.6 % of the size of the errors, 2.5 % are asked for"))
+                                      "reduces the errors by 0.6 %, at least 2.5 % is required"))
     return Discovery(
         outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall),
         errors=errors, budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
                         "the gain is 44; chance gives 12 at most"),
-                 *(Reason("worth", e.name, {"share": 0.2}, "takes 20 % of the size of the errors away")
+                 *(Reason("worth", e.name, {"share": 0.2}, "reduces the errors by 20 %")
                    for e in effects)),
         candidates=tuple(candidates),
         where=(LargeErrorRegion("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),

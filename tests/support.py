@@ -7,6 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "tests" / "golden" / "data"
+LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 EXAMPLES = ROOT / "examples" / "data"
 SETS = ("kept", "whole")
 

@@ -1,24 +1,17 @@
-"""st calibrate and st evaluate --bands as a user starts them, on drives with known errors."""
+"""The commands st calibrate and st evaluate --bands on drives with known errors."""
 
 import json
 import shutil
 
 import pytest
+from command_line import st
 from drives import weave, write_drive, write_vehicle
-from st_cli.cli import app
-from support import ROOT
-from typer.testing import CliRunner
-
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
-
-
-def st(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
+from support import LEAF
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Ten drives of one car to calibrate with, two more to test with; bands of the linear model."""
+    """Ten drives of one car for calibration, two more for the test; bands of the linear model."""
     base = tmp_path_factory.mktemp("bands")
     for k in range(12):
         write_drive(base / ("known" if k < 10 else "new") / f"weave_{k}.csv", weave(16.0, 7.0 + 0.15 * k, 0.02))
@@ -30,7 +23,7 @@ def folder(tmp_path_factory):
     return base, result
 
 
-def test_calibrate_names_excluded_runs_and_states_the_levels(folder):
+def test_calibrate_reports_excluded_runs_and_supported_levels(folder):
     base, result = folder
     assert result.exit_code == 1, result.output
     text = " ".join(result.output.split())
@@ -39,19 +32,19 @@ def test_calibrate_names_excluded_runs_and_states_the_levels(folder):
     assert "recordings:" in (base / "bands.yaml").read_text()
 
 
-def test_recordings_of_one_folder_count_as_one_run_where_they_are_alike(folder, tmp_path):
+def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_path):
     base, _ = folder
-    days = [base / "known" / f"weave_{k}.csv" for k in range(3)]
-    arguments = (*days, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together", "--output",
-                 tmp_path / "bands.yaml")
+    recordings = [base / "known" / f"weave_{k}.csv" for k in range(3)]
+    arguments = (*recordings, base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--together",
+                 "--output", tmp_path / "bands.yaml")
     refused = st("calibrate", *arguments)
     assert refused.exit_code == 2 and "4 runs support at most 80.0%" in refused.output
-    made = st("calibrate", *arguments, "--level", 0.8)
-    assert made.exit_code == 0 and "from 4 runs" in made.output
+    done = st("calibrate", *arguments, "--level", 0.8)
+    assert done.exit_code == 0 and "from 4 runs" in done.output
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
 
 
-def test_evaluate_tests_the_bands_on_other_drives(folder, tmp_path):
+def test_evaluate_scores_bands_on_unseen_drives(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--bands",
                 base / "bands.yaml", "--figures", "png", "--output", tmp_path / "o")
@@ -59,22 +52,22 @@ def test_evaluate_tests_the_bands_on_other_drives(folder, tmp_path):
     content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
     whole = content["bands_all_runs"]
     assert whole["known_recordings"] == [] and set(content["bands"]) == {"weave_10", "weave_11"}
-    for one in whole["models"]["linear"].values():
-        assert one["starts"] > 50 and 0.0 <= one["coverage"]["0.5"] <= one["coverage"]["0.9"] <= 1.0
-        assert one["coverage"]["0.9"] > 0.5  # the same car on the same road, a little faster
-        assert 0.0 < one["crps"]["lateral"] < one["interval_score"]["0.9"]["lateral"]
-        assert one["half_width"]["0.5"]["5"]["lateral"] < one["half_width"]["0.9"]["5"]["lateral"]
+    for scores in whole["models"]["linear"].values():
+        assert scores["starts"] > 50 and 0.0 <= scores["coverage"]["0.5"] <= scores["coverage"]["0.9"] <= 1.0
+        assert scores["coverage"]["0.9"] > 0.5  # the same car on the same road, a little faster
+        assert 0.0 < scores["crps"]["lateral"] < scores["interval_score"]["0.9"]["lateral"]
+        assert scores["half_width"]["0.5"]["5"]["lateral"] < scores["half_width"]["0.9"]["5"]["lateral"]
     assert (tmp_path / "o" / "bands_reliability.png").stat().st_size > 5000
     shares = whole["shares"]["linear"]
     assert shares["starts"] > 50 and set(shares["share"]) == {"parameters", "sensors and start", "what remains"}
-    assert sum(one["5"]["lateral"] for one in shares["share"].values()) == pytest.approx(1.0)
+    assert sum(part["5"]["lateral"] for part in shares["share"].values()) == pytest.approx(1.0)
     assert shares["share"]["sensors and start"]["5"]["lateral"] > 0.0
     assert "Decomposition of the error" in result.output
     page = (tmp_path / "o" / "report.html").read_text()
     assert "<h2>Bands</h2>" in page and "Reliability of the bands" in page
 
 
-def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
+def test_calibration_recordings_are_reported_as_no_test(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "known" / "weave_1.csv", "--vehicle", base / "car.yaml", "--model", "linear",
                 "--bands", base / "bands.yaml", "--figures", "", "--output", tmp_path / "o")
@@ -83,25 +76,18 @@ def test_recordings_that_were_calibrated_with_are_no_test(folder, tmp_path):
 
 def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):
     base, _ = folder
-    for arguments, words in ((("--vehicle", LEAF, "--model", "linear"), "the bands are for"),
-                             (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: missing")):
+    for arguments, fragment in ((("--vehicle", LEAF, "--model", "linear"), "the bands are for"),
+                                (("--vehicle", base / "car.yaml", "--model", "kinematic"), "bands.kinematic: missing")):
         result = st("evaluate", base / "new", *arguments, "--bands", base / "bands.yaml", "--output", tmp_path / "o")
-        assert result.exit_code == 2 and words in result.output, result.output
+        assert result.exit_code == 2 and fragment in result.output, result.output
         assert len(result.output.strip().splitlines()) == 1 and not (tmp_path / "o").exists()
 
 
-def test_too_few_runs_make_no_file_and_nothing_is_overwritten(folder, tmp_path):
+def test_too_few_runs_write_no_file_and_existing_file_is_kept(folder, tmp_path):
     base, _ = folder
     few = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--output",
              tmp_path / "b.yaml")
     assert few.exit_code == 2 and "2 runs support at most 66.7%" in few.output
     assert not (tmp_path / "b.yaml").exists()
-    again = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
-    assert again.exit_code == 2 and "bands.yaml exists: " in again.output
-
-
-def test_without_bands_evaluate_names_the_command_that_makes_them(folder, tmp_path):
-    base, _ = folder
-    result = st("evaluate", base / "new" / "weave_10.csv", "--vehicle", base / "car.yaml", "--model", "linear",
-                "--figures", "", "--output", tmp_path / "o")
-    assert "st calibrate RUN… --vehicle FILE --output bands.yaml" in result.output
+    second = st("calibrate", base / "new", "--vehicle", base / "car.yaml", "--output", base / "bands.yaml")
+    assert second.exit_code == 2 and "bands.yaml exists: " in second.output

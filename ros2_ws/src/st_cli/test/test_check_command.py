@@ -1,4 +1,4 @@
-"""st check as a user starts it, and the same findings in the other verbs: real drives, unchanged and corrupted."""
+"""The command st check, and its findings in the other commands: a real drive, unchanged and in a wrong unit."""
 
 import csv
 import html
@@ -9,25 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from st_cli.cli import app
+from command_line import st
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery.drives import read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
-from typer.testing import CliRunner
 
 DRIVE = ROOT / "examples" / "data" / "rfs_turn_a.csv"
 CAR = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
-DEGREES = 180.0 / math.pi
+DEGREES_PER_RADIAN = 180.0 / math.pi
 HOSTILE = "<b>drive</b>"
+FILE_NAME = HOSTILE.replace("/", "-")
+QUICK = ("--vehicle", CAR, "--model", "kinematic", "--figures", "")
 
 
-def st(*arguments):
-    return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "300"})
-
-
-def spoilt(file: Path, **factors: float) -> Path:
-    """The real drive with columns multiplied."""
+def write_scaled_drive(file: Path, **factors: float) -> Path:
+    """Writes the real drive with some columns multiplied by a factor."""
     with DRIVE.open(newline="") as stream:
         names, *rows = csv.reader(stream)
     values = np.array(rows, float)
@@ -39,37 +36,45 @@ def spoilt(file: Path, **factors: float) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wrong(tmp_path_factory):
-    return spoilt(tmp_path_factory.mktemp("wrong") / f"{HOSTILE.replace('/', '-')}.csv", yaw_rate=DEGREES)
+def faulty_drive(tmp_path_factory):
+    return write_scaled_drive(tmp_path_factory.mktemp("faulty") / f"{FILE_NAME}.csv", yaw_rate=DEGREES_PER_RADIAN)
 
 
 @pytest.fixture(scope="module")
-def checked(wrong, tmp_path_factory):
+def evaluated(faulty_drive, tmp_path_factory):
+    """Evaluation of the faulty and the unchanged drive without --force: folder, result, document."""
+    base = tmp_path_factory.mktemp("evaluated")
+    result = st("evaluate", faulty_drive, DRIVE, *QUICK, "--output", base / "out")
+    return base / "out", result, json.loads((base / "out" / "evaluation.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def checked(faulty_drive, tmp_path_factory):
     base = tmp_path_factory.mktemp("checked")
-    result = st("check", wrong, DRIVE, base / "nothing.csv", "--vehicle", CAR, "--output", base / "out")
+    result = st("check", faulty_drive, DRIVE, base / "nothing.csv", "--vehicle", CAR, "--output", base / "out")
     return base / "out", result, json.loads((base / "out" / "check.json").read_text())
 
 
-def names(findings, severity):
-    return {one["name"] for one in findings if one["severity"] == severity}
+def select_names(findings, severity):
+    return {finding["name"] for finding in findings if finding["severity"] == severity}
 
 
-def test_it_names_the_wrong_unit_and_exits_with_1(checked):
+def test_wrong_unit_is_reported_with_exit_status_1(checked):
     folder, result, content = checked
     assert result.exit_code == 1
-    run = content["runs"][HOSTILE.replace("/", "-")]
-    assert names(run["findings"], "error") == {"yaw_rate_scale"}
+    run = content["runs"][FILE_NAME]
+    assert select_names(run["findings"], "error") == {"yaw_rate_scale"}
     first = run["findings"][0]
-    assert first["interval"][0] <= DEGREES <= first["interval"][1] and first["channels"] == ["yaw_rate"]
+    assert first["interval"][0] <= DEGREES_PER_RADIAN <= first["interval"][1] and first["channels"] == ["yaw_rate"]
     assert first["text"] in result.output and first["advice"]["line"] in result.output
     assert run["verdict"] in result.output and "an evaluation would be meaningless" in run["verdict"]
-    assert not names(content["runs"]["rfs_turn_a"]["findings"], "error")
+    assert not select_names(content["runs"]["rfs_turn_a"]["findings"], "error")
     assert list(content["failed"]) == ["nothing.csv"] and "the file or folder does not exist" in result.output
     for name in ("report.html", "check.json"):
         assert str(folder / name) in result.output
 
 
-def test_the_schema(checked):
+def test_check_json_schema(checked):
     content = checked[2]
     assert set(content) == {"schema", "created", "versions", "vehicle", "runs", "together", "failed"}
     assert content["vehicle"] == {str(CAR): {"name": "Hyundai Genesis", "hash": content["vehicle"][str(CAR)]["hash"]}}
@@ -85,7 +90,7 @@ def test_the_schema(checked):
         assert 45.0 < run["channels"]["yaw_rate"]["rate"] < 55.0
 
 
-def test_the_page_begins_with_the_finding(checked):
+def test_page_begins_with_the_findings(checked):
     text = (checked[0] / "report.html").read_text()
     assert "<b>drive" not in text and "&lt;b&gt;drive" in text
     assert text.index("Errors in 1 of 2 runs") < text.index("<table")
@@ -94,120 +99,113 @@ def test_the_page_begins_with_the_finding(checked):
     assert text.count("<figure>") >= 6
 
 
-def test_every_possible_finding_is_in_the_manual(checked):
+def test_reported_findings_are_described_in_the_manual(checked):
     manual = (ROOT / "docs" / "manual" / "checks.md").read_text()
     for run in checked[2]["runs"].values():
         for one in run["findings"]:
             assert f"`{one['name']}`" in manual, one["name"]
 
 
-def test_the_cure_it_proposes_cures(wrong, tmp_path):
-    cure = tmp_path / "cured" / "run.yaml"
-    result = st("check", wrong, "--vehicle", CAR, "--output", tmp_path / "a", "--propose-cure", cure)
-    assert result.exit_code == 1 and "# error: yaw_rate_scale: " in cure.read_text()
-    assert math.isclose(yaml.safe_load(cure.read_text())["correct"]["yaw_rate"]["scale"], 1 / DEGREES, rel_tol=0.02)
-    again = st("check", cure, "--vehicle", CAR, "--output", tmp_path / "b", "--json", tmp_path / "numbers.json")
-    assert again.exit_code == 0, again.output
+def test_proposed_correction_removes_the_finding(faulty_drive, tmp_path):
+    corrected = tmp_path / "corrected" / "run.yaml"
+    result = st("check", faulty_drive, "--vehicle", CAR, "--output", tmp_path / "a", "--propose-correction", corrected)
+    assert result.exit_code == 1 and "# error: yaw_rate_scale: " in corrected.read_text()
+    scale = yaml.safe_load(corrected.read_text())["correct"]["yaw_rate"]["scale"]
+    assert math.isclose(scale, 1 / DEGREES_PER_RADIAN, rel_tol=0.02)
+    second = tmp_path / "corrected" / "more.run.yaml"
+    checked = st("check", corrected, "--vehicle", CAR, "--output", tmp_path / "b", "--json", tmp_path / "numbers.json",
+                 "--propose-correction", second)
+    assert checked.exit_code == 0, checked.output
     (run,) = json.loads((tmp_path / "numbers.json").read_text())["runs"].values()
     assert "yaw_rate_scale" not in {one["name"] for one in run["findings"]}
-    assert any("yaw_rate" in warning for warning in run["warnings"])  # what was corrected is said
-    evaluated = st("evaluate", cure, "--vehicle", CAR, "--model", "kinematic", "--figures", "", "--output",
-                   tmp_path / "c")
+    assert any("yaw_rate" in warning for warning in run["warnings"])  # applied corrections are reported
+    evaluated = st("evaluate", corrected, *QUICK, "--output", tmp_path / "c")
     assert evaluated.exit_code == 0, evaluated.output
-    # A second proposal corrects further what the first one corrected.
-    third = tmp_path / "cured" / "more.run.yaml"
-    assert st("check", cure, "--vehicle", CAR, "--output", tmp_path / "d", "--propose-cure", third).exit_code == 0
-    scale = yaml.safe_load(third.read_text())["correct"]["yaw_rate"]["scale"]
-    assert math.isclose(scale, 1 / DEGREES, rel_tol=0.02)
+    # The second proposal contains the first correction as well.
+    scale = yaml.safe_load(second.read_text())["correct"]["yaw_rate"]["scale"]
+    assert math.isclose(scale, 1 / DEGREES_PER_RADIAN, rel_tol=0.02)
 
 
-def test_a_cure_is_proposed_for_one_run_only(wrong, tmp_path):
-    result = st("check", wrong, DRIVE, "--output", tmp_path / "o", "--propose-cure", tmp_path / "run.yaml")
+def test_correction_is_proposed_for_a_single_run_only(faulty_drive, tmp_path):
+    result = st("check", faulty_drive, DRIVE, "--output", tmp_path / "o", "--propose-cure", tmp_path / "run.yaml")
     assert result.exit_code == 2 and "2 runs were given" in result.output
     assert not (tmp_path / "o").exists() and not (tmp_path / "run.yaml").exists()
 
 
-def test_nothing_to_read_is_2_and_leaves_nothing(tmp_path):
+def test_unreadable_input_exits_with_2_and_writes_nothing(tmp_path):
     result = st("check", tmp_path / "none.csv", "--output", tmp_path / "o")
     assert result.exit_code == 2 and "no run can be read" in result.output and not (tmp_path / "o").exists()
 
 
-def test_evaluate_leaves_a_meaningless_run_out(wrong, tmp_path, checked):
-    quick = ("--vehicle", CAR, "--model", "kinematic", "--figures", "")
-    result = st("evaluate", wrong, DRIVE, *quick, "--output", tmp_path / "o")
+def test_evaluate_excludes_a_run_with_an_error(faulty_drive, tmp_path, evaluated, checked):
+    folder, result, content = evaluated
     assert result.exit_code == 1 and "yaw_rate_scale" in result.output and "--force" in result.output
-    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
-    name = HOSTILE.replace("/", "-")
-    assert list(content["runs"]) == ["rfs_turn_a"] and list(content["failed"]) == [name]
-    assert names(content["refused"][name], "error") == {"yaw_rate_scale"}
-    # The same words everywhere.
+    assert list(content["runs"]) == ["rfs_turn_a"] and list(content["failed"]) == [FILE_NAME]
+    assert select_names(content["refused"][FILE_NAME], "error") == {"yaw_rate_scale"}
+    # Every output contains the same findings.
     other = checked[2]["runs"]["rfs_turn_a"]["findings"]
     assert content["about"]["rfs_turn_a"]["findings"] == other
-    page = (tmp_path / "o" / "report.html").read_text()
-    for one in (*other, *content["refused"][name]):
+    page = (folder / "report.html").read_text()
+    for one in (*other, *content["refused"][FILE_NAME]):
         assert f">{one['name']}</code>" in page
         assert one["severity"] == "note" or one["text"] in result.output
-    only = st("evaluate", wrong, *quick, "--output", tmp_path / "p")
-    assert only.exit_code == 2 and "yaw_rate_scale" in only.output
+    alone = st("evaluate", faulty_drive, *QUICK, "--output", tmp_path / "p")
+    assert alone.exit_code == 2 and "yaw_rate_scale" in alone.output
 
 
-def test_evaluate_continues_when_forced_and_changes_no_number(wrong, tmp_path):
-    quick = ("--vehicle", CAR, "--model", "kinematic", "--figures", "")
-    result = st("evaluate", wrong, *quick, "--output", tmp_path / "o", "--force")
+def test_evaluate_force_includes_the_run_and_changes_no_number(faulty_drive, tmp_path, evaluated):
+    result = st("evaluate", faulty_drive, DRIVE, *QUICK, "--output", tmp_path / "o", "--force")
     assert result.exit_code == 0 and "error: yaw_rate" in result.output
-    (about,) = json.loads((tmp_path / "o" / "evaluation.json").read_text())["about"].values()
-    assert names(about["findings"], "error") == {"yaw_rate_scale"}
-    numbers = []
-    for more in ((), ("--force",)):
-        folder = tmp_path / f"good{len(more)}"
-        assert st("evaluate", DRIVE, *quick, "--output", folder, *more).exit_code == 0
-        numbers.append(json.loads((folder / "evaluation.json").read_text())["runs"])
-    assert numbers[0] == numbers[1]
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    assert select_names(content["about"][FILE_NAME]["findings"], "error") == {"yaw_rate_scale"}
+    assert content["runs"]["rfs_turn_a"] == evaluated[2]["runs"]["rfs_turn_a"]
 
 
-def test_evaluate_reports_a_step_that_is_too_long_and_the_remedy(tmp_path):
+def test_evaluate_reports_a_too_long_step_and_its_correction(tmp_path):
     stiff = tmp_path / "stiff.yaml"
     lines = [line if not line.startswith("yaw_inertia:") else
-             'yaw_inertia: {value: 1900.0, unit: kg m^2, source: "a test"}' for line in CAR.read_text().splitlines()]
+             'yaw_inertia: {value: 1900.0, unit: kg m^2, source: "test"}' for line in CAR.read_text().splitlines()]
     stiff.write_text("\n".join(lines) + "\n")
-    quick = ("--model", "linear", "--model", "nonlinear", "--figures", "")
+    models = ("--model", "linear", "--model", "nonlinear", "--figures", "")
 
-    def found(vehicle, folder):
-        assert st("evaluate", DRIVE, *quick, "--vehicle", vehicle, "--output", folder).exit_code == 0
+    def find_too_long_steps(vehicle, folder):
+        assert st("evaluate", DRIVE, *models, "--vehicle", vehicle, "--output", folder).exit_code == 0
         (about,) = json.loads((folder / "evaluation.json").read_text())["about"].values()
         return [one for one in about["findings"] if one["name"] == "step_too_long"]
 
-    (one,) = found(stiff, tmp_path / "a")
-    assert one["advice"]["kind"] == "vehicle"
-    assert one["advice"]["line"] in html.unescape((tmp_path / "a" / "report.html").read_text())
+    (finding,) = find_too_long_steps(stiff, tmp_path / "a")
+    assert finding["advice"]["kind"] == "vehicle"
+    assert finding["advice"]["line"] in html.unescape((tmp_path / "a" / "report.html").read_text())
     corrected = tmp_path / "corrected.yaml"
-    corrected.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else one["advice"]["line"]
+    corrected.write_text("\n".join(line if not line.startswith("minimum_slip_speed:") else finding["advice"]["line"]
                                    for line in lines) + "\n")
-    assert found(corrected, tmp_path / "b") == []
+    assert find_too_long_steps(corrected, tmp_path / "b") == []
 
 
-def test_identify_leaves_a_meaningless_drive_out(wrong, tmp_path):
-    result = st("identify", "steering-offset", wrong, DRIVE, "--vehicle", CAR, "--output", tmp_path / "o")
+def test_identify_excludes_a_run_with_an_error(faulty_drive, tmp_path):
+    result = st("identify", "steering-offset", faulty_drive, DRIVE, "--vehicle", CAR, "--output", tmp_path / "o")
     assert result.exit_code == 0, result.output
     assert "left out: " in result.output and "yaw_rate_scale" in result.output and "--force" in result.output
     (one,) = json.loads((tmp_path / "o" / "details.json").read_text())["experiments"]
     assert one["used"] == ["rfs_turn_a"]
-    assert names(one["findings"][HOSTILE.replace("/", "-")], "error") == {"yaw_rate_scale"}
+    assert select_names(one["findings"][FILE_NAME], "error") == {"yaw_rate_scale"}
     assert "Findings in the recordings" in (tmp_path / "o" / "report.html").read_text()
-    alone = st("identify", "steering-offset", wrong, "--vehicle", CAR, "--output", tmp_path / "p")
+    alone = st("identify", "steering-offset", faulty_drive, "--vehicle", CAR, "--output", tmp_path / "p")
     assert alone.exit_code == 2 and "yaw_rate_scale" in alone.output
-    forced = st("identify", "steering-offset", wrong, DRIVE, "--vehicle", CAR, "--output", tmp_path / "q", "--force")
+    forced = st("identify", "steering-offset", faulty_drive, DRIVE, "--vehicle", CAR, "--output", tmp_path / "q",
+                "--force")
     assert forced.exit_code in (0, 1) and "left out: " not in forced.output
 
 
-def test_discover_leaves_a_meaningless_run_out(wrong, tmp_path):
-    result = st("discover", wrong, "--vehicle", CAR, "--output", tmp_path / "o", "--fresh")
+def test_discover_excludes_a_run_with_an_error(faulty_drive, tmp_path):
+    result = st("discover", faulty_drive, "--vehicle", CAR, "--output", tmp_path / "o", "--fresh")
     assert result.exit_code == 2 and "no run can be used" in result.output and "yaw_rate_scale" in result.output
     car = VehicleParameters.from_yaml(CAR.read_text())
-    sources = find_runs([wrong, DRIVE])
-    for _ in range(2):  # the second time from what is kept
-        bad, good = read_drives(sources, car, ReadSettings(), 1, lambda: None)
-        assert bad.log is None and "yaw_rate_scale" in bad.problem and good.log is not None and not good.problem
-        assert names(bad.about["findings"], "error") == {"yaw_rate_scale"} and good.about["findings"]
+    sources = find_runs([faulty_drive, DRIVE])
+    for _ in range(2):  # the second time from the cache
+        faulty, correct = read_drives(sources, car, ReadSettings(), 1, lambda: None)
+        assert faulty.log is None and "yaw_rate_scale" in faulty.problem
+        assert select_names(faulty.about["findings"], "error") == {"yaw_rate_scale"}
+        assert correct.log is not None and not correct.problem and correct.about["findings"]
     (forced,) = read_drives(sources[:1], car, ReadSettings(), 1, lambda: None, force=True)
-    assert forced.log is not None and names(forced.about["findings"], "error") == {"yaw_rate_scale"}
+    assert forced.log is not None and select_names(forced.about["findings"], "error") == {"yaw_rate_scale"}

@@ -1,24 +1,17 @@
-"""st course build and st evaluate with a course and with planned columns, as a user starts them."""
+"""The commands st course build, and st evaluate with a course, planned columns or adaptive bands."""
 
 import json
 
 import numpy as np
 import pytest
+from command_line import st
 from drives import COLUMNS, weave, write_drive, write_vehicle
-from st_cli.cli import app
-from support import ROOT
-from typer.testing import CliRunner
-
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
-
-
-def st(*arguments):
-    return CliRunner().invoke(app, [*map(str, arguments)])
+from support import LEAF
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two drives along the same road, one of them slower; a course of the faster one."""
+    """Two drives along the same road, of 40 s and 24 s; the course is built from the longer one."""
     base = tmp_path_factory.mktemp("course")
     write_drive(base / "old.csv", weave(40.0))
     write_drive(base / "new.csv", weave(24.0))
@@ -32,7 +25,7 @@ def rmse(content, run, mode):
     return content["runs"][run]["kinematic"][mode]["lateral"]["rmse"]
 
 
-def test_a_course_is_built_and_takes_most_of_the_forecast_error(folder, tmp_path):
+def test_course_is_built_and_reduces_the_forecast_error(folder, tmp_path):
     base, built = folder
     assert built.exit_code == 1 and "old: 0.32 km in 1 part" in built.output and "short: " in built.output
     assert st("course", "build", base / "old.csv", "-o", base / "course.yaml").exit_code == 2
@@ -41,19 +34,19 @@ def test_a_course_is_built_and_takes_most_of_the_forecast_error(folder, tmp_path
     assert result.exit_code == 0, result.output
     content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
     assert rmse(content, "new", "course") < 0.3 * rmse(content, "new", "forecast")
-    # The run that the course was built from is forecast without it.
+    # The course is not used for the run that it was built from.
     assert rmse(content, "old", "course") == pytest.approx(rmse(content, "old", "forecast"))
     assert "course" in (tmp_path / "o" / "report.html").read_text()
 
 
 def write_geographic(path, rows, latitude=48.0):
-    """The drive with degrees in place of x and y; its own map begins at its first row."""
+    """Writes latitude and longitude [deg] in place of x and y; the first row becomes the origin of the map."""
     rows = rows.copy()
     rows[:, 1], rows[:, 2] = latitude + rows[:, 2] / 111_200.0, 9.0 + rows[:, 1] / 74_600.0
     np.savetxt(path, rows, delimiter=",", header=COLUMNS.replace("x,y", "latitude,longitude"), comments="", fmt="%.9f")
 
 
-def test_course_and_run_with_other_origins_are_brought_to_one_map(folder, tmp_path):
+def test_course_and_run_with_different_origins_share_one_map(folder, tmp_path):
     base, _ = folder
     write_geographic(tmp_path / "old.csv", weave(40.0))
     write_geographic(tmp_path / "later.csv", weave(40.0)[500:])
@@ -69,7 +62,7 @@ def test_course_and_run_with_other_origins_are_brought_to_one_map(folder, tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["inputs", "path"])
-def test_planned_columns_give_a_mode_of_their_own(folder, tmp_path, kind):
+def test_planned_columns_add_a_mode(folder, tmp_path, kind):
     base, _ = folder
     rows = weave(24.0)
     time, speed, yaw_rate, angle = rows[:, 0], rows[:, 4], rows[:, 6], rows[:, 9]
@@ -87,7 +80,7 @@ def test_planned_columns_give_a_mode_of_their_own(folder, tmp_path, kind):
     assert rmse(content, "planned", "forecast") > 0.5
 
 
-def test_a_course_file_that_is_none_is_refused(folder, tmp_path):
+def test_invalid_course_file_is_refused(folder, tmp_path):
     base, _ = folder
     (tmp_path / "course.yaml").write_text("schema: 1\n")
     result = st("evaluate", base / "new.csv", "--vehicle", base / "car.yaml", "--course", tmp_path / "course.yaml",
@@ -95,7 +88,7 @@ def test_a_course_file_that_is_none_is_refused(folder, tmp_path):
     assert result.exit_code == 2 and "course.yaml" in result.output
 
 
-def test_adaptive_bands_are_scored_in_order_of_time_without_a_calibration(folder, tmp_path):
+def test_adaptive_bands_need_no_calibration(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "old.csv", "--vehicle", base / "car.yaml", "--model", "linear", "--adaptive",
                 "--figures", "", "--output", tmp_path / "o")
@@ -103,7 +96,7 @@ def test_adaptive_bands_are_scored_in_order_of_time_without_a_calibration(folder
     content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
     for one in (content["adaptive_bands"]["old"], content["adaptive_bands_all_runs"]):
         for mode in ("hindsight", "forecast"):
-            found = one["linear"][mode]
-            assert found["starts"] > 300 and 0.2 < found["coverage"]["0.5"] < found["coverage"]["0.9"] <= 1.0
-            assert found["late_coverage"]["0.9"] is None  # shorter than two minutes
+            scores = one["linear"][mode]
+            assert scores["starts"] > 300 and 0.2 < scores["coverage"]["0.5"] < scores["coverage"]["0.9"] <= 1.0
+            assert scores["late_coverage"]["0.9"] is None  # shorter than two minutes
     assert "Adaptive bands" in (tmp_path / "o" / "report.html").read_text()

@@ -1,4 +1,4 @@
-"""Answers of st discover in text, page and figures; cached answers; lists of references."""
+"""Results of st discover in text, page and figures; the result cache; lists of references."""
 
 import html
 import json
@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from drives import weave, write_drive
 from example_discovery import discovery, fitted
+from rich.console import Console
 from st_cli.verbs.discover import expand_references
 from st_core.augmented import augment
 from st_core.checks import Advice, Finding, Severity
@@ -34,9 +35,8 @@ from st_offline.discovery.vehicle_update import VehicleUpdate, update_vehicle
 from st_offline.evaluation.drawing import FigureOutput
 from st_offline.pages import Table
 from st_recordings.runs import ReadSettings, find_runs
-from support import ROOT
+from support import LEAF
 
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 CAR = VehicleParameters.from_yaml(LEAF.read_text())
 STEPS = (("steering_ratio", {"factor": 0.894}, 0.72), ("heading_misalignment", {"angle": 0.0098}, 0.55),
          ("lateral_acceleration_bias", {"bias": -0.6}, 0.55))
@@ -53,13 +53,17 @@ def logs(drive):
     return [drive.log, replace(drive.log, name="other")]
 
 
-def tied(logs, partition="run"):
+def make_request(drive):
+    return Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
+
+
+def make_varying_effect(logs, partition="run"):
     values = tuple(LocalEstimate(log.name if partition == "run" else partition + str(k), (-1.0) ** k, 0.2) for k,
                    log in enumerate(logs))
     return VaryingEffect("crosswind", partition, fitted("crosswind", {"wind_x": 9.0, "wind_y": 4.0}), values, 0.09)
 
 
-def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(logs):
+def test_title_and_table_list_values_with_the_largest_effect_first(logs):
     found = discovery(logs, STEPS, 1.72)
     assert report_text.format_title(found) == (
         "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.8940; heading misalignment 0.561°; lateral "
@@ -70,7 +74,7 @@ def test_title_and_table_name_the_values_of_the_answer_the_largest_effect_first(
     assert last[2] == "+0.000 m" and "2 of 2 runs, 2 of 2 sites" in last
 
 
-def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
+def test_value_on_its_bound_is_marked_except_shape_factors():
     (ratio,) = quantities.format_parameters("steering_ratio", {"factor": FittedParameter(0.5, "1", (0.4, 0.6), 1.0)})
     assert ratio == "× 0.50 on its bound (0.40 to 0.60)"
     (_, curvature) = quantities.format_parameters("front_tyre_curve", {
@@ -79,7 +83,7 @@ def test_a_value_on_its_bound_is_reported_as_such_but_not_a_shape():
     assert curvature == "curvature × 0.05 (-0.17 to 0.28)"
 
 
-def test_names_not_distinguishable_are_listed_together(logs):
+def test_indistinguishable_effects_are_listed_together(logs):
     found = discovery(logs, STEPS[:1], 1.72, alternatives={"steering_ratio": ("front_stiffness",)}, outcome="ambiguous")
     stiff = CandidateEffect("front_stiffness", "vehicle parameters", {"factor": 1.31}, 0.2, "alternative", "")
     found = replace(found, candidates=(*found.candidates, stiff))
@@ -87,16 +91,17 @@ def test_names_not_distinguishable_are_listed_together(logs):
     assert any("record the next drive" in text for text in report_text.recommend(found, None))
 
 
-def test_undetectable_effects_are_listed_with_their_size_parameters_of_the_car_first(logs):
-    blind = tuple(UntestableEffect(name, "") for name in ("drag", "friction", "heading_misalignment", "steering_ratio"))
-    text = report_text.list_undetectable(replace(discovery(logs, (), 1.0), not_testable=blind))
+def test_undetectable_effects_are_listed_with_size_and_car_parameters_first(logs):
+    names = ("drag", "friction", "heading_misalignment", "steering_ratio")
+    undetectable = tuple(UntestableEffect(name, "") for name in names)
+    text = report_text.list_undetectable(replace(discovery(logs, (), 1.0), not_testable=undetectable))
     assert text == ("not detectable in these drives: friction of 40 %, steering ratio of 6 %, heading misalignment of "
                     "0.458°, drag")
 
 
 @pytest.mark.parametrize(("strength", "why"),
                          [(2.0, "these drives do not"), (12.0, "the model is not accurate enough to")])
-def test_a_file_with_one_of_two_alternatives_names_the_other(logs, strength, why):
+def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, why):
     found = discovery(logs, (("yaw_inertia", {"factor": 0.86}, 0.5),), 1.7, alternatives={"yaw_inertia": ("mass",)})
     found = replace(found, separability=(Separability("yaw_inertia", "mass", 0.9, strength),))
     corrected = VehicleUpdate(CAR, "", found.model, ("yaw_inertia",), {"yaw_inertia": (1.0, 0.86, 0.8, 0.9)}, {})
@@ -107,23 +112,23 @@ def test_a_file_with_one_of_two_alternatives_names_the_other(logs, strength, why
     assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, together" in t for t in reported)
 
 
-def test_recordings_are_to_be_corrected_only_if_a_correction_exists(logs):
-    late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
+def test_correction_of_recordings_is_advised_only_if_one_exists(logs):
+    lag = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
                    advice=Advice.correct("yaw_rate", earlier=0.3))
-    blind = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
+    frozen = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is 0 throughout",
                     advice=Advice("look", "record velocity_y"))
     found = discovery(logs, STEPS[:1], 1.72)
-    correct, look = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"] for one in (late, blind))
+    correct, look = (dict(report_text.summarise(found, None, {"a": [one]}))["recordings"] for one in (lag, frozen))
     assert correct.endswith("correct them as st check proposes, and run st discover again")
     assert look == "velocity_y is 0 throughout (a). Advice: record velocity_y"
 
 
-def test_changes_of_the_vehicle_file_have_their_unit():
+def test_changes_of_the_vehicle_file_have_units():
     assert report_text.format_changes({"steering_wheel_offset": (0.0, 0.0208), "steering_ratio": (16.3, 15.05)}) == \
         "steering_wheel_offset 0 → 0.0208 rad, steering_ratio 16.3 → 15.05"
 
 
-def test_kept_effects_are_listed_with_all_alternatives(logs):
+def test_minor_effects_are_listed_with_all_alternatives(logs):
     found = discovery(logs, (("tyre_stiffness", {"factor": 1.2}, 0.5),), 1.7,
                       alternatives={"tyre_stiffness": ("mass",)})
     found = replace(discovery(logs, STEPS, 1.72), minor=found.effects)
@@ -135,11 +140,11 @@ def test_kept_effects_are_listed_with_all_alternatives(logs):
     ("none", "no significant model error"), ("not_testable", "too little excitation"),
     ("ambiguous", "no effect is certain enough to be named"),
     ("unknown", "a significant error that no effect of the library explains")])
-def test_without_a_name(logs, outcome, message):
+def test_title_states_the_outcome_if_no_effect_is_named(logs, outcome, message):
     assert message in report_text.format_title(discovery(logs, (), 1.72, outcome=outcome))
 
 
-def test_the_unexplained_part_is_reported_with_the_names(logs):
+def test_unexplained_residual_is_reported_with_the_named_effects(logs):
     named = discovery(logs, STEPS, 1.72)
     much = replace(named, signature=("errors are 3.1 times the noise",))
     message = "; a residual remains that no effect of the library explains: errors are 3.1 times the noise"
@@ -149,15 +154,15 @@ def test_the_unexplained_part_is_reported_with_the_names(logs):
     assert not any("biased their values" in text for text in report_text.recommend(named, None))
 
 
-def test_varying_effects_are_reported_and_not_named(logs):
-    found = discovery(logs, (), 1.72, varying=(tied(logs),), outcome="varying")
+def test_varying_effect_is_reported_but_not_named(logs):
+    found = discovery(logs, (), 1.72, varying=(make_varying_effect(logs),), outcome="varying")
     title = report_text.format_title(found)
     assert title.endswith("an effect that resembles crosswind (0.090 m) but varies between runs; no effect is named")
     (text,) = dict(report_text.list_details(found, None))["varying, not named"]
     assert "not a property of the car" in text and "other: -1.00 ± 0.39" in text
 
 
-def test_first_lines_name_runs_and_references_with_seconds(logs):
+def test_first_lines_list_runs_and_references_with_durations(logs):
     lines = report_text.list_details(discovery(logs, STEPS, 1.72, reference=[replace(logs[0], name="healthy")]), None)
     assert [question for question, _ in lines[:2]] == ["suspect", "reference"]
     assert lines[0][1] == ["2 runs, 40 s at 2 sites (overlapping tracks are one site): <b>weave 20 s, other 20 s"]
@@ -166,7 +171,7 @@ def test_first_lines_name_runs_and_references_with_seconds(logs):
     assert "starts from the vehicle file" in answers_by_question["reference"][0]
 
 
-def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
+def test_angles_are_in_degrees_with_digits_according_to_the_interval(logs):
     (p,) = fitted("heading_misalignment", {"angle": math.radians(0.5)}).values()
     assert quantities.format_parameter(p) == "0.500° (0.490 to 0.510)"
     assert quantities.format_parameter(p, interval=False) == "0.500°"
@@ -174,12 +179,12 @@ def test_angles_are_in_degrees_with_the_digits_their_interval_bears(logs):
     assert quantities.format_deviation(math.radians(-1.0), "rad") == "1°"
 
 
-def scene(found, logs, folder=None):
+def make_figure_data(found, logs, folder=None):
     return FigureData(found, logs, None, None, FigureOutput(folder, ("png",) if folder else ()))
 
 
-def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
-    full = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
+def test_figures_are_drawn_only_if_they_have_content(logs, tmp_path):
+    full = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
     nothing = replace(full.certificate, powers=())
     empty = replace(discovery(logs, (), 1.72), budget=(), certificate=nothing, candidates=(), errors={})
     slip = tuple(0.01 * k for k in range(11))
@@ -187,12 +192,12 @@ def test_every_figure_is_drawn_where_there_is_something_to_draw(logs, tmp_path):
                        (0.1,) * 10)
     full = replace(full, axle_curves=(curve,))
     for make in (draw_waterfall, draw_agreement, draw_axle_curves):
-        drawn = make(scene(full, logs, tmp_path))
+        drawn = make(make_figure_data(full, logs, tmp_path))
         assert drawn.svg.startswith("<svg") and (tmp_path / f"{drawn.key}.png").stat().st_size > 5000
-        assert make(scene(empty, logs)) is None
+        assert make(make_figure_data(empty, logs)) is None
 
 
-def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
+def test_maps_are_drawn_from_window_errors(tmp_path):
     files = [write_drive(tmp_path / f"{speed}.csv", weave(90.0, speed)) for speed in (7.0, 9.0)]
     long = [read_drive(source, CAR, ReadSettings(), force=True).log for source in find_runs(files)]
     found, settings = discovery(long, STEPS[:1], 1.72), DiscoverySettings(channels=("yaw_rate", "position"))
@@ -202,7 +207,7 @@ def test_figures_of_the_driving_are_drawn_from_errors(tmp_path):
     assert drawn.key == "map" and "complete model" in drawn.svg
 
 
-def test_a_negative_delay_is_named_before_anything_else_is_done(logs):
+def test_negative_delay_is_the_first_recommendation(logs):
     found = discovery(logs, (("steering_delay", {"time": -0.06}, 0.5),), 1.7)
     assert "steering delay is negative (-0.0600 s), which is not causal" in report_text.recommend(found, None)[0]
     later = discovery(logs, (("steering_delay", {"time": 0.06}, 0.5),), 1.7)
@@ -211,18 +216,18 @@ def test_a_negative_delay_is_named_before_anything_else_is_done(logs):
 
 @pytest.mark.parametrize(("number", "decimals", "shown"), [
     (-0.0004, 1, "-0.0004"), (0.04, 0, "0.04"), (-0.0, 1, "0"), (0.0, 2, "0"), (1.26, 1, "1.3"), (-0.26, 1, "-0.3")])
-def test_a_small_number_is_never_rounded_to_zero_and_zero_has_no_sign(number, decimals, shown):
+def test_small_numbers_are_not_rounded_to_zero_and_zero_has_no_sign(number, decimals, shown):
     assert quantities.format_decimal(number, decimals) == shown
 
 
-def test_errors_of_the_recordings_come_before_the_answer_is_used(logs):
+def test_findings_of_the_recordings_are_in_the_summary(logs):
     wrong = Finding("x_scale", Severity.WARNING, ("x",), "x is 0.97 times the integrated velocity", effect=1.1)
     lines = dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": [wrong], "b": [wrong]}))
     assert "velocity (a, b, shifts the position after 5 s by about 1.1 m). The recordings" in lines["recordings"]
     assert "recordings" not in dict(report_text.summarise(discovery(logs, STEPS, 1.72), None, {"a": []}))
 
 
-def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_it_is_named(logs):
+def test_deviating_combination_is_reported_if_none_of_its_effects_is_named(logs):
     stiffness = Combination("front cornering stiffness over mass", "N/(rad kg)", 36.0, (30.0, 40.0), 45.0,
                             ("front_stiffness", "steering_compliance"))
     understeer = Combination("stability factor K", "s^2/m^2", 0.003, (0.0025, 0.004), 0.002, ("front_stiffness",))
@@ -246,20 +251,18 @@ def test_a_combination_that_differs_from_the_file_is_reported_when_no_effect_of_
         assert "over mass" not in report_text.format_title(one)
 
 
-def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, tmp_path, capsys):
-    from rich.console import Console
-
-    found = discovery(logs, STEPS, 1.72, varying=(tied(logs),))
-    question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
-    corrected = update_vehicle(found, question)
-    content = build_document(found, question, corrected, {})
+def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_path, capsys):
+    found = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),))
+    request = make_request(drive)
+    corrected = update_vehicle(found, request)
+    content = build_document(found, request, corrected, {})
     assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
-    write_page(page, found, corrected, content, [draw_waterfall(scene(found, logs))])
+    write_page(page, found, corrected, content, [draw_waterfall(make_figure_data(found, logs))])
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
-    assert "2.5 % are asked for" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
+    assert "at least 2.5 % is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     print_result(found, corrected, [], {"report.html": page}, True, Console(width=300))
     message = capsys.readouterr().out
     order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
@@ -269,28 +272,26 @@ def test_page_and_terminal_hold_the_answer_and_no_markup_of_a_name(logs, drive, 
         assert all(quantities.format_parameter(p) in message for p in effect.parameters.values())
 
 
-def test_page_and_terminal_hold_the_same_of_a_proposal(logs, drive, tmp_path, capsys):
-    from rich.console import Console
-
+def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys):
     found = discovery(logs, STEPS, 1.72)
-    question = Request("nonlinear", CAR, "leaf.yaml", LEAF.read_text(), DiscoverySettings(), drives=[drive])
     table = Table("By run", "Note.", ("run", "m"), [("[weave]", "0.1")])
-    reported = RelationReport([("proposal", ["a law, <b>bold"])], [table], "PROPOSAL: a law")
+    reported = RelationReport([("proposal", ["a relation, <b>bold"])], [table], "PROPOSAL: a relation")
     page = tmp_path / "report.html"
-    content = build_document(found, question, None, {})
-    write_page(page, found, None, content, [draw_waterfall(scene(found, logs))], reported)
+    content = build_document(found, make_request(drive), None, {})
+    write_page(page, found, None, content, [draw_waterfall(make_figure_data(found, logs))], reported)
     text = html.unescape(page.read_text())
     print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
     message = capsys.readouterr().out
-    for shown, parts in ((text, ("PROPOSAL: a law", "a law, <b>bold", "By run", "[weave]")),
-                         (message, ("PROPOSAL: a law",))):
+    for shown, parts in ((text, ("PROPOSAL: a relation", "a relation, <b>bold", "By run", "[weave]")),
+                         (message, ("PROPOSAL: a relation",))):
         order = [shown.index(part) for part in parts]
         assert order == sorted(order)
     assert "<b>bold" not in page.read_text()
 
 
-def test_an_answer_is_kept_whole(logs, tmp_path):
-    found = discovery(logs, STEPS, 1.72, varying=(tied(logs),), start=augment("nonlinear", {"mass": {"factor": 1.1}}))
+def test_stored_result_is_read_back_completely(logs, tmp_path):
+    start = augment("nonlinear", {"mass": {"factor": 1.1}})
+    found = discovery(logs, STEPS, 1.72, varying=(make_varying_effect(logs),), start=start)
     for one in (found, discovery(logs, (), 1.72)):
         write_result(tmp_path / "a.json", one)
         back = read_result(tmp_path / "a.json")
@@ -303,25 +304,25 @@ def test_an_answer_is_kept_whole(logs, tmp_path):
     assert read_result(tmp_path / "none.json") is None
 
 
-def test_another_question_is_another_answer(logs):
+def test_every_input_changes_the_key_of_the_result_cache(logs):
     base, settings = augment("nonlinear", {}), DiscoverySettings()
-    asked = [logs, [], CAR, base, settings, {}, {}, {}]
-    others = [(0, logs[:1]), (0, [replace(logs[0], yaw=logs[0].yaw + 1e-6), logs[1]]), (1, logs[:1]),
+    inputs = [logs, [], CAR, base, settings, {}, {}, {}]
+    changes = [(0, logs[:1]), (0, [replace(logs[0], yaw=logs[0].yaw + 1e-6), logs[1]]), (1, logs[:1]),
               (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
               (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
               (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)}), (7, {"a": 0.02})]
-    keys = {drives.result_key(*asked)}
-    for place, value in others:
-        keys.add(drives.result_key(*asked[:place], value, *asked[place + 1:]))
-    assert len(keys) == 1 + len(others) and drives.result_key(*asked) in keys
+    keys = {drives.result_key(*inputs)}
+    for place, value in changes:
+        keys.add(drives.result_key(*inputs[:place], value, *inputs[place + 1:]))
+    assert len(keys) == 1 + len(changes) and drives.result_key(*inputs) in keys
 
 
-@pytest.mark.parametrize(("given", "meant"), [
+@pytest.mark.parametrize(("given", "expected"), [
     (["a", "--reference", "b", "c", "--seed", "1"], ["a", "--reference", "b", "--reference", "c", "--seed", "1"]),
     (["a", "--reference", "b", "--reference", "c", "d"], ["a", *["--reference", "b"], *["--reference", "c"],
                                                           *["--reference", "d"]]),
     (["--reference", "b", "--", "a"], ["--reference", "b", "--", "a"]),
     (["--reference=b", "a"], ["--reference=b", "a"]),
     (["a", "--seed", "1", "b"], ["a", "--seed", "1", "b"])])
-def test_reference_takes_all_paths_up_to_the_next_option(given, meant):
-    assert expand_references(given) == meant
+def test_reference_takes_all_paths_up_to_the_next_option(given, expected):
+    assert expand_references(given) == expected

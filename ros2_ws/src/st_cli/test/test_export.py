@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from st_cli.cli import app
+from command_line import st
 from st_core.augmented import augment
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, conditions
 from st_core.bands.file import hash_configuration
@@ -18,8 +18,7 @@ from st_core.model_file import ModelFile, ModelProvenance
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from support import ROOT
-from typer.testing import CliRunner
+from support import LEAF, ROOT
 
 casadi = pytest.importorskip("casadi", reason="casadi is not installed")
 
@@ -39,11 +38,12 @@ def augmented(tmp_path):
     return path
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+def export(*arguments):
+    return st("export", *arguments, columns=80)
 
 
 def expected_step(model, car):
+    """Start state and the state after one step H with constant inputs, integrated by RK4."""
     p = model.parameters(car)
     w = model.inputs(*INPUTS, p)
     state = model.start_state(STATE, w, p)
@@ -51,22 +51,22 @@ def expected_step(model, car):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_casadi_files_load_without_the_suite(tmp_path, name):
+def test_exported_casadi_step_loads_without_the_suite_and_agrees(tmp_path, name):
     out = tmp_path / "out"
-    assert run(name, "--vehicle", ROOT / "config/vehicle/leaf.yaml", "--output", out).exit_code == 0
+    assert export(name, "--vehicle", LEAF, "--output", out).exit_code == 0
     state, expected = expected_step(MODELS[name], vehicle())
     code = (f"import casadi, json; f = casadi.Function.load({str(out / f'{name}_step.casadi')!r}); "
             f"print(json.dumps(f({list(state)}, {list(INPUTS)}, {H}).full().ravel().tolist()))")
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    np.testing.assert_allclose(json.loads(there.stdout), expected, rtol=1e-12, atol=1e-12)
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    np.testing.assert_allclose(json.loads(process.stdout), expected, rtol=1e-12, atol=1e-12)
     jacobian = casadi.Function.load(str(out / f"{name}_step_jacobian.casadi"))
     assert [m.shape for m in jacobian(state, INPUTS, H)] == [(6, 6), (6, 2)]
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
-def test_c_compiles_and_agrees(tmp_path, augmented):
+def test_exported_c_code_compiles_and_agrees(tmp_path, augmented):
     out = tmp_path / "out"
-    result = run(augmented, "--format", "c", "--output", out, "--substeps", 2)
+    result = export(augmented, "--format", "c", "--output", out, "--substeps", 2)
     assert result.exit_code == 0, result.output
     user = tmp_path / "user.c"
     user.write_text('#include "augmented.h"\nint main(void) { return augmented_step_n_in() == 3 ? 0 : 1; }\n')
@@ -87,44 +87,45 @@ def test_c_compiles_and_agrees(tmp_path, augmented):
     assert hasattr(ctypes.CDLL(str(library)), "augmented_dynamics_jacobian")
 
 
-def test_content_of_the_description(tmp_path, augmented):
+def test_content_of_the_model_description(tmp_path, augmented):
     out = tmp_path / "out"
-    assert run(augmented, "--output", out, "--free", "road_bank.angle").exit_code == 0
-    printed = json.loads((out / "model.json").read_text())
-    assert (printed["model"], printed["base"], printed["substeps"]) == ("augmented", "nonlinear", 1)
-    assert printed["vehicle"]["hash"] == vehicle().hash
-    assert [(s["name"], s["unit"]) for s in printed["states"]][-2:] == [
+    assert export(augmented, "--output", out, "--free", "road_bank.angle").exit_code == 0
+    description = json.loads((out / "model.json").read_text())
+    assert (description["model"], description["base"], description["substeps"]) == ("augmented", "nonlinear", 1)
+    assert description["vehicle"]["hash"] == vehicle().hash
+    assert [(s["name"], s["unit"]) for s in description["states"]][-2:] == [
         ("tyre_relaxation.slip_front", "rad"), ("tyre_relaxation.slip_rear", "rad")]
-    assert [i["name"] for i in printed["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
-    assert printed["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
+    assert [i["name"] for i in description["inputs"]] == ["road_wheel_angle", "velocity_x_dot"]
+    assert description["parameters"] == [{"name": "road_bank.angle", "unit": "rad", "lower": -0.3, "upper": 0.3,
                                       "value": 0.05}]
-    assert printed["effects_not_in_the_equations"] == ["steering_delay"]
-    assert printed["functions"]["augmented_step"]["arguments"] == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
-    assert sorted(printed["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
+    assert description["effects_not_in_the_equations"] == ["steering_delay"]
+    arguments = description["functions"]["augmented_step"]["arguments"]
+    assert arguments == {"x": [8, 1], "u": [2, 1], "h": [1, 1], "p": [1, 1]}
+    assert sorted(description["files"]) == sorted(f.name for f in out.iterdir() if f.suffix == ".casadi")
     readme = (out / "README.md").read_text()
     assert "augmented_step.casadi" in readme and "Not in the equations: steering_delay" in readme
 
 
-def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
-    draw = np.random.default_rng(1)
+def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
+    rng = np.random.default_rng(1)
     time = 0.5 * np.arange(1, 11)
-    runs = [ErrorSamples(f"run {k}", draw.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
-                         {("linear", "hindsight"): 0.1 * draw.standard_normal((400, 1, 3)) * time[:, None]})
+    runs = [ErrorSamples(f"run {k}", rng.uniform(0.0, (26.0, 8.0, 6.0, 1.0), (400, 4)),
+                         {("linear", "hindsight"): 0.1 * rng.standard_normal((400, 1, 3)) * time[:, None]})
             for k in range(10)]
-    settings, question = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
+    settings, key = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
-                  CalibrationDomain.of([one.conditions for one in runs]), {question: calibrate(runs, question, time)},
+                  CalibrationDomain.of([one.conditions for one in runs]), {key: calibrate(runs, key, time)},
                   {"linear": hash_configuration(vehicle(), settings.as_dict(), "")})
     file, out = tmp_path / "bands.yaml", tmp_path / "out"
     file.write_text(bands.to_yaml())
-    assert run("linear", "--bands", file, "--output", out).exit_code == 0
+    assert export("linear", "--bands", file, "--output", out).exit_code == 0
     ins_v_x = STATE[2] - STATE[5] * vehicle().cg_to_ins_y
-    here = conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
+    start = conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
     for level, name in ((0.5, "50"), (0.9, "90")):
-        written = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
-        np.testing.assert_allclose(np.array(written(STATE, INPUTS, 0.02)),
-                                   bands.half_widths("linear", "hindsight", here, level)[0, 1:], rtol=1e-9)
-    refused = run("kinematic", "--bands", file, "--output", tmp_path / "other")
+        exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
+        np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),
+                                   bands.half_widths("linear", "hindsight", start, level)[0, 1:], rtol=1e-9)
+    refused = export("kinematic", "--bands", file, "--output", tmp_path / "other")
     assert refused.exit_code == 2 and "the bands have no entry for model kinematic, only for linear" in refused.output
 
 
@@ -133,15 +134,15 @@ def test_bands_are_written_as_functions_of_state_and_inputs(tmp_path):
     (["linear", "--free", "road_bank.angle"], "'road_bank.angle' is not a parameter"),
     (["none.yaml"], "No such file"),
 ])
-def test_what_is_refused(tmp_path, arguments, message):
-    result = run(*arguments, "--output", tmp_path / "out")
+def test_wrong_arguments_are_refused_in_one_line(tmp_path, arguments, message):
+    result = export(*arguments, "--output", tmp_path / "out")
     assert result.exit_code == 2 and message in result.output and len(result.output.splitlines()) == 1
 
 
 @pytest.mark.parametrize("embed", [False, True])
-def test_a_model_file_requires_its_car(tmp_path, embed):
+def test_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
     path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance(), embed=embed).to_yaml())
-    wrong = run(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
+    wrong = export(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
     assert wrong.exit_code == 2 and "the values are valid for" in wrong.output
-    assert run(path, "--output", tmp_path / "out").exit_code == 0
+    assert export(path, "--output", tmp_path / "out").exit_code == 0

@@ -1,4 +1,4 @@
-"""Arguments that st demo and st live refuse before a start, and the text of their terminal view."""
+"""Arguments that st demo and st live refuse before the start, and their terminal view."""
 
 import math
 import os
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from support import ROOT
+from support import LEAF, ROOT
 from typer.testing import CliRunner
 
 pytest.importorskip("st_msgs", reason="needs the built workspace")
@@ -23,7 +23,6 @@ from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStat
 from tools import develop
 
 pytestmark = pytest.mark.ros
-LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
 
 
 def run(verb, *arguments: object):
@@ -32,7 +31,7 @@ def run(verb, *arguments: object):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
+@pytest.mark.parametrize(("arguments", "fragments"), [
     (["--scenario", "S66"], ["--scenario S66", "choose S1, S2"]),
     (["--effect", "friction=0.8"], ["friction: unknown setting", "friction_factor"]),
     (["--effect", "friction_factor=7"], ["friction_factor: 7.0 is not within 0.05 to 2 1"]),
@@ -41,33 +40,34 @@ def run(verb, *arguments: object):
     (["--drive", ROOT / "README.md"], ["README.md", "column t is missing"]),
     (["--drive", ROOT / "README.md", "--scenario", "S3"], ["--scenario: not allowed with argument --drive"]),
 ])
-def test_demo_refuses_a_wrong_argument_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, words) -> None:
+def test_demo_refuses_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: Path, arguments, fragments) -> None:
     result = run(live.demo, *arguments, "--output", tmp_path / "run")
     assert result.exit_code == 2
     assert result.stderr.startswith("st demo: ") and result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
+    for fragment in fragments:
+        assert fragment in result.stderr
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("verb", [live.demo, live.live])
-@pytest.mark.parametrize(("before", "after", "words"), [
+@pytest.mark.parametrize(("before", "after", "fragment"), [
     ("\nmass:", "\nmasss:", "masss: unknown key, did you mean mass?"),
     ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
     ("value: 1590.0", "value: 15.9", "mass: 15.9 is outside 50 to 60000 kg"),
 ])
-def test_a_wrong_vehicle_file_is_refused_before_anything_starts(tmp_path: Path, verb, before, after, words) -> None:
-    assert before in LEAF
+def test_invalid_vehicle_file_is_refused_before_the_start(tmp_path: Path, verb, before, after, fragment) -> None:
+    text = LEAF.read_text()
+    assert before in text
     vehicle = tmp_path / "car.yaml"
-    vehicle.write_text(LEAF.replace(before, after, 1))
+    vehicle.write_text(text.replace(before, after, 1))
     result = run(verb, "--vehicle", vehicle, "--output", tmp_path / "run")
     assert result.exit_code == 2
-    assert f"{vehicle}: {words}" in result.stderr
+    assert f"{vehicle}: {fragment}" in result.stderr
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("verb", [live.demo, live.live])
-def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) -> None:
+def test_existing_or_impossible_output_is_refused(tmp_path: Path, verb) -> None:
     (tmp_path / "precious.txt").write_text("x")
     for output in (tmp_path, tmp_path / "precious.txt", tmp_path / "precious.txt" / "run"):
         result = run(verb, "--output", output)
@@ -75,57 +75,59 @@ def test_an_output_that_is_taken_or_impossible_is_refused(tmp_path: Path, verb) 
     assert (tmp_path / "precious.txt").read_text() == "x"
 
 
-def test_the_steering_of_the_nodes_file_holds_unless_it_is_given(tmp_path: Path, monkeypatch) -> None:
+@pytest.fixture
+def parameters_of_runs(monkeypatch) -> list[dict]:
+    """Node parameters of every start; the start itself is refused."""
+    parameters_of_runs = []
+
+    def refuse_start(_folder, parameters, *_arguments, **_more):
+        parameters_of_runs.append(parameters)
+        raise SuiteError("not now")
+    monkeypatch.setattr(session, "run", refuse_start)
+    return parameters_of_runs
+
+
+def test_steering_options_override_the_nodes_file(tmp_path: Path, monkeypatch, parameters_of_runs) -> None:
     nodes = tmp_path / "nodes.yaml"
     nodes.write_text((ROOT / "config/nodes.yaml").read_text().replace("steering_latency: 0.0", "steering_latency: 0.05")
                      .replace("steering_sign: 1", "steering_sign: -1"))
     config = configuration.config
     monkeypatch.setattr(configuration, "config", lambda name: nodes if name == "nodes.yaml" else config(name))
-    buses = []
-
-    def not_now(_folder, parameters, *_arguments, **_more):
-        buses.append(parameters["canedge_bridge"])
-        raise SuiteError("not now")
-    monkeypatch.setattr(session, "run", not_now)
     for number, options in enumerate(([], ["--steering-latency", "0", "--steering-sign", "1"])):
-        message = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
-        assert len(message) == 2 and "no car was named" in message[0] and message[1] == "st live: not now"
+        notice, refusal = run(live.live, "--output", tmp_path / str(number), *options).stderr.splitlines()
+        assert "no car was named" in notice and refusal == "st live: not now"
+    buses = [nodes["canedge_bridge"] for nodes in parameters_of_runs]
     assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.05), (1, 0.0)]
 
 
-def test_live_takes_a_car_by_its_folder(tmp_path: Path, monkeypatch) -> None:
-    car, asked = tmp_path / "mycar", []
+def test_live_accepts_the_folder_of_a_car(tmp_path: Path, parameters_of_runs) -> None:
+    car = tmp_path / "mycar"
     car.mkdir()
     for name in ("vehicle.yaml", "can.dbc", "signals.yaml"):
         (car / name).write_bytes((ROOT / "config/car/leaf" / name).read_bytes())
     (car / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
-
-    def not_now(_folder, parameters, *_arguments, **_more):
-        asked.append(parameters)
-        raise SuiteError("not now")
-    monkeypatch.setattr(session, "run", not_now)
     for number, options in enumerate(([], ["--steering-sign", "1", "--dbc", ROOT / "config/car/leaf/can.dbc"])):
         result = run(live.live, "--car", car, "--output", tmp_path / str(number), *options)
         assert result.stderr == "st live: not now\n"
-    buses = [nodes["canedge_bridge"] for nodes in asked]
+    buses = [nodes["canedge_bridge"] for nodes in parameters_of_runs]
     assert [(bus["steering_sign"], bus["steering_latency"]) for bus in buses] == [(-1, 0.03), (1, 0.03)]
     assert [bus["dbc_file"] for bus in buses] == [str(car / "can.dbc"), str(ROOT / "config/car/leaf/can.dbc")]
     assert all(bus["signals_file"] == str(car / "signals.yaml") for bus in buses)
-    assert all(nodes["predictor"]["vehicle_file"] == str(car / "vehicle.yaml") for nodes in asked)
+    assert all(nodes["predictor"]["vehicle_file"] == str(car / "vehicle.yaml") for nodes in parameters_of_runs)
 
 
-def test_results_name_a_car_by_its_folder(tmp_path: Path) -> None:
+def test_vehicle_name_is_that_of_its_folder_or_file(tmp_path: Path) -> None:
     assert configuration.find_vehicle_name(ROOT / "config/car/leaf/vehicle.yaml") == "leaf"
     assert configuration.find_vehicle_name(tmp_path / "winter.yaml") == "winter"
 
 
-def test_live_refuses_a_car_whose_bus_nobody_has_described(tmp_path: Path) -> None:
+def test_live_refuses_a_car_without_a_dbc(tmp_path: Path) -> None:
     result = run(live.live, "--car", "hyundai_genesis", "--output", tmp_path / "run")
     assert result.exit_code == 2 and "can.dbc" in result.stderr and "--dbc" in result.stderr
     assert result.stderr.count("\n") == 1 and not (tmp_path / "run").exists()
 
 
-def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
+def test_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
     recording = tmp_path / "drive.ncom"
     recording.write_bytes(b"\xe7" * 720)
     (tmp_path / "link.csv").symlink_to(recording)
@@ -137,20 +139,20 @@ def test_a_recording_is_not_overwritten_by_its_own_csv(tmp_path: Path) -> None:
     assert recording.read_bytes() == b"\xe7" * 720
 
 
-def test_a_command_that_is_not_there_is_named() -> None:
+def test_missing_command_of_shell_is_reported() -> None:
     result = run(develop.shell, "no-such-command")
     assert result.exit_code == 127 and "st shell: no-such-command: No such file" in result.stderr
 
 
 @pytest.mark.parametrize("text", ["abc", "-1", "233", "1.5"])
-def test_a_domain_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_invalid_ros_domain_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(SuiteError, match=r"ROS_DOMAIN_ID: .* from 0 to 232"):
         read_domain_id()
 
 
 @pytest.mark.parametrize("home", [None, "/proc"])
-def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch, home: str | None) -> None:
+def test_log_directory_of_ros_exists_without_a_home(monkeypatch: pytest.MonkeyPatch, home: str | None) -> None:
     from st_cli import cli
 
     for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME"):
@@ -161,21 +163,21 @@ def test_logs_of_ros_find_a_place_without_a_home(monkeypatch: pytest.MonkeyPatch
     assert Path(os.environ["ROS_LOG_DIR"]).parent.is_dir()
 
 
-def test_a_domain_is_claimed_once_at_a_time() -> None:
+def test_ros_domain_is_claimed_exclusively() -> None:
     with claim_domain() as first, claim_domain() as second:
         assert first != second
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, pytest.raises(OSError, match="in use"):
             probe.bind(("", 7400 + 250 * first + 10))
 
 
-@pytest.mark.parametrize(("text", "words"), [
+@pytest.mark.parametrize(("text", "message"), [
     ("a: {ros__parameters: {x: 1}}\na: {ros__parameters: {x: 2}}\n", "a: given twice"),
     ("a: {x: 1}\n", "expected sections"),
     ("a: {ros__parameters: {x: 1\n", "not valid YAML"),
 ])
-def test_a_parameter_file_that_contradicts_itself_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_invalid_parameter_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "nodes.yaml").write_text(text)
-    with pytest.raises(SuiteError, match=words):
+    with pytest.raises(SuiteError, match=message):
         merge_parameters(tmp_path / "nodes.yaml", {})
 
 
@@ -184,20 +186,20 @@ def test_every_node_has_one_section_in_the_parameter_file() -> None:
         "oxts_bridge", "canedge_bridge", "predictor", "evaluator", "recorder", "markers", "identifier"}
 
 
-def lines_of(state: SuiteState) -> list[str]:
+def render_lines(state: SuiteState) -> list[str]:
     console = Console(width=80, force_terminal=True, color_system=None)
     with console.capture() as captured:
         console.print(render_progress(state, 12.0, 60.0, "S6"))
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
-def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns() -> None:
+def test_progress_table_has_one_line_per_model_and_mode_in_eighty_columns() -> None:
     values = {f"{axis}_{kind}": -23.456 if kind == "mean" else 98.765
               for axis in ("longitudinal", "lateral") for kind in ("mean", "max", "rmse")}
     statistics = [ErrorStatistics(model=m, mode=k, n_starts=12345, **values)
                   for m in ("kinematic", "linear", "nonlinear", "augmented") for k in ("forecast", "hindsight")]
     ticks = PredictorStatus(due=130, predicted=128, skipped_stale=2)
-    lines = lines_of(SuiteState(ErrorSummary(statistics=statistics), ticks))
+    lines = render_lines(SuiteState(ErrorSummary(statistics=statistics), ticks))
     rows = [line for line in lines if "forecast" in line or "hindsight" in line]
     assert len(rows) == 8 and max(map(len, lines)) <= 80
     for row in rows:
@@ -205,29 +207,29 @@ def test_the_running_table_takes_one_line_per_model_and_mode_on_eighty_columns()
     assert "ticks 130, predicted 128, skipped 2" in lines
 
 
-def test_coverage_of_bands_is_printed_below_the_table() -> None:
+def test_band_coverage_is_printed_below_the_table() -> None:
     rows = [ErrorStatistics(model="linear", mode=mode, n_starts=9, n_bands=count, coverage_50=0.25, coverage_90=0.875)
             for mode, count in (("forecast", 8), ("hindsight", 0))]
-    lines = lines_of(SuiteState(ErrorSummary(statistics=rows)))
-    bands = [line for line in lines if "band" in line]
-    assert bands == ["inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"]
+    lines = render_lines(SuiteState(ErrorSummary(statistics=rows)))
+    (line,) = [line for line in lines if "band" in line]
+    assert line == "inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"
 
 
-def test_faults_are_printed_below_the_table_worst_first() -> None:
+def test_faults_are_printed_with_the_most_severe_first() -> None:
     now = time.monotonic()
     health = [Status("a: one", 1, "not so good", now), Status("b: two", 2, "[bad]", now),
               Status("c: three", 0, "fine", now)]
-    lines = lines_of(SuiteState(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
+    lines = render_lines(SuiteState(ErrorSummary(statistics=[ErrorStatistics(model="linear", mode="forecast")]), None,
                                 {s.name: s for s in health}))
     assert lines[1:4] == [
         "no prediction yet", "waiting for the end of the first prediction", "predictor: no status yet"]
     assert lines[4:6] == ["error: b: two: [bad]", "warning: a: one: not so good"]
 
 
-def test_the_motion_line_has_the_side_of_the_steering() -> None:
+def test_motion_line_states_the_steering_direction() -> None:
     turning = Prediction(model="linear", velocity_x=[10.0, 9.0], yaw_rate=[0.2, 0.1],
                          road_wheel_angle=math.radians(3.0), compute_time=0.002)
     line = "10.0 m/s, wheels 3.0 deg left, v_x r +2.0 m/s², linear took 2.0 ms"
-    assert lines_of(SuiteState(prediction=turning))[1] == line
+    assert render_lines(SuiteState(prediction=turning))[1] == line
     turning.road_wheel_angle, turning.yaw_rate = -0.1, [-0.2, 0.0]
-    assert "5.7 deg right, v_x r -2.0 m/s²" in lines_of(SuiteState(prediction=turning))[1]
+    assert "5.7 deg right, v_x r -2.0 m/s²" in render_lines(SuiteState(prediction=turning))[1]

@@ -1,4 +1,4 @@
-"""Live equals offline, without ROS: output of the live classes in a bag against the library; and differences."""
+"""The command st verify, without ROS: a bag of predictions by the live classes, compared with the offline library."""
 
 import json
 import os
@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import st
 from mcap.reader import make_reader
-from st_cli.cli import app
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
@@ -19,8 +19,7 @@ from st_live.verification import verify
 from st_recordings.mcap import BagWriter
 from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
 from st_recordings.runs.cdr import load_typestore
-from support import ROOT
-from typer.testing import CliRunner
+from support import LEAF, ROOT
 
 STORE = load_typestore(definitions_folder())
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
@@ -28,7 +27,8 @@ MODELS = ("kinematic", "linear")
 T0 = 1_756_900_800_000_000_000
 SECONDS = 6.0
 SETTINGS = PredictionSettings(horizon=1.0)
-LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
+LEAF_TEXT = LEAF.read_text()
+CAR = VehicleParameters.from_yaml(LEAF_TEXT, "leaf")
 NODES = {"predictor": {"horizon": 1.0, "vehicle_file": "config/vehicle/leaf.yaml"}, "evaluator": {}}
 
 
@@ -64,14 +64,14 @@ def path(time: float) -> tuple[float, float]:
 
 
 class LiveBag:
-    """A weaving drive seen by Predictor and Evaluator tick by tick, written as the nodes write it."""
+    """A weaving drive processed by Predictor and Evaluator tick by tick, and written as the nodes write it."""
 
     def __init__(self, folder: Path, car: VehicleParameters):
         self.folder, self.car = folder, car
-        self.shift_one = 0.0  # m added to one predicted path
-        self.score_shift = 0.0  # m added to one score
+        self.path_shift = 0.0  # m, added to the end of one predicted path
+        self.score_shift = 0.0  # m, added to the lateral scores of one model and mode
         self.without_predictions = False
-        self.names_its_car = True
+        self.contains_its_car = True
         self.velocity_factor = 1.0
         self.unreceived = range(0)  # numbers of the samples the predictor does not receive
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
@@ -81,7 +81,7 @@ class LiveBag:
         import yaml
 
         parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
-        files = {"leaf.yaml": LEAF} if self.names_its_car else {}
+        files = {"leaf.yaml": LEAF_TEXT} if self.contains_its_car else {}
         writer = BagWriter(self.folder, {"configuration": {**files, "parameters.yaml": parameters}})
         topics = {name: writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
                                          type_hash=STORE.hash_rihs01(name))
@@ -115,20 +115,20 @@ class LiveBag:
         start = self._predictor.find_start(now_ns)
         if not isinstance(start, Start):
             return []
-        found = []
+        messages = []
         for model in MODELS:
             path = self._predictor.run(start, model)
             self._evaluator.add_prediction(model, start.time_ns, path)
             self._count += 1
             names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
             columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
-            columns["x"][-1] += self.shift_one if self._count == 41 else 0.0
-            found.append(message(
+            columns["x"][-1] += self.path_shift if self._count == 41 else 0.0
+            messages.append(message(
                 PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
                 cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
                 configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
-        return found
+        return messages
 
     def _score(self, score) -> bytes:
         shift = self.score_shift if (score.model, score.mode) == ("linear", "hindsight") else 0.0
@@ -141,15 +141,21 @@ class LiveBag:
 
 @pytest.fixture
 def live(tmp_path):
-    return LiveBag(tmp_path / "bag", VehicleParameters.from_yaml(LEAF, "leaf"))
+    return LiveBag(tmp_path / "bag", CAR)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A recording of the nodes without deviations."""
+    return LiveBag(tmp_path_factory.mktemp("live") / "bag", CAR).write()
 
 
 def st_verify(*arguments):
-    return CliRunner().invoke(app, ["verify", *map(str, arguments)])
+    return st("verify", *arguments, columns=80)
 
 
-def test_the_same_numbers_start_by_start(live):
-    found = verify(live.write())
+def test_live_and_offline_agree_for_every_start(bag):
+    found = verify(bag)
     assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
     for comparison in found.comparisons:
         assert comparison.n_starts == 53 and comparison.n_disagree == comparison.n_cut == 0
@@ -157,12 +163,13 @@ def test_the_same_numbers_start_by_start(live):
         # One second of horizon at the end is incomplete on both sides.
         assert comparison.n_scores == {"hindsight": 43, "forecast": 43}
         assert comparison.largest < 1e-9 and comparison.yaw_difference < 1e-9
-    result = st_verify(live.folder)
+    result = st_verify(bag)
+    assert "no car was named" not in result.stderr
     assert result.exit_code == 0 and "106 predictions and 172 scores compared" in result.output.replace("\n", " ")
 
 
-def test_two_millimetres_are_found_and_where(live):
-    live.shift_one = 0.002
+def test_deviation_of_two_millimetres_is_found_and_located(live):
+    live.path_shift = 0.002
     found = verify(live.write())
     kinematic, linear = found.comparisons
     assert kinematic.path_difference == pytest.approx(0.002, abs=1e-9) and kinematic.start_difference < 1e-9
@@ -172,43 +179,42 @@ def test_two_millimetres_are_found_and_where(live):
     assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
 
 
-@pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["found late", "started again"])
-def test_predictions_that_depend_on_the_first_sample_received_are_excluded_and_counted(live, unreceived, monkeypatch):
+@pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["discovered late", "restarted"])
+def test_predictions_before_the_filter_settles_are_excluded_and_counted(live, unreceived, monkeypatch):
     live.unreceived = unreceived
     found = verify(live.write())
     assert found.largest < 1e-6 and all(c.n_settling >= 7 for c in found.comparisons)
     result = st_verify(live.folder)
     assert result.exit_code == 0 and "predictions not compared: the filter" in result.output.replace("\n", " ")
     monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 0.0)
-    assert verify(live.folder).largest > 0.001  # it is no other fault
+    assert verify(live.folder).largest > 0.001  # the settling filter is the only cause
 
 
-def test_a_recording_too_short_to_compare_is_reported(live, monkeypatch):
-    live.write()
+def test_too_short_recording_is_reported(bag, monkeypatch):
     monkeypatch.setattr(verification, "SETTLING_TIME_CONSTANTS", 1e6)
-    result = st_verify(live.folder)
+    result = st_verify(bag)
     assert result.exit_code == 2 and "all 120 predictions start too soon" in result.output.replace("\n", " ")
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5, 1.0, 2.0])
-def test_a_slow_predictor_is_compared_and_a_restart_settles_again(period):
+def test_slow_predictions_are_compared_and_a_restart_settles_again(period):
     rng = np.random.default_rng(1)
     starts = np.arange(60) * period + rng.normal(0.0, 2e-3, 60)
     starts[30:] += 10 * period + 2.0
     starts_ns = np.round(1e9 * starts).astype(np.int64)
-    kept = verification.find_settled_starts(starts_ns, starts_ns[:1], cutoff=5.0)
-    assert not kept[0] and not kept[30]
-    assert kept.sum() >= 60 - 2 * (1 + int(0.7 / period))
+    settled = verification.find_settled_starts(starts_ns, starts_ns[:1], cutoff=5.0)
+    assert not settled[0] and not settled[30]
+    assert settled.sum() >= 60 - 2 * (1 + int(0.7 / period))
 
 
-def test_a_score_of_its_own_is_found(live):
+def test_deviating_score_is_found(live):
     live.score_shift = -0.005
     found = verify(live.write())
     assert found.comparisons[1].score_difference["hindsight"] == pytest.approx(0.005, abs=1e-9)
     assert found.comparisons[1].score_difference["forecast"] < 1e-9 and found.largest == pytest.approx(0.005, abs=1e-9)
 
 
-def test_a_truncated_recording_is_reported(live):
+def test_truncated_recording_is_reported(live):
     assert "is truncated" not in st_verify(live.write()).output and describe_omissions(live.folder, ()) == []
     file = live.folder / f"{live.folder.name}_0.mcap"
     with file.open("rb") as stream:
@@ -225,7 +231,7 @@ def test_a_truncated_recording_is_reported(live):
     assert describe_omissions(live.folder, ["/a (b)"])[0] == "of unknown type and not played: /a (b)"
 
 
-def test_a_meaningless_recording_is_compared_when_forced(live):
+def test_recording_with_an_error_is_compared_when_forced(live):
     """The nodes received km/h as well, so live equals offline; neither reports the wrong unit."""
     live.velocity_factor = 3.6
     folder = live.write()
@@ -236,61 +242,53 @@ def test_a_meaningless_recording_is_compared_when_forced(live):
     assert "error: " in forced.output and "km/h" in forced.output
 
 
-def test_the_vehicle_in_the_recording_is_that_of_the_check(live, tmp_path):
-    folder = live.write()
+def test_check_uses_the_vehicle_of_the_recording(bag, tmp_path):
 
-    def vehicle(output, *more):
-        result = CliRunner().invoke(app, ["check", str(folder), "--output", str(tmp_path / output), *map(str, more)])
+    def check_vehicle(output, *more):
+        result = st("check", bag, "--output", tmp_path / output, *more, columns=80)
         assert result.exit_code == 0, result.output
         content = json.loads((tmp_path / output / "check.json").read_text())
         (run,), (source,) = content["runs"].values(), content["vehicle"]
-        assert run["vehicle"] == source and source in result.output
+        assert run["vehicle"] == source and source in result.output and "no car was named" not in result.stderr
         return source
 
-    assert vehicle("a") == "the recording"
+    assert check_vehicle("a") == "the recording"
     given = tmp_path / "given.yaml"
-    given.write_text(LEAF)
-    assert vehicle("b", "--vehicle", given) == str(given)
+    given.write_text(LEAF_TEXT)
+    assert check_vehicle("b", "--vehicle", given) == str(given)
 
 
-def test_another_vehicle_is_another_prediction(live, tmp_path):
+def test_different_vehicle_gives_different_predictions(bag, tmp_path):
     other = tmp_path / "other.yaml"
     stiffness = "cornering_stiffness_front: {value: "
-    other.write_text(LEAF.replace(f"{stiffness}70000.0", f"{stiffness}60000.0"))
-    found = verify(live.write(), other)
+    other.write_text(LEAF_TEXT.replace(f"{stiffness}70000.0", f"{stiffness}60000.0"))
+    found = verify(bag, other)
     kinematic, linear = found.comparisons
     assert not found.same_configuration and kinematic.path_difference < 1e-9 and linear.path_difference > 0.01
     assert linear.start_difference < 1e-9
-    assert "another vehicle" in st_verify(live.folder, "--vehicle", other).output
+    assert "another vehicle" in st_verify(bag, "--vehicle", other).output
 
 
-def test_a_recording_without_predictions_has_nothing_to_compare(live):
+def test_recording_without_predictions_has_nothing_to_compare(live):
     live.without_predictions = True
     assert verify(live.write()) is None
 
 
-def test_a_file_that_is_no_recording_is_refused(tmp_path):
+def test_invalid_recording_is_refused(tmp_path):
     file = tmp_path / "x.mcap"
     file.write_bytes(b"nothing of the kind")
     result = st_verify(file)
     assert result.exit_code == 2 and "x.mcap" in result.output
 
 
-def test_the_leaf_is_not_taken_silently_for_a_recording_without_a_car(live, tmp_path):
-    live.names_its_car = False
+def test_use_of_the_default_leaf_is_reported_for_a_recording_without_a_car(live, tmp_path):
+    live.contains_its_car = False
     bag = live.write()
     drive = ROOT / "examples" / "data" / "rfs_turn_a.csv"
-    for number, (verb, recording) in enumerate((("verify", bag), ("check", bag), ("check", drive))):
-        output = [] if verb == "verify" else ["--output", str(tmp_path / str(number))]
-        silent = CliRunner().invoke(app, [verb, str(recording), "--car", "leaf", *(f"{o}-named" if "/" in o else o
-                                                                                   for o in output)])
-        assert "no car was named" not in silent.stderr and silent.exit_code in (0, 1), silent.output
-        text = CliRunner().invoke(app, [verb, str(recording), *output]).stderr
+    for arguments in (["verify", bag], ["check", bag, "--output", tmp_path / "a"],
+                      ["check", drive, "--output", tmp_path / "b"]):
+        text = st(*arguments).stderr
         assert text.count("no car was named") == 1 and "car/leaf/vehicle.yaml" in text and "--car" in text
-
-
-def test_the_leaf_is_not_mentioned_if_the_recording_contains_its_car(live, tmp_path):
-    bag = live.write()
-    assert "no car was named" not in st_verify(bag).stderr
-    checked = CliRunner().invoke(app, ["check", str(bag), "--output", str(tmp_path / "checked")])
-    assert checked.exit_code in (0, 1) and "no car was named" not in checked.stderr
+    for arguments in (["verify", bag], ["check", drive, "--output", tmp_path / "c"]):
+        named = st(*arguments, "--car", "leaf")
+        assert "no car was named" not in named.stderr and named.exit_code in (0, 1), named.output
