@@ -1,4 +1,4 @@
-"""Work in a forked child: its result, its end, and what happens without it."""
+"""Work in a forked child process: its result, its exceptions, and work without a child."""
 
 import multiprocessing
 import os
@@ -7,28 +7,28 @@ import signal
 import pytest
 from st_offline.evaluation.background import in_background
 
-HERE = os.getpid()
+PARENT = os.getpid()
 
 
-def test_it_is_done_in_another_process_that_sees_what_is_here():
+def test_work_runs_in_a_child_process_with_the_data_of_its_parent():
     content = [1, 2, 3]
     with in_background(lambda: (os.getpid(), sum(content))) as result:
         pid, total = result()
-    assert (pid != HERE, total) == (True, 6)
+    assert (pid != PARENT, total) == (True, 6)
     assert not multiprocessing.active_children()
 
 
-def test_a_child_that_is_killed_leaves_the_work_to_its_parent():
+def test_work_of_a_killed_child_is_repeated_in_its_parent():
     def work():
-        if os.getpid() != HERE:
+        if os.getpid() != PARENT:
             os.kill(os.getpid(), signal.SIGKILL)
         return os.getpid()
 
     with in_background(work) as result:
-        assert result() == HERE
+        assert result() == PARENT
 
 
-def test_what_it_raises_is_raised_here(capfd):
+def test_exception_of_the_work_is_raised_in_the_parent(capfd):
     def work():
         raise ValueError("no room")
 
@@ -36,7 +36,7 @@ def test_what_it_raises_is_raised_here(capfd):
         result()
 
 
-def test_a_process_that_may_have_no_child_works_itself():
+def test_daemon_process_does_the_work_itself():
     def worker(queue):
         with in_background(os.getpid) as result:
             queue.put((os.getpid(), result()))
@@ -45,6 +45,6 @@ def test_a_process_that_may_have_no_child_works_itself():
     queue = context.Queue()
     child = context.Process(target=worker, args=(queue,), daemon=True)
     child.start()
-    own, found = queue.get(timeout=60)
+    worker_pid, work_pid = queue.get(timeout=60)
     child.join()
-    assert own == found
+    assert worker_pid == work_pid

@@ -1,4 +1,4 @@
-"""Scores of bands that have few levels."""
+"""Scores of bands that have no 90 % level."""
 
 import numpy as np
 from st_core.bands.calibration import RELIABILITY_LEVELS, Band
@@ -8,8 +8,8 @@ from st_offline.bands.scoring import sum_band_scores, summarise_bands
 TIME = np.array([0.5, 1.0])
 
 
-class Constant:
-    """A scale of 0.2 m, 0.3 m and 0.01 rad at two times, whatever the conditions."""
+class ConstantScale:
+    """A scale of 0.2 m, 0.3 m and 0.01 rad at two times, under all conditions."""
 
     time = TIME
 
@@ -17,10 +17,10 @@ class Constant:
         return np.broadcast_to([0.2, 0.3, 0.01], (len(conditions), len(TIME), 3))
 
 
-def test_bands_from_too_few_runs_are_scored_at_the_highest_level_they_have():
-    random, conditions = np.random.default_rng(2), np.column_stack([np.full(400, 10.0), np.zeros((400, 3))])
-    errors = 0.1 * random.standard_normal((400, len(TIME), 3)) * Constant()(conditions)
-    band = Band(Constant(), {0.5: 0.2, 0.8: 0.4}, np.ones((3, len(RELIABILITY_LEVELS))))
+def test_bands_are_scored_at_their_highest_level():
+    conditions = np.column_stack([np.full(400, 10.0), np.zeros((400, 3))])  # 10 m/s, straight
+    errors = 0.1 * np.random.default_rng(2).standard_normal((400, len(TIME), 3)) * ConstantScale()(conditions)
+    band = Band(ConstantScale(), {0.5: 0.2, 0.8: 0.4}, np.ones((3, len(RELIABILITY_LEVELS))))
     sums = sum_band_scores(band, conditions, errors)
     content = summarise_bands({"models": {"linear": {"hindsight": {**sums, "without_band": 0}}}})
     (row,) = make_band_rows(content)

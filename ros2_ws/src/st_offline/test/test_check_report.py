@@ -1,8 +1,9 @@
-"""What a check found, in words, on the page and in a proposed run.yaml: rendering of findings made by hand."""
+"""Constructed findings of a check in text, on the page and in a proposed run.yaml."""
 
 import json
 import re
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -26,33 +27,33 @@ from st_offline.checking.check_report import (
     print_runs,
 )
 from st_offline.checking.gate import RefusedRunError
-from st_offline.checking.run_corrections import append_corrections, run_yaml
+from st_offline.checking.run_corrections import append_corrections, check_file_name, run_yaml
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.raw import summarise_alignment
-from support import ROOT
+from support import LEAF
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
-def correction(**entry):
+def correct_by(**entry):
     return Advice("run.yaml", f"correct: {json.dumps(entry['correct'])}" if "correct" in entry else str(entry), entry)
 
 
 DEGREES = Finding("yaw_rate_scale", Severity.ERROR, ("yaw_rate",), "yaw rate is 57.3 times too large: deg/s?", 57.3,
-                  "1", (57.2, 57.4), (), 130.4, correction(correct={"yaw_rate": {"scale": 0.01745}}))
+                  "1", (57.2, 57.4), (), 130.4, correct_by(correct={"yaw_rate": {"scale": 0.01745}}))
 JUMPS = Finding("position_jumps", Severity.WARNING, ("x", "y"), f"positions jump {HOSTILE}", 2, "1", None,
-                ((1.0, 1.5), (3.0, 3.25)), 0.31, correction(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
+                ((1.0, 1.5), (3.0, 3.25)), 0.31, correct_by(leave_out=[[1.0, 1.5], [3.0, 3.25]]))
 MOVED = Finding("measuring_point", Severity.WARNING, (), "the measuring point lies 1.50 m behind", -1.5, "m",
                 (-1.53, -1.47), (), 0.2,
                 Advice("vehicle", "cg_to_ins_x: {value: -1.9, unit: m}", {"cg_to_ins_x": -1.9}))
 COARSE = Finding("resolution_coarse", Severity.NOTE, ("yaw",), "yaw comes in steps", np.nan, "rad",
                  advice=Advice("look", "log more digits"))
-ALL = (DEGREES, JUMPS, MOVED, COARSE)
+OPPOSITE_SIGN = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
+ALL_FINDINGS = (DEGREES, JUMPS, MOVED, COARSE)
 
 
-def checked(findings=ALL):
+def make_check(findings=ALL_FINDINGS):
     time = np.arange(0.0, 10.0, 0.01)
     rate = np.sin(time)
     comparison = Comparison("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw",
@@ -61,22 +62,18 @@ def checked(findings=ALL):
     return DriveCheck(tuple(findings), {"yaw_rate": channel}, (comparison,))
 
 
-def source(folder):
+def make_source(folder):
     return RunSource("drive", "csv", (folder / "drive.csv",))
 
 
-def run(name="drive", findings=ALL):
+def make_run(name="drive", findings=ALL_FINDINGS):
     car = VehicleParameters.from_yaml(LEAF.read_text())
-    return CheckedRun(name, checked(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
+    return CheckedRun(name, make_check(findings), car, "leaf.yaml", 10.0, (), {"drive.csv": "0" * 64})
 
 
-class Lines:
-    """A console that keeps what it is told, without mark-up being interpreted."""
-
-    def __new__(cls):
-        from io import StringIO
-
-        return Console(file=StringIO(), width=60, color_system=None)
+def make_console() -> Console:
+    """A console of 60 columns that writes to a StringIO."""
+    return Console(file=StringIO(), width=60, color_system=None)
 
 
 @pytest.mark.parametrize(("value", "interval", "unit", "text"), [
@@ -84,11 +81,11 @@ class Lines:
     (0.31, (0.29, 0.35), "s", "0.310 (0.290 to 0.350) s"), (0.0035, None, "rad/s", "0.0035 rad/s"),
     (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
 ])
-def test_numbers_have_the_digits_their_interval_bears(value, interval, unit, text):
+def test_estimates_are_rounded_to_the_digits_of_their_interval(value, interval, unit, text):
     assert check_report.format_estimate(value, interval, unit) == text
 
 
-def test_where_and_effect():
+def test_time_ranges_and_effect_of_a_finding():
     assert describe_stretches(DEGREES) == "whole run" and describe_stretches(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
     short = Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))
     assert describe_stretches(short) == "0.7 s, 3.0 to 3.2 s"
@@ -97,61 +94,59 @@ def test_where_and_effect():
     assert describe_effect(DEGREES) == "shifts the position after 5 s by about 130 m" and describe_effect(COARSE) == ""
 
 
-def test_the_verdict_counts_and_says_what_it_means():
-    assert check_report.verdict(checked()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
-    assert check_report.verdict(checked([MOVED])) == "1 warning: an evaluation would be biased"
-    leans = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
-    assert check_report.verdict(checked([leans])) == "1 warning: results of identify and discover would be biased"
-    assert check_report.verdict(checked([MOVED, leans])) == "2 warnings: an evaluation would be biased"
-    assert check_report.verdict(checked([])) == "nothing found, in 1 comparison"
+def test_verdict_counts_findings_and_states_their_consequence():
+    assert check_report.verdict(make_check()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
+    assert check_report.verdict(make_check([MOVED])) == "1 warning: an evaluation would be biased"
+    biased = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
+    assert check_report.verdict(make_check([biased])) == "1 warning: results of identify and discover would be biased"
+    assert check_report.verdict(make_check([MOVED, biased])) == "2 warnings: an evaluation would be biased"
+    assert check_report.verdict(make_check([])) == "nothing found, in 1 comparison"
     assert "nothing could be compared" in check_report.verdict(DriveCheck((), {}, ()))
-    assert check_report.headline(checked([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
+    assert check_report.headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
 
-def test_the_gravest_comes_first():
+def test_findings_are_sorted_by_severity():
     assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.severity_rank) == [DEGREES, MOVED, JUMPS, COARSE]
 
 
-def test_the_terminal_holds_everything_and_obeys_no_name():
-    console = Lines()
-    print_run(run(HOSTILE), console)
+def test_terminal_prints_all_findings_and_no_markup_of_names():
+    console = make_console()
+    print_run(make_run(HOSTILE), console)
     text = console.file.getvalue()
-    for one in ALL:
+    for one in ALL_FINDINGS:
         assert one.text in text and one.name in text and one.advice.line in text
     assert HOSTILE in text and "in the vehicle file: cg_to_ins_x" in text and "3.0 to 3.2 s" in text
 
 
-def test_other_verbs_print_each_finding_once_with_its_runs():
-    console = Lines()
-    print_findings({HOSTILE: ALL, "second": (replace(JUMPS, effect=2.0), COARSE)}, console)
+def test_other_commands_print_each_finding_once_with_its_runs():
+    console = make_console()
+    print_findings({HOSTILE: ALL_FINDINGS, "second": (replace(JUMPS, effect=2.0), COARSE)}, console)
     text = console.file.getvalue()
     assert text.count(JUMPS.text) == 1 and f"{HOSTILE}, second: warning: {JUMPS.text} (largest of 2) | shifts" in text
     assert "about 2 m" in text and text.count(DEGREES.text) == 1 and DEGREES.advice.line in text
     assert COARSE.text not in text and "2 notes of the checks" in text
 
 
-def test_an_opposite_steering_sign_comes_first_with_what_to_type():
-    sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
-    console = Lines()
-    print_run(replace(run("drive", (DEGREES, sign)), where="logs/drive.csv"), console)
+def test_opposite_steering_sign_comes_first_with_its_correction():
+    console = make_console()
+    print_run(replace(make_run("drive", (DEGREES, OPPOSITE_SIGN)), where="logs/drive.csv"), console)
     first = console.file.getvalue().splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
-    assert "opposite sign" in str(RefusedRunError("a.csv", [sign]))
+    assert "opposite sign" in str(RefusedRunError("a.csv", [OPPOSITE_SIGN]))
     assert "opposite" not in str(RefusedRunError("a.csv", [DEGREES]))
-    assert page_summary([run("drive", (sign,))])[1].startswith("The steering angle has the opposite sign")
+    assert page_summary([make_run("drive", (OPPOSITE_SIGN,))])[1].startswith("The steering angle has the opposite sign")
 
 
-def test_an_opposite_sign_in_a_can_log_is_answered_with_its_option():
-    sign = Finding("steering_sign", Severity.ERROR, ("road_wheel_angle",), "is -1 times the angle", -1.0, "1")
+def test_opposite_steering_sign_of_a_can_log_is_corrected_in_car_yaml():
     alignment = summarise_alignment(Alignment(0, 0, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
-    console = Lines()
-    print_run(replace(run("drive", (sign,)), alignment=alignment), console)
+    console = make_console()
+    print_run(replace(make_run("drive", (OPPOSITE_SIGN,)), alignment=alignment), console)
     first = console.file.getvalue().splitlines()[0]
     assert "steering_sign in car.yaml" in first and "--steering-field" not in first and "run.yaml" not in first
 
 
-def test_the_clocks_of_many_runs_are_one_sentence():
+def test_clock_offsets_of_many_runs_are_one_sentence():
     found = {str(n): summarise_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
@@ -167,23 +162,23 @@ def test_the_clocks_of_many_runs_are_one_sentence():
     ("none", ""), ("by hand", "INS minus steering clock: -0.430 s, set by hand"),
     ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, ± 1.2 ms, "
      "good)")])
-def test_the_clock_of_the_steering_is_stated(method, text):
+def test_clock_offset_of_the_steering_is_printed(method, text):
     alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text
-    console = Lines()
-    print_run(replace(run(), alignment=alignment), console)
+    console = make_console()
+    print_run(replace(make_run(), alignment=alignment), console)
     assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)
 
 
-def test_findings_survive_json():
-    about = json.loads(json.dumps({"findings": findings_as_json(ALL)}, allow_nan=False))
+def test_findings_are_read_back_from_json():
+    about = json.loads(json.dumps({"findings": findings_as_json(ALL_FINDINGS)}, allow_nan=False))
     back = findings_from_json(about)
-    assert back[:3] == list(ALL[:3]) and back[3].value is None and findings_as_json(back) == about["findings"]
+    assert back[:3] == list(ALL_FINDINGS[:3]) and back[3].value is None and findings_as_json(back) == about["findings"]
     assert findings_from_json({}) == []
 
 
-def test_the_document_has_no_number_json_lacks():
-    content = json.loads(json.dumps(document([run()], {}), allow_nan=False))
+def test_document_contains_only_finite_numbers():
+    content = json.loads(json.dumps(document([make_run()], {}), allow_nan=False))
     entry = content["runs"]["drive"]
     assert content["schema"] == 2 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
@@ -191,8 +186,8 @@ def test_the_document_has_no_number_json_lacks():
     assert entry["channels"]["yaw_rate"]["missing"] == 3 and entry["comparisons"][0]["residual_rms"] > 10.0
 
 
-def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
-    runs, failed = [run(HOSTILE), run("second", [])], {"third": "it is <b>broken</b>"}
+def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
+    runs, failed = [make_run(HOSTILE), make_run("second", [])], {"third": "it is <b>broken</b>"}
     write_page(tmp_path / "p.html", runs, failed, document(runs, failed))
     text = (tmp_path / "p.html").read_text()
     assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
@@ -205,57 +200,57 @@ def test_the_page_holds_every_finding_escaped_and_loads_nothing(tmp_path):
     assert page_title(runs).startswith("Errors in 1 of 2 runs (<script>")
 
 
-def test_a_page_of_many_runs_stays_small(tmp_path):
-    runs = [run(f"drive {number}") for number in range(60)]
+def test_page_of_many_runs_is_small(tmp_path):
+    runs = [make_run(f"drive {number}") for number in range(60)]
     write_page(tmp_path / "p.html", runs, {}, document(runs, {}))
     assert (tmp_path / "p.html").stat().st_size < 6_000_000
 
 
-def test_a_proposal_holds_all_cures_with_their_findings(tmp_path):
-    file = tmp_path / "cured" / "run.yaml"
-    text = run_yaml(source(tmp_path), ALL, file, ReadSettings(steering_sign=-1, offset=1.5))
+def test_proposed_run_yaml_contains_all_corrections_with_their_findings(tmp_path):
+    file = tmp_path / "corrected" / "run.yaml"
+    text = run_yaml(make_source(tmp_path), ALL_FINDINGS, file, ReadSettings(steering_sign=-1, offset=1.5))
     content = yaml.safe_load(text)
     assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1.5,
                        "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
     comments = [line for line in text.splitlines() if line.startswith("#")]
-    for one in ALL:
+    for one in ALL_FINDINGS:
         assert any(f"{one.severity.value}: {one.name}: " in line for line in comments)
     assert "#   in the vehicle file: cg_to_ins_x: {value: -1.9, unit: m}" in comments
     assert "# read with --steering-sign -1 --steering-latency 0" in comments
 
 
-def test_a_finding_of_two_lines_cannot_leave_its_comment(tmp_path):
-    odd = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("look", "x\ny: 1"))
-    assert yaml.safe_load(run_yaml(source(tmp_path), [odd], tmp_path / "run.yaml", ReadSettings())) == {
+def test_multiline_finding_remains_a_comment(tmp_path):
+    multiline = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("look", "x\ny: 1"))
+    assert yaml.safe_load(run_yaml(make_source(tmp_path), [multiline], tmp_path / "run.yaml", ReadSettings())) == {
         "name": "drive", "csv": "drive.csv"}
 
 
-def test_of_two_values_for_one_correction_the_graver_finding_has_its_way(tmp_path):
-    scaled = correction(correct={"yaw_rate": {"scale": 2.0}})
+def test_more_severe_of_two_contradicting_corrections_is_applied(tmp_path):
+    scaled = correct_by(correct={"yaw_rate": {"scale": 2.0}})
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=scaled)
-    text = run_yaml(source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
+    text = run_yaml(make_source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
     assert "#   not applied, a more severe finding has another value: in its run.yaml: correct:" in text
 
 
-def test_what_only_a_csv_has_is_proposed_for_a_csv_only(tmp_path):
+def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
     exchanged = Finding("position_axes", Severity.ERROR, ("x", "y"), "exchanged",
-                        advice=correction(columns={"x": "y", "y": "x"}))
-    for kind, taken in (("csv", True), ("vbo", True), ("bag", False)):
-        run_of = replace(source(tmp_path), kind=kind)
-        text = run_yaml(run_of, [exchanged], tmp_path / "run.yaml", ReadSettings())
-        assert ("columns" in yaml.safe_load(text)) is taken
-        assert ("#   not applied, only a csv or vbo has columns and units: in its run.yaml: " in text) is not taken
+                        advice=correct_by(columns={"x": "y", "y": "x"}))
+    for kind, applied in (("csv", True), ("vbo", True), ("bag", False)):
+        source = replace(make_source(tmp_path), kind=kind)
+        text = run_yaml(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
+        assert ("columns" in yaml.safe_load(text)) is applied
+        assert ("#   not applied, only a csv or vbo has columns and units: in its run.yaml: " in text) is not applied
 
 
-def test_a_stretch_that_several_findings_leave_out_stands_there_once(tmp_path):
-    text = run_yaml(source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
+def test_time_range_excluded_by_several_findings_is_listed_once(tmp_path):
+    text = run_yaml(make_source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
                     ReadSettings())
     assert yaml.safe_load(text)["leave_out"] == [[1.0, 1.5], [3.0, 3.25]]
 
 
-def test_what_was_corrected_before_is_corrected_further():
-    """Applied to a sample: scale, add, earlier, first the old, then the new."""
+def test_new_corrections_are_combined_with_previous_ones():
+    """A sample is first corrected by the previous, then by the new scale, offset and time shift."""
     before = {"correct": {"yaw_rate": {"scale": 2.0, "add": 0.5, "earlier": 0.1}, "y": {"scale": -1.0}},
               "leave_out": [[0.0, 1.0]], "units": {"t": "ms"}}
     new = {"correct": {"yaw_rate": {"scale": 3.0, "add": 0.25, "earlier": 0.02}, "position": {"ahead": 1.0}},
@@ -268,16 +263,14 @@ def test_what_was_corrected_before_is_corrected_further():
     assert only_scaled == {"scale": 6.0, "add": 1.5, "earlier": 0.1}
 
 
-@pytest.mark.parametrize(("name", "message"), [("cure.yaml", "name it run.yaml"), ("run.yaml", "exists; choose")])
-def test_a_proposal_nobody_would_read_or_that_overwrites_is_refused(tmp_path, name, message):
-    from st_offline.checking.run_corrections import check_file_name
-
+@pytest.mark.parametrize(("name", "message"), [("correction.yaml", "name it run.yaml"), ("run.yaml", "exists; choose")])
+def test_invalid_or_existing_file_name_of_a_proposal_is_refused(tmp_path, name, message):
     (tmp_path / name).write_text("name: mine\n")
     with pytest.raises(OutputError, match=message):
         check_file_name(tmp_path / name)
 
 
-def test_a_quantity_has_the_unit_of_its_finding():
+def test_quantity_has_the_unit_of_its_finding():
     assert check_report.format_quantity("yaw_rate_lag", (0.31, 0.29, 0.33)) == "0.310 ± 0.020 s"
     assert check_report.format_quantity("yaw_rate_bias", (0.004, 0.003, 0.005)) == "0.0040 ± 0.0010 rad/s"
     assert check_report.format_quantity("acceleration_y_bias", (-0.6, -0.8, -0.4)) == "-0.60 ± 0.20 m/s²"
@@ -285,15 +278,16 @@ def test_a_quantity_has_the_unit_of_its_finding():
     assert check_report.format_quantity("x_scale", (0.97, 0.96, 0.98)) == "0.970 ± 0.010"
 
 
-def test_many_runs_print_each_finding_once_and_the_clean_runs_in_one_line():
+def test_many_runs_print_each_finding_once_and_runs_without_findings_in_one_line():
     console = Console(width=200, record=True)
-    print_runs([*(run(f"bad{k}", (DEGREES,)) for k in range(5)), *(run(f"good{k}", ()) for k in range(5))], console)
+    runs = [make_run(f"{name}{k}", found) for name, found in (("bad", (DEGREES,)), ("good", ())) for k in range(5)]
+    print_runs(runs, console)
     text = console.export_text()
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
     assert "nothing found in 5 of 10 runs: good0, good1" in text
 
 
-def test_an_offset_of_a_time_zone_is_explained():
+def test_clock_offset_of_a_time_zone_is_explained():
     zone = summarise_alignment(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     text = "+7198.588 s (about +2 h: one of the two clocks shows local time), found"
     assert text in check_report.describe_clock(zone)
@@ -301,20 +295,20 @@ def test_an_offset_of_a_time_zone_is_explained():
     assert "local time" not in check_report.describe_clock(other)
 
 
-def test_a_correction_is_offered_only_if_there_is_one():
-    looked_at = replace(COARSE, severity=Severity.WARNING)
-    assert len(page_summary([run("drive", (looked_at,))])) == 1
-    (_, correct) = page_summary([replace(run("drive", (JUMPS,)), where="a/run.yaml")])
+def test_correction_is_offered_only_if_one_exists():
+    without_correction = replace(COARSE, severity=Severity.WARNING)
+    assert len(page_summary([make_run("drive", (without_correction,))])) == 1
+    (_, correct) = page_summary([replace(make_run("drive", (JUMPS,)), where="a/run.yaml")])
     assert correct.startswith("To correct the recording, run `st check a/run.yaml --propose-correction run.yaml` with")
 
 
-def test_one_kind_in_two_channels_is_two_findings():
+def test_equal_findings_in_two_channels_are_not_merged():
     steering = Finding("sentinel_values", Severity.WARNING, ("road_wheel_angle",), "road_wheel_angle is -9999", -9999.0)
     speed = replace(steering, channels=("velocity_x",), text="velocity_x is -9999")
     assert [names for _, names in group_by_name({"a": [steering, speed], "b": [speed]})] == [["a"], ["a", "b"]]
 
 
-def test_a_lag_and_a_lead_are_not_one_finding():
+def test_lag_and_lead_are_not_merged():
     late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw", 0.08, "s", effect=0.1)
     early = replace(late, text="yaw_rate leads yaw", value=-0.05, effect=0.2)
     grouped = group_by_name({"a": [late], "b": [early], "c": [late]})

@@ -1,4 +1,4 @@
-"""Figures for files and for the page."""
+"""Figures saved as files and embedded in the page."""
 
 import re
 from xml.etree import ElementTree
@@ -17,40 +17,45 @@ from st_offline.evaluation.drawing import (
 )
 
 
-@pytest.fixture
-def drawn(tmp_path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("figures")
+
+
+@pytest.fixture(scope="module")
+def drawn(folder):
     with apply_style():
         figure, axes = plt.subplots()
         axes.plot([0, 1], [0.123456789, 1], color=MODEL_COLOUR["nonlinear"])
         axes.plot([0, 1], [1, 0], ".", rasterized=True)
         axes.set_xlabel("time, s")
-        return save_figure(figure, FigureOutput(tmp_path, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
+        return save_figure(figure, FigureOutput(folder, ("png", "pdf"), "S6-"), "test", "x < y & z", "how to read it")
 
 
-def test_files_of_every_format(drawn, tmp_path):
-    assert (tmp_path / "test.png").read_bytes()[:4] == b"\x89PNG"
-    assert (tmp_path / "test.pdf").read_bytes()[:4] == b"%PDF"
+def test_figure_is_saved_in_every_format(drawn, folder):
+    assert (folder / "test.png").read_bytes()[:4] == b"\x89PNG"
+    assert (folder / "test.pdf").read_bytes()[:4] == b"%PDF"
     assert not plt.get_fignums()
 
 
-def test_svg_takes_the_colours_and_fonts_of_the_page(drawn):
+def test_svg_uses_the_colours_and_fonts_of_the_page(drawn):
     assert ElementTree.fromstring(drawn.svg).tag.endswith("svg")
     assert "var(--nonlinear)" in drawn.svg and MODEL_COLOUR["nonlinear"] not in drawn.svg
     assert "font-family" not in drawn.svg and "var(--text)" in drawn.svg
-    assert "time, s" in drawn.svg and "x &lt; y" not in drawn.svg  # the title stands beside it
+    assert "time, s" in drawn.svg and "x &lt; y" not in drawn.svg  # the page shows the title outside the figure
 
 
-def test_svg_ids_are_its_own_and_all_references_resolve(drawn):
+def test_svg_ids_have_the_prefix_and_references_resolve(drawn):
     ids = re.findall(r'\bid="([^"]+)"', drawn.svg)
     used = re.findall(r'(?:url\(#|href="#)([^")]+)', drawn.svg)
     assert used and set(used) <= set(ids) and all(i.startswith("S6-test-") for i in ids)
 
 
-def test_svg_loads_nothing(drawn):
+def test_svg_loads_no_external_content(drawn):
     assert all(link.startswith(("#", "data:")) for link in re.findall(r'href="([^"]*)"', drawn.svg))
 
 
-def test_long_lines_keep_their_extremes():
+def test_reduced_lines_keep_extremes_and_gaps():
     time = np.arange(100_000.0)
     values = np.sin(time / 500.0)
     values[77_777], values[12_345] = 9.0, -9.0
@@ -61,6 +66,6 @@ def test_long_lines_keep_their_extremes():
     assert len(reduce_points(time[:100], values[:100])[0]) == 100
 
 
-def test_a_line_breaks_at_gaps_only():
+def test_lines_break_at_gaps_only():
     time, values = cut_at_gaps(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
     assert np.isnan(values).tolist() == [False, False, True, False, False] and len(time) == 5

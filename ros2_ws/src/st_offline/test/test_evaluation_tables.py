@@ -1,4 +1,4 @@
-"""Numbers in tables: what is bold, how they are rounded, what LaTeX gets; and pooling of runs."""
+"""Tables of errors: best values, rounding, LaTeX, CSV; and pooling of runs."""
 
 import csv
 import io
@@ -12,8 +12,8 @@ from st_offline.evaluation.evaluation_report import pool_bins
 from st_offline.evaluation.work import RunReport, to_file_name
 
 
-def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
-    """Errors whose horizon means are the rows of `mean`; samples scatter about them. NaN rows are incomplete."""
+def make_errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
+    """Errors whose means over a horizon are the rows of `mean`, with random samples; NaN rows are incomplete."""
     rng = np.random.default_rng(seed)
     samples = mean[:, None, :] + rng.normal(0.0, 0.3, (len(mean), 101, 3))
     samples += (mean - samples.mean(axis=1))[:, None]
@@ -23,7 +23,7 @@ def errors(mean: np.ndarray, seed: int = 0) -> ModelErrors:
                        samples[:, 20::20], profile)
 
 
-def entry(longitudinal, lateral) -> dict:
+def make_statistics(longitudinal, lateral) -> dict:
     """Statistics of one model: (mean, max, rmse) of each axis."""
     axes = {axis: dict(zip(tables.STATISTICS, v, strict=True)) for axis, v in
             (("longitudinal", longitudinal), ("lateral", lateral), ("yaw", (0.0, 0.0, 0.0)))}
@@ -32,18 +32,18 @@ def entry(longitudinal, lateral) -> dict:
 
 
 PAPER_S1 = {  # the first row of the paper's table
-    "kinematic": entry((0.10, 0.19, 0.12), (-0.09, 0.49, 0.33)),
-    "linear": entry((0.02, 0.07, 0.04), (-0.06, 0.26, 0.13)),
-    "nonlinear": entry((0.01, 0.07, 0.04), (-0.06, 0.26, 0.13)),
+    "kinematic": make_statistics((0.10, 0.19, 0.12), (-0.09, 0.49, 0.33)),
+    "linear": make_statistics((0.02, 0.07, 0.04), (-0.06, 0.26, 0.13)),
+    "nonlinear": make_statistics((0.01, 0.07, 0.04), (-0.06, 0.26, 0.13)),
 }
 
 
-def report(name: str, models: dict) -> RunReport:
+def make_report(name: str, models: dict) -> RunReport:
     return RunReport(name, models=models)
 
 
-def test_latex_is_the_papers_row():
-    text = tables.make_latex_table([report("S$_1$", PAPER_S1)], "means", "Leaf_ZE0, 100 %.")
+def test_latex_row_equals_that_of_the_paper():
+    text = tables.make_latex_table([make_report("S$_1$", PAPER_S1)], "means", "Leaf_ZE0, 100 %.")
     rows = [line for line in text.splitlines() if line.endswith(r"\\") and "m$_" in line]
     assert rows == [
         r"\multirow[c]{3}{*}{S\$\_1\$} & m$_{1}$ & $\phantom{-}0.10 \mid 0.19 \mid 0.12$ & "
@@ -56,8 +56,9 @@ def test_latex_is_the_papers_row():
     assert r"Leaf\_ZE0, 100 \%." in text and text.count(r"\begin{") == text.count(r"\end{")
 
 
-def test_bold_goes_by_printed_magnitude_and_may_be_shared():
-    models = {"a": entry((0.004, 1.0, 1.0), (0.0, 1.0, 1.0)), "b": entry((-0.0049, 1.0, 2.0), (0.006, 1.0, 1.0))}
+def test_best_value_is_chosen_by_printed_magnitude_and_may_be_shared():
+    models = {"a": make_statistics((0.004, 1.0, 1.0), (0.0, 1.0, 1.0)),
+              "b": make_statistics((-0.0049, 1.0, 2.0), (0.006, 1.0, 1.0))}
     assert tables.is_best(models, "a", "hindsight", "longitudinal", "mean", "means")
     assert tables.is_best(models, "b", "hindsight", "longitudinal", "mean", "means")
     assert tables.is_best(models, "a", "hindsight", "lateral", "mean", "means")
@@ -66,14 +67,15 @@ def test_bold_goes_by_printed_magnitude_and_may_be_shared():
 
 
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
-def test_numbers_to_the_centimetre(value, text):
+def test_errors_are_printed_to_the_centimetre(value, text):
     assert tables.format_metres(value) == text
 
 
-def test_terminal_shows_every_run_and_escapes_names():
+def test_terminal_table_has_every_run_and_escapes_names():
     console = Console(width=110, record=True, file=io.StringIO())
-    models = {"kinematic": entry((0.1, 0.2, 0.3), (1, 2, 3)), "linear": entry((None,) * 3, (None,) * 3)}
-    console.print(tables.make_terminal_table([report("[red]day[/red]", models)], "samples", "A [b]title[/b]", 110))
+    models = {"kinematic": make_statistics((0.1, 0.2, 0.3), (1, 2, 3)),
+              "linear": make_statistics((None,) * 3, (None,) * 3)}
+    console.print(tables.make_terminal_table([make_report("[red]day[/red]", models)], "samples", "A [b]title[/b]", 110))
     text = console.export_text()
     assert "[red]day[/red]" in text and "A [b]title[/b]" in text
     assert " 1.00 |  2.00 |  3.00" in text and "- |     - |     -" in text
@@ -81,27 +83,27 @@ def test_terminal_shows_every_run_and_escapes_names():
 
 def test_csv_has_one_row_per_run_model_and_mode(tmp_path):
     file = tmp_path / "table.csv"
-    tables.write_csv(file, tables.make_csv_rows([report("S1", PAPER_S1), report("S,2", PAPER_S1)])["table"])
+    tables.write_csv(file, tables.make_csv_rows([make_report("S1", PAPER_S1), make_report("S,2", PAPER_S1)])["table"])
     rows = list(csv.DictReader(file.open()))
     assert len(rows) == 2 * 3 * 2 and {r["run"] for r in rows} == {"S1", "S,2"}
     assert float(rows[0]["lateral_rmse_m"]) == 0.33 and rows[0]["n_starts"] == "7"
     assert {r["mode"] for r in rows} == set(MODES)
 
 
-def test_entry_counts_and_takes_only_what_is_selected():
+def test_statistics_include_selected_complete_horizons_only():
     mean = np.array([[1.0, -2.0, 0.1], [3.0, 0.0, 0.1], [np.nan] * 3, [100.0, 0.0, 0.0]])
-    found = tables.summarise_errors(errors(mean), np.array([True, True, True, False]))
+    found = tables.summarise_errors(make_errors(mean), np.array([True, True, True, False]))
     assert (found["n_starts"], found["n_incomplete"]) == (2, 1)
     assert found["longitudinal"] == pytest.approx({"mean": 2.0, "max": 3.0, "rmse": np.sqrt(5.0)})
     assert found["samples"]["longitudinal"]["mean"] == pytest.approx(2.0)
     assert found["samples"]["longitudinal"]["rmse"] > found["longitudinal"]["rmse"]
-    nothing = tables.summarise_errors(errors(mean), np.zeros(4, bool))
+    nothing = tables.summarise_errors(make_errors(mean), np.zeros(4, bool))
     assert nothing["n_starts"] == 0 and nothing["lateral"] == {"mean": None, "max": None, "rmse": None}
 
 
-def test_pooled_runs_are_as_one_run():
+def test_pooled_runs_equal_a_single_run():
     rng = np.random.default_rng(3)
-    whole = errors(rng.normal(0.2, 1.0, (90, 3)))
+    whole = make_errors(rng.normal(0.2, 1.0, (90, 3)))
     parts = [np.arange(90) < 20, (np.arange(90) >= 20) & (np.arange(90) < 75), np.arange(90) >= 75]
     documents = [{"linear": dict.fromkeys(MODES, tables.summarise_errors(whole, part))} for part in parts]
     empty = {"linear": dict.fromkeys(MODES, tables.summarise_errors(whole, np.zeros(90, bool)))}
@@ -113,7 +115,7 @@ def test_pooled_runs_are_as_one_run():
         assert joined["samples"][axis] == pytest.approx(expected["samples"][axis])
 
 
-def test_pooled_bins_come_in_their_own_order():
+def test_pooled_bins_are_ordered_by_quantity_and_value():
     def one(quantity, label, low):
         return {"quantity": quantity, "label": label, "low": low, "high": None, "models": PAPER_S1}
 
@@ -125,5 +127,5 @@ def test_pooled_bins_come_in_their_own_order():
 
 
 @pytest.mark.parametrize(("name", "file"), [("S6", "S6"), ("a/b c", "a_b_c"), ("../x", "_x"), ("", "run")])
-def test_names_become_safe_file_names(name, file):
+def test_run_names_become_safe_file_names(name, file):
     assert to_file_name(name) == file

@@ -1,4 +1,4 @@
-"""Bags of another make: the steering angle is a number in a topic the user names; what is not known is named."""
+"""Bags of other software: the user names the topic and field of the steering angle; unknown topics are listed."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -34,11 +34,11 @@ def header(time_ns: int, frame: str) -> Any:
 
 
 def odometry(time_ns: int, x: float) -> Any:
-    point, turn = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0), make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0,
-                                                                           z=0.0, w=1.0)
-    linear, still = (make("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0) for v in (10.0, 0.0))
-    pose = make("geometry_msgs/msg/Pose", position=point, orientation=turn)
-    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=still)
+    point = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
+    orientation = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    linear, angular = (make("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0) for v in (10.0, 0.0))
+    pose = make("geometry_msgs/msg/Pose", position=point, orientation=orientation)
+    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
     return make(ODOMETRY, header=header(time_ns, "odom"), child_frame_id="base_link",
                 pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
                 twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)))
@@ -48,31 +48,31 @@ def angle(k: int) -> float:
     return 0.001 * np.sin(0.05 * k)
 
 
-def bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    """Odometry in a frame odom, the angle without a stamp and with one 30 ms before it was recorded, a text."""
+def write_bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+    """Odometry in frame odom; the steering angle without a stamp, stamped 30 ms before reception, and in a list."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         names = {"/odom": ODOMETRY, "/steering_angle": FLOAT, "/rack": STAMPED, "/notes": TEXT, "/joints": JOINTS}
-        made = {topic: writer.add_connection(topic, name, typestore=STORE) for topic, name in names.items()}
+        connections = {topic: writer.add_connection(topic, name, typestore=STORE) for topic, name in names.items()}
         for k in range(N):
             now = START_NS + k * STEP_NS
             stamped = make(STAMPED, header=header(now - 30_000_000, ""),
                            vector=make("geometry_msgs/msg/Vector3", x=7.0, y=angle(k), z=0.0))
             for topic, message in (("/odom", odometry(now, 0.1 * k)), ("/rack", stamped),
                                    ("/steering_angle", make(FLOAT, data=angle(k))), ("/notes", make(TEXT, data="x"))):
-                writer.write(made[topic], now, bytes(STORE.serialize_cdr(message, names[topic])))
+                writer.write(connections[topic], now, bytes(STORE.serialize_cdr(message, names[topic])))
             joints = make(JOINTS, header=header(now, ""), name=["left", "right"], position=np.array([9.0, angle(k)]),
                           velocity=np.zeros(2), effort=np.zeros(2))
-            writer.write(made["/joints"], now, bytes(STORE.serialize_cdr(joints, JOINTS)))
+            writer.write(connections["/joints"], now, bytes(STORE.serialize_cdr(joints, JOINTS)))
     return folder
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_a_number_of_any_topic_is_the_steering(tmp_path, storage):
-    folder = bag(tmp_path / "drive", storage)
+def test_steering_angle_is_read_from_any_numeric_field(tmp_path, storage):
+    folder = write_bag(tmp_path / "drive", storage)
     expected = np.array([angle(k) for k in range(N)])
     drive = read_bag(folder, steering=SteeringField("steering_angle"))
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
-    np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS)  # when it was recorded
+    np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS)  # time of reception
     assert drive.frame == "odom" and drive.topics["st_msgs/msg/Steering"] == "/steering_angle"
     assert sorted(drive.unknown) == [f"/joints ({JOINTS})", f"/notes ({TEXT})", f"/rack ({STAMPED})"]
     drive = read_bag(folder, steering=SteeringField("/rack", "vector.y"))
@@ -82,8 +82,8 @@ def test_a_number_of_any_topic_is_the_steering(tmp_path, storage):
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
 
 
-def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
-    folder = bag(tmp_path / "drive")
+def test_steering_wheel_angle_is_converted_by_the_vehicle_file(tmp_path):
+    folder = write_bag(tmp_path / "drive")
     vehicle = VehicleParameters.from_yaml(config("vehicle/leaf.yaml").read_text())
     vehicle = replace(vehicle, steering_wheel_offset=0.02)
     (source,) = find_runs([folder])
@@ -93,7 +93,7 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
                                (wheel - 0.02) / vehicle.steering_ratio, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("topic", "field", "said"), [
+@pytest.mark.parametrize(("topic", "field", "message"), [
     ("/angle", "data", "topic /angle has no messages in this bag; name one of the recorded topics: /joints, /notes, "
      "/odom, /rack, /steering_angle"),
     ("/rack", "data", "'data' is not one of the fields (header, vector)"),
@@ -103,13 +103,13 @@ def test_the_hand_wheel_becomes_the_road_wheels_by_the_vehicle_file(tmp_path):
     ("/joints", "position", "'position' of /joints is a list of 2 elements; add an index, such as position.0"),
     ("/joints", "position.2", "'2' is not one of the fields (none)"),
 ])
-def test_what_is_no_angle_is_refused_by_name(tmp_path, topic, field, said):
-    folder = bag(tmp_path / "drive")
+def test_invalid_steering_field_is_refused_with_its_name(tmp_path, topic, field, message):
+    folder = write_bag(tmp_path / "drive")
     with pytest.raises(RunError) as error:
         check_bag(folder, None, True, ReadSettings(steering=SteeringField(topic, field)))
-    assert said in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_without_a_name_the_option_is_proposed(tmp_path):
+def test_missing_steering_topic_is_reported_with_the_option(tmp_path):
     with pytest.raises(RunError, match=r"/steering_angle \(std_msgs/msg/Float64\).*--steering-topic"):
-        read_bag(bag(tmp_path / "drive"))
+        read_bag(write_bag(tmp_path / "drive"))
