@@ -1,4 +1,4 @@
-"""Real-time scheduling of the most important nodes: state of real processes, as the kernel reports it."""
+"""Real-time scheduling of the most important nodes, read from the kernel for running processes."""
 
 import os
 import sys
@@ -8,14 +8,14 @@ from st_live.suite import REALTIME_PRIORITIES, Processes
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
 
-def test_without_the_option_no_priority_is_raised(tmp_path):
+def test_default_scheduling_is_normal(tmp_path):
     with Processes(tmp_path) as processes:
         pid = processes.start("predictor", SLEEP).process.pid
         assert os.sched_getscheduler(pid) == os.SCHED_OTHER
         assert not processes.denied
 
 
-def test_real_time_is_granted_or_the_refusal_reported(tmp_path):
+def test_real_time_priority_is_set_or_its_refusal_reported(tmp_path):
     with Processes(tmp_path, realtime=True) as processes:
         pids = {name: processes.start(name, SLEEP).process.pid for name in (*REALTIME_PRIORITIES, "recorder")}
         for name, pid in pids.items():

@@ -1,4 +1,4 @@
-"""The views: left is left, ghosts have their ages, the frames of the page, and refused files."""
+"""Geometry of the live views, ghosts, frames and server of the page, and refused arguments."""
 
 import json
 import math
@@ -28,14 +28,13 @@ from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Pre
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
 from st_ros.polling import from_nanoseconds
-from support import ROOT
+from support import LEAF
 
 pytestmark = pytest.mark.ros
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
 @pytest.mark.parametrize("yaw", np.linspace(-3.0, 3.0, 7))
-def test_a_point_to_the_left_is_on_the_left_and_one_ahead_is_up(yaw: float) -> None:
+def test_heading_up_view_has_left_on_the_left_and_ahead_up(yaw: float) -> None:
     """Screen y points down: up is negative."""
     pose = Pose(120.0, -40.0, yaw)
     ahead = to_heading_up(120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw), pose)
@@ -44,14 +43,14 @@ def test_a_point_to_the_left_is_on_the_left_and_one_ahead_is_up(yaw: float) -> N
     assert left == pytest.approx([-10.0, 0.0], abs=1e-9)
 
 
-def test_on_the_map_north_is_up_and_east_is_right() -> None:
+def test_north_up_view_has_east_on_the_right() -> None:
     pose = Pose(5.0, 7.0, 1.0)
     assert to_north_up(5.0, 17.0, pose) == pytest.approx([0.0, -10.0])
     assert to_north_up(15.0, 7.0, pose) == pytest.approx([10.0, 0.0])
     assert to_north_up(np.zeros(4), np.zeros(4), pose).shape == (4, 2)
 
 
-def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
+def test_grid_lines_are_fixed_in_the_map() -> None:
     for pose in (Pose(3.0, -2.0, 0.0), Pose(103.0, 55.0, 1.0)):
         lines = make_grid_lines(pose, 20.0, 50.0)
         assert len(lines) == 10
@@ -59,13 +58,13 @@ def test_grid_lines_stay_where_they_are_while_the_car_moves() -> None:
             assert (x % 20.0 == 0.0).all() or (y % 20.0 == 0.0).all()
 
 
-def test_the_outline_is_as_long_and_wide_as_the_car_and_points_ahead() -> None:
+def test_car_outline_has_the_size_and_heading_of_the_car() -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
     x, y = make_car_outline(Pose(10.0, 20.0, 0.5), car)
     forward = (x - 10.0) * math.cos(0.5) + (y - 20.0) * math.sin(0.5)
     left = (y - 20.0) * math.cos(0.5) - (x - 10.0) * math.sin(0.5)
     assert np.ptp(forward) == pytest.approx(car.length) and np.ptp(left) == pytest.approx(car.width)
-    # Overhangs are equal, so both axles are as far from their ends; the INS of the Leaf is behind the CG.
+    # The overhangs at front and rear are equal; the INS of the Leaf is behind the CG.
     assert forward.max() - (car.cg_to_front_axle - car.cg_to_ins_x) == pytest.approx(0.5 * (car.length - car.wheelbase))
     assert left[forward.argmax()] == pytest.approx(0.0, abs=1e-9)
 
@@ -75,7 +74,7 @@ def straight(start_ns: int, speed: float = 10.0) -> PredictedPath:
     return PredictedPath(start_ns, 0.05, x, np.zeros(101))
 
 
-def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
+def test_ghosts_are_predictions_from_one_to_five_seconds_ago() -> None:
     history = History()
     for k in range(80):
         history.add_path("linear", straight(k * 100_000_000))
@@ -84,7 +83,7 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
     assert [age for age, _ in ghosts] == list(GHOST_AGES)
     for age, path in ghosts:
         assert (now_ns - path.start_ns) * 1e-9 == pytest.approx(age, abs=GHOST_TOLERANCE)
-        assert path.find_position(now_ns) == pytest.approx((79.0, 0.0))  # the car did what all of them predicted
+        assert path.find_position(now_ns) == pytest.approx((79.0, 0.0))  # the car follows all predictions
     assert history.find_newest("linear", now_ns).start_ns == now_ns
     assert history.find_newest("linear", now_ns + 2 * 10**9) is None  # stale
     assert history.find_predicted_position("linear", now_ns) == pytest.approx((79.0, 0.0))
@@ -93,7 +92,7 @@ def test_ghosts_are_the_predictions_of_one_to_five_seconds_ago() -> None:
     assert straight(0).find_position(5_100_000_000) is None and straight(10**9).find_position(0) is None
 
 
-def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_clears_all() -> None:
+def test_gap_has_no_ghosts_and_step_back_in_time_clears_the_history() -> None:
     history = History()
     for k in (0, 1, 60, 61):
         history.add_path("linear", straight(k * 100_000_000))
@@ -101,16 +100,16 @@ def test_a_gap_in_the_predictions_has_no_ghosts_and_a_step_back_in_time_clears_a
     history.add_pose(6_100_000_000, 1.0, 2.0)
     history.add_pose(6_050_000_000, 3.0, 4.0)  # late: dropped
     assert len(history.track) == 1
-    history.add_pose(1_000_000_000, 5.0, 6.0)  # a replay begins again
+    history.add_pose(1_000_000_000, 5.0, 6.0)  # a replay restarts
     assert list(history.track) == [(1_000_000_000, 5.0, 6.0)] and history.models == ()
 
 
-def test_a_ribbon_is_as_wide_as_its_band_and_reaches_beyond_the_path() -> None:
+def test_ribbon_has_the_width_of_its_band_and_extends_beyond_the_path() -> None:
     x, zero = np.linspace(0.0, 10.0, 11), np.zeros(11)
     east = make_ribbon(0.9, (x, zero, zero), 0.2 * x, 0.1 * x)
     assert east.left[:-1] == pytest.approx(np.stack([x, 0.1 * x], axis=1))
     assert east.right[-1] == pytest.approx([12.0, -1.0])
-    for stride in (1, 4):  # a triangle to the end of the path, a rectangle beyond it
+    for stride in (1, 4):  # a triangle up to the end of the path, a rectangle beyond it
         a, b, c = np.moveaxis(east.make_triangles(stride), 1, 0)
         area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()
         assert area == pytest.approx(0.5 * 10.0 * 2.0 + 2.0 * 2.0)
@@ -118,7 +117,7 @@ def test_a_ribbon_is_as_wide_as_its_band_and_reaches_beyond_the_path() -> None:
     assert north.left[5] == pytest.approx([-0.5, 5.0]) and north.right[-1] == pytest.approx([1.0, 12.0])
 
 
-def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None:
+def test_labels_of_coinciding_predictions_do_not_overlap() -> None:
     places = [label_index(model, 0.05, 101) for model in LABEL_AT]
     assert LABEL_AT.keys() == MODEL_COLOUR.keys()
     assert min(np.abs(np.diff(sorted(places)))) >= 10  # half a second of driving apart
@@ -126,7 +125,7 @@ def test_names_of_models_that_predict_the_same_do_not_cover_each_other() -> None
     assert rgb("#1f77b4") == (31, 119, 180) and rgb("#000000", 0.5) == (128, 128, 128)
 
 
-def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wrong() -> None:
+def test_error_table_has_a_row_per_model_and_mode_and_lists_faults() -> None:
     rows = [ErrorStatistics(model=m, mode=k, n_starts=7, longitudinal_rmse=1.234, lateral_rmse=float("nan"))
             for m in ("kinematic", "linear") for k in ("forecast", "hindsight")]
     text = format_errors(rows, "Ticks 9", [(0, "a", "fine"), (1, "b", "late"), (2, "c", "silent")])
@@ -135,7 +134,7 @@ def test_the_table_on_the_page_has_a_row_per_model_and_mode_and_names_what_is_wr
     assert "Waiting" in format_errors([], "", []) and "All nodes OK." in format_errors([], "", [(0, "a", "fine")])
 
 
-def test_the_page_of_rerun_may_request_nothing_external() -> None:
+def test_policy_of_the_rerun_page_allows_no_external_requests() -> None:
     for directive in POLICY.split("; "):
         for source in directive.split()[1:]:
             assert source.startswith("'") or source in ("data:", "blob:"), directive
@@ -144,15 +143,15 @@ def test_the_page_of_rerun_may_request_nothing_external() -> None:
 @pytest.mark.parametrize(("name", "text"), [
     ("view.txt", "ends in .rrd"), ("there.rrd", "exists already"), ("no/where.rrd", "cannot be written"),
 ])
-def test_a_recording_that_cannot_be_written_is_refused(tmp_path: Path, name: str, text: str) -> None:
-    pytest.importorskip("rerun", reason="not beside a sourced ROS")
+def test_invalid_rerun_file_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    pytest.importorskip("rerun", reason="not installed with a sourced ROS")
     (tmp_path / "there.rrd").write_bytes(b"")
     with pytest.raises(SuiteError, match=text):
         check_new_rerun_file("--view-save", tmp_path / name)
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:http", "127.0.0.1:99999"])
-def test_an_address_without_a_valid_port_is_refused(address: str) -> None:
+def test_address_without_a_valid_port_is_refused(address: str) -> None:
     with pytest.raises(SuiteError, match="--view-address"):
         LiveView(True, address)
 
@@ -167,7 +166,7 @@ def odometry(time_s: float, x: float, y: float, yaw: float, speed: float, yaw_ra
 
 
 @pytest.fixture
-def driven() -> PassengerFrames:
+def passenger() -> PassengerFrames:
     """3 s to the north at 10 m/s with the INS 0.4 m behind the CG; a prediction that bends to the left."""
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
     frames = PassengerFrames(car, "map")
@@ -185,8 +184,8 @@ def driven() -> PassengerFrames:
     return frames
 
 
-def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
-    frame = driven.make_frame(53.1)
+def test_frame_is_in_the_axes_of_the_car(passenger: PassengerFrames) -> None:
+    frame = passenger.make_frame(53.1)
     json.dumps(frame, allow_nan=False)
     assert frame["received"] == pytest.approx(53.0) and frame["mode"] == "RTK integer"
     assert frame["speed"] == 10.0 and frame["steering"] == 0.1
@@ -195,41 +194,41 @@ def test_a_frame_shows_the_world_from_the_car(driven: PassengerFrames) -> None:
     path = frame["paths"]["linear"]
     points = np.array(path["points"])
     assert points[0] == pytest.approx([0.0, 0.0], abs=0.01)  # the prediction starts at the CG
-    assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # a bend to the left is left
+    assert points[-1] == pytest.approx([50.0, 5.0], abs=0.01)  # left is positive
     assert path["step"] == pytest.approx(0.1) and path["band"][-1] == 2.0 and len(points) == 51
-    late = driven.make_frame(54.5)
-    assert "linear" not in late["paths"] and late["steering"] is None  # what is old is not drawn
+    late = passenger.make_frame(54.5)
+    assert "linear" not in late["paths"] and late["steering"] is None  # stale data are not drawn
 
 
-def test_a_course_replaces_held_inputs_while_it_is_used(driven: PassengerFrames) -> None:
-    held = driven._predictions["forecast"]["linear"][1]
+def test_course_prediction_replaces_held_inputs_while_in_use(passenger: PassengerFrames) -> None:
+    held = passenger._predictions["forecast"]["linear"][1]
     held.bands = [Band(mode=mode, level=0.9, along=[0.0] * len(held.x), across=[width] * len(held.x),
                        yaw=[0.0] * len(held.x)) for mode, width in (("forecast", 2.0), ("course", 1.0))]
     course = PlannedPrediction(model="linear", step=0.05, x=held.x, y=held.y, yaw=held.yaw, velocity_x=held.velocity_x,
                                velocity_y=held.velocity_y, yaw_rate=held.yaw_rate)
     course.header.stamp = held.header.stamp
     for mode, error in (("forecast", 4.0), ("course", 1.5)):
-        driven.take("evaluator/errors", PredictionError(model="linear", mode=mode, complete=True, horizon=[0.0, 5.0],
+        passenger.take("evaluator/errors", PredictionError(model="linear", mode=mode, complete=True, horizon=[0.0, 5.0],
                                                         longitudinal=[0.0, error], lateral=[0.0, 0.0]), 53.0)
-    driven.take("predictor/linear/course", course, 53.0)
-    frame = driven.make_frame(53.1)
+    passenger.take("predictor/linear/course", course, 53.0)
+    frame = passenger.make_frame(53.1)
     assert frame["paths"]["linear"]["inputs"] == "of the course" and frame["paths"]["linear"]["band"][-1] == 1.0
     assert frame["errors"]["linear"]["longitudinal"] == 1.5
-    driven.take("predictor/linear/prediction", held, 55.0)  # the driver has left the course
-    frame = driven.make_frame(55.1)
+    passenger.take("predictor/linear/prediction", held, 55.0)  # the driver has left the course
+    frame = passenger.make_frame(55.1)
     assert frame["paths"]["linear"]["inputs"] == "held" and frame["paths"]["linear"]["band"][-1] == 2.0
     assert frame["errors"]["linear"]["longitudinal"] == 4.0
 
 
-def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) -> None:
+def test_displayed_error_is_that_at_the_end_of_the_horizon(passenger: PassengerFrames) -> None:
     score = PredictionError(model="linear", mode="forecast", complete=True, horizon=[0.0, 5.0],
                             longitudinal=[0.0, -1.5], lateral=[0.0, 0.8])
-    driven.take("evaluator/errors", score, 53.0)
-    driven.take("evaluator/errors", PredictionError(model="kinematic", mode="hindsight", complete=True), 53.0)
-    assert driven.make_frame(53.1)["errors"] == {
+    passenger.take("evaluator/errors", score, 53.0)
+    passenger.take("evaluator/errors", PredictionError(model="kinematic", mode="hindsight", complete=True), 53.0)
+    assert passenger.make_frame(53.1)["errors"] == {
         "linear": {"longitudinal": -1.5, "lateral": 0.8, "horizon": 5.0, "age": 0.1}}
-    driven.take("ins/odometry", odometry(1.0, 0.0, 0.0, 0.0, 1.0, 0.0), 53.2)  # a replay starts over
-    frame = driven.make_frame(53.2)
+    passenger.take("ins/odometry", odometry(1.0, 0.0, 0.0, 0.0, 1.0, 0.0), 53.2)  # a replay restarts
+    frame = passenger.make_frame(53.2)
     assert frame["errors"] == {} and len(frame["track"]) == 1
 
 
@@ -237,25 +236,25 @@ def test_the_error_is_that_of_the_end_of_the_horizon(driven: PassengerFrames) ->
     ([0, 0], "ok", "all checks OK"), ([0, 1], "warning", "b: text"), ([2, 1], "error", "a: text, and 1 more"),
     ([3, 0], "error", "a: text"), ([], "none", "no diagnostics"),
 ])
-def test_the_light_is_that_of_the_worst_check(driven: PassengerFrames, levels, light, text) -> None:
+def test_light_shows_the_most_severe_check(passenger: PassengerFrames, levels, light, text) -> None:
     status = [DiagnosticStatus(name=n, level=bytes([k]), message="text") for n, k in zip("ab", levels, strict=False)]
-    driven.take("/diagnostics", DiagnosticArray(status=status), 53.0)
-    frame = driven.make_frame(53.1)
+    passenger.take("/diagnostics", DiagnosticArray(status=status), 53.0)
+    frame = passenger.make_frame(53.1)
     assert (frame["light"], frame["text"]) == (light, text)
-    silent = driven.make_frame(57.0)
+    silent = passenger.make_frame(57.0)
     assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
 
 
-def test_a_node_that_reports_rarely_is_silent_after_three_of_its_intervals(driven: PassengerFrames) -> None:
+def test_node_is_silent_after_three_of_its_report_intervals(passenger: PassengerFrames) -> None:
     report = DiagnosticArray(status=[DiagnosticStatus(name="lidar: heat", level=bytes([0]), message="fine")])
     for now in (30.0, 40.0, 50.0):
-        driven.take("/diagnostics", report, now)
-    assert (driven.make_frame(75.0)["light"], driven.make_frame(81.0)["light"]) == ("ok", "error")
+        passenger.take("/diagnostics", report, now)
+    assert (passenger.make_frame(75.0)["light"], passenger.make_frame(81.0)["light"]) == ("ok", "error")
 
 
-def test_a_message_of_unequal_lengths_is_left_out(driven: PassengerFrames) -> None:
-    driven.take("predictor/kinematic/prediction", Prediction(model="kinematic", step=0.05, x=[0.0, 1.0]), 53.0)
-    assert list(driven.make_frame(53.1)["paths"]) == ["linear"]
+def test_prediction_with_unequal_lengths_is_ignored(passenger: PassengerFrames) -> None:
+    passenger.take("predictor/kinematic/prediction", Prediction(model="kinematic", step=0.05, x=[0.0, 1.0]), 53.0)
+    assert list(passenger.make_frame(53.1)["paths"]) == ["linear"]
 
 
 @pytest.fixture
@@ -266,31 +265,31 @@ def server():
     running.stop()
 
 
-def get(server: PageServer, path: str, host: str = "127.0.0.1"):
-    request = urllib.request.Request(f"http://127.0.0.1:{server.port}{path}", headers={"Host": f"{host}:{server.port}"})
-    return urllib.request.urlopen(request, timeout=10)
+def request(server: PageServer, path: str, host: str = "127.0.0.1"):
+    message = urllib.request.Request(f"http://127.0.0.1:{server.port}{path}", headers={"Host": f"{host}:{server.port}"})
+    return urllib.request.urlopen(message, timeout=10)
 
 
-def test_the_page_is_small_and_loads_nothing_else(server: PageServer) -> None:
-    with get(server, "/") as answer:
+def test_page_is_small_and_loads_no_external_content(server: PageServer) -> None:
+    with request(server, "/") as answer:
         page, headers = answer.read().decode(), answer.headers
     assert len(page) < 200_000 and "default-src 'none'" in headers["Content-Security-Policy"]
     assert "</script>:" not in page and page.count("<script>") == page.count("</script>") == 1
     assert "http" not in PAGE.read_text().replace('<html lang="en">', "")
     with pytest.raises(urllib.error.HTTPError, match="404"):
-        get(server, "/etc/passwd")
+        request(server, "/etc/passwd")
     with pytest.raises(urllib.error.HTTPError, match="403"):
-        get(server, "/", host="elsewhere.example")
+        request(server, "/", host="elsewhere.example")
 
 
-def test_a_slow_client_gets_the_newest_frame_and_the_clock_is_that_of_the_frames(server: PageServer) -> None:
-    with get(server, "/frames") as stream:
+def test_slow_client_receives_the_newest_frame(server: PageServer) -> None:
+    with request(server, "/frames") as stream:
         while not server.clients:
             time.sleep(0.01)
         server.publish({"number": 1})
         assert stream.readline() == b'data: {"number":1}\n'
         assert stream.readline() == b"\n"
-        with get(server, "/clock") as answer:
+        with request(server, "/clock") as answer:
             assert abs(json.load(answer) - time.monotonic()) < 5.0
     number = server.wait_for_frame(0)[1]
     server.publish({"number": 2})

@@ -1,23 +1,23 @@
-"""The virtual Leaf and the nodes may use different vehicle files."""
+"""Different vehicle files of the virtual Leaf and the nodes."""
 
 import pytest
 from st_live.configuration import VirtualCar
 from st_live.suite import SuiteError
-from support import ROOT
+from support import LEAF
 
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 OPTIONS = ["--duration", "6"]
 
 
-def test_nodes_take_their_file_and_the_car_another(tmp_path):
-    believed = tmp_path / "believed.yaml"
-    believed.write_text(LEAF.read_text().replace("value: 17.3", "value: 18.7"))
-    parameters = VirtualCar(believed, OPTIONS, LEAF).make_bridge_parameters()
-    assert {values["vehicle_file"] for values in parameters.values() if "vehicle_file" in values} == {str(believed)}
+def test_nodes_use_their_own_vehicle_file(tmp_path):
+    file_of_nodes = tmp_path / "nodes.yaml"
+    file_of_nodes.write_text(LEAF.read_text().replace("value: 17.3", "value: 18.7"))
+    parameters = VirtualCar(file_of_nodes, OPTIONS, LEAF).make_bridge_parameters()
+    files = {values["vehicle_file"] for values in parameters.values() if "vehicle_file" in values}
+    assert files == {str(file_of_nodes)}
 
 
-def test_a_broken_file_of_the_car_is_refused_by_name(tmp_path):
-    broken = tmp_path / "broken.yaml"
-    broken.write_text("name: nothing else")
-    with pytest.raises(SuiteError, match=r"broken\.yaml"):
-        VirtualCar(LEAF, OPTIONS, broken)
+def test_invalid_vehicle_file_of_the_virtual_car_is_refused_with_its_name(tmp_path):
+    invalid = tmp_path / "invalid.yaml"
+    invalid.write_text("name: nothing else")
+    with pytest.raises(SuiteError, match=r"invalid\.yaml"):
+        VirtualCar(LEAF, OPTIONS, invalid)

@@ -1,4 +1,4 @@
-"""Checks of one parameter; the whole of `declare` is tested by the nodes that refuse to start."""
+"""Checks of a single parameter; nodes that refuse to start test `declare` as a whole."""
 
 import math
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
     (1.0, 2, 2.0), (1.0, 2.5, 2.5), (1, 3, 3), (True, False, False), ("a", "b", "b"),
     ([], None, []), ([], ["x"], ["x"]), (["a"], ["b", "c"], ["b", "c"]), ([0.0], [1.0, 2.0], [1.0, 2.0]),
 ])
-def test_value_in_the_declared_type(default, given, expected) -> None:
+def test_value_is_converted_to_the_declared_type(default, given, expected) -> None:
     value = Parameter("p", default, "").check(given)
     assert value == expected
     assert type(value) is type(expected)
@@ -29,7 +29,7 @@ def test_wrong_type_is_refused(default, given) -> None:
         Parameter("p", default, "").check(given)
 
 
-def test_range_is_inclusive_and_named_with_its_unit() -> None:
+def test_range_is_inclusive_and_reported_with_its_unit() -> None:
     parameter = Parameter("p", 1.0, "", "m/s", 0.5, 2.0)
     assert [parameter.check(v) for v in (0.5, 2.0)] == [0.5, 2.0]
     for value in (0.499, 2.001, math.inf, math.nan):
@@ -37,14 +37,14 @@ def test_range_is_inclusive_and_named_with_its_unit() -> None:
             parameter.check(value)
 
 
-def test_nan_stands_for_not_given_where_it_is_the_default() -> None:
+def test_nan_default_means_not_set() -> None:
     parameter = Parameter("p", math.nan, "", "1", 1.0, 60.0)
     assert math.isnan(parameter.check(math.nan))
     with pytest.raises(ConfigurationError, match="outside 1 to 60"):
         parameter.check(0.0)
 
 
-def test_choices() -> None:
+def test_value_outside_the_choices_is_refused() -> None:
     parameter = Parameter("p", "a", "", choices=("a", "b"))
     assert parameter.check("b") == "b"
     with pytest.raises(ConfigurationError, match="one of a, b"):

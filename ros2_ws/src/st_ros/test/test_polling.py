@@ -1,4 +1,4 @@
-"""Polled subscriptions: messages in order, and a wait that ends with the first message or with its time."""
+"""Polled subscriptions: messages in order, and a wait that ends with the first message or at its timeout."""
 
 import threading
 
@@ -24,7 +24,7 @@ def node():
     rclpy.try_shutdown(context=context)
 
 
-def test_a_wait_ends_with_a_message(node) -> None:
+def test_wait_ends_with_a_message(node) -> None:
     subscriptions = [PolledSubscription(node, Float64, name, 10) for name in ("a", "b")]
     publisher = node.create_publisher(Float64, "b", 10)
     wait_for(publisher.get_subscription_count, what="the subscription is matched")
@@ -35,7 +35,7 @@ def test_a_wait_ends_with_a_message(node) -> None:
     timer.join()
 
 
-def test_what_waits_already_ends_it_at_once_and_nothing_at_its_time(node) -> None:
+def test_wait_ends_immediately_with_pending_messages_or_at_its_timeout(node) -> None:
     subscription = PolledSubscription(node, Float64, "a", 10)
     publisher = node.create_publisher(Float64, "a", 10)
     wait_for(publisher.get_subscription_count, what="the subscription is matched")

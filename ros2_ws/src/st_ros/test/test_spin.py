@@ -1,4 +1,4 @@
-"""A node's life from start to signal, and subscriptions that are emptied by hand."""
+"""A node from its start to its end by a signal, and polled subscriptions."""
 
 import signal
 import sys
@@ -39,15 +39,15 @@ TALKER = """
                 self.publisher.publish(Int64(data=self.number))
                 self.number += 1
                 if self.number == 500:
-                    print("said all", flush=True)
+                    print("published", flush=True)
 
         def close(self):
-            if "much" in sys.argv:
-                words = self.create_publisher(String, "words", QoSProfile(depth=1000))
-                while not words.get_subscription_count():
+            if "texts" in sys.argv:
+                texts = self.create_publisher(String, "texts", QoSProfile(depth=1000))
+                while not texts.get_subscription_count():
                     time.sleep(0.01)
                 for _ in range(600):
-                    words.publish(String(data=4000 * "x"))
+                    texts.publish(String(data=4000 * "x"))
             self.publisher.publish(Int64(data=-1))
             print("closed", flush=True)
 
@@ -67,23 +67,25 @@ LISTENER = """
             super().__init__("listener")
             raw = "raw" in sys.argv
             self.subscription = PolledSubscription(self, Int64, "numbers", QoSProfile(depth=1000), raw=raw)
-            self.heard, self.finished = [], False
+            self.received, self.finished = [], False
             self.create_timer(0.2, self.drain)
             print("up", flush=True)
 
+        def read(self, message):
+            return (deserialize_message(message, Int64) if isinstance(message, bytes) else message).data
+
         def drain(self):
             for message, received_ns, sent_ns in self.subscription.take(7):
-                # Both are UTC in ns; what UDP lost is sent again up to 3 s later.
+                # Both times are UTC [ns]; messages lost by UDP are retransmitted up to 3 s later.
                 assert 0 <= received_ns - sent_ns < 60 * 10**9
-                self.heard.append((deserialize_message(message, Int64) if isinstance(message, bytes) else message).data)
-            if len(self.heard) >= 20:
-                while self.heard[-1] != -1:
-                    self.heard += [(deserialize_message(m, Int64) if isinstance(m, bytes) else m).data
-                                   for m, _, _ in self.subscription.take()]
+                self.received.append(self.read(message))
+            if len(self.received) >= 20:
+                while self.received[-1] != -1:
+                    self.received += [self.read(message) for message, _, _ in self.subscription.take()]
                 self.finished = True
 
         def close(self):
-            print(self.subscription.topic, self.heard == [*range(500), -1], flush=True)
+            print(self.subscription.topic, self.received == [*range(500), -1], flush=True)
 
     sys.exit(spin.run(Listener))
 """
@@ -99,10 +101,10 @@ COUNTER = """
         def __init__(self):
             super().__init__("counter")
             self.count = 0
-            self.create_subscription(String, "words", self.hear, QoSProfile(depth=1000))
+            self.create_subscription(String, "texts", self.receive, QoSProfile(depth=1000))
             print("up", flush=True)
 
-        def hear(self, message):
+        def receive(self, message):
             self.count += 1
             if self.count == 600:
                 print("all", flush=True)
@@ -114,7 +116,7 @@ COUNTER = """
 """
 
 
-def script(processes: Processes, text: str, name: str, *arguments: str):
+def start_script(processes: Processes, text: str, name: str, *arguments: str):
     file = processes.folder / f"{name}.py"
     file.write_text(textwrap.dedent(text))
     return processes.start([sys.executable, str(file), *arguments], name)
@@ -128,19 +130,19 @@ def processes(tmp_path: Path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("argument", "status"), [("well", 0), ("fail", 3)])
-def test_signal_closes_the_node_and_gives_its_status(
+@pytest.mark.parametrize(("argument", "status"), [("succeed", 0), ("fail", 3)])
+def test_signal_closes_the_node_and_returns_its_exit_status(
     processes: Processes, number: int, argument: str, status: int
 ) -> None:
-    node = script(processes, TALKER, "talker", argument)
+    node = start_script(processes, TALKER, "talker", argument)
     wait_for(lambda: "up" in processes.log("talker"), what="talker up")
     assert processes.stop(node, number) == status
     assert processes.log("talker").split() == ["up", "closed"]
 
 
-def test_signals_to_the_very_end_do_not_spoil_the_status(processes: Processes) -> None:
-    """As `ros2 launch` does on Ctrl-C: the terminal's signal, then its own, while the node is on its way out."""
-    node = script(processes, TALKER, "talker", "well")
+def test_repeated_signals_do_not_change_the_exit_status(processes: Processes) -> None:
+    """As from `ros2 launch` on Ctrl-C: the signal of the terminal, then its own, while the node terminates."""
+    node = start_script(processes, TALKER, "talker", "succeed")
     wait_for(lambda: "up" in processes.log("talker"), what="talker up")
     while node.poll() is None:
         node.send_signal(signal.SIGINT)
@@ -149,40 +151,41 @@ def test_signals_to_the_very_end_do_not_spoil_the_status(processes: Processes) -
     assert processes.log("talker").split() == ["up", "closed"]
 
 
-def test_refused_start_is_one_line_and_status_two(processes: Processes) -> None:
-    node = script(processes, TALKER, "talker", "refuse")
+def test_refused_start_is_one_line_with_exit_status_2(processes: Processes) -> None:
+    node = start_script(processes, TALKER, "talker", "refuse")
     assert node.wait(30) == 2
     assert processes.log("talker") == "talker.number: 5 is too much\n"
 
 
-def test_parameter_file_that_does_not_parse_is_status_two(processes: Processes) -> None:
-    (processes.folder / "broken.yaml").write_text("talker:\n  ros__parameters:\n    a: [1, x\n")
-    node = script(processes, TALKER, "talker", "--ros-args", "--params-file", str(processes.folder / "broken.yaml"))
+def test_invalid_parameter_file_is_refused_with_exit_status_2(processes: Processes) -> None:
+    file = processes.folder / "invalid.yaml"
+    file.write_text("talker:\n  ros__parameters:\n    a: [1, x\n")
+    node = start_script(processes, TALKER, "talker", "--ros-args", "--params-file", str(file))
     assert node.wait(30) == 2
     assert "Traceback" not in processes.log("talker")
     assert "cannot start" in processes.log("talker")
-    assert "broken.yaml" in processes.log("talker")
+    assert "invalid.yaml" in processes.log("talker")
 
 
 @pytest.mark.parametrize("kind", ["message", "raw"])
-def test_polled_subscription_hears_all_in_order_up_to_the_last_word(processes: Processes, kind: str) -> None:
+def test_polled_subscription_receives_all_messages_in_order_up_to_the_last(processes: Processes, kind: str) -> None:
     """The last message is published by close(), after the signal."""
-    listener = script(processes, LISTENER, "listener", kind)
+    listener = start_script(processes, LISTENER, "listener", kind)
     wait_for(lambda: "up" in processes.log("listener"), what="listener up")
-    talker = script(processes, TALKER, "talker")
-    wait_for(lambda: "said all" in processes.log("talker"), what="talker done")
+    talker = start_script(processes, TALKER, "talker")
+    wait_for(lambda: "published" in processes.log("talker"), what="talker done")
     assert processes.stop(talker) == 0
     assert listener.wait(20) == 0
     assert processes.log("listener").split() == ["up", "/numbers", "True"]
 
 
-def test_what_a_node_says_at_its_end_arrives_however_much_it_is(processes: Processes) -> None:
-    """Ten times what a socket holds: some of it is lost on the way and sent again."""
-    counter = script(processes, COUNTER, "counter")
+def test_all_messages_published_at_the_end_arrive(processes: Processes) -> None:
+    """Ten times the buffer of a socket: some messages are lost and retransmitted."""
+    counter = start_script(processes, COUNTER, "counter")
     wait_for(lambda: "up" in processes.log("counter"), what="counter up")
-    talker = script(processes, TALKER, "talker", "much")
+    talker = start_script(processes, TALKER, "talker", "texts")
     wait_for(lambda: "up" in processes.log("talker"), what="talker up")
     assert processes.stop(talker) == 0
-    wait_for(lambda: "all" in processes.log("counter"), what="all words")
+    wait_for(lambda: "all" in processes.log("counter"), what="all texts")
     assert processes.stop(counter) == 0
     assert processes.log("counter").split() == ["up", "all", "600"]
