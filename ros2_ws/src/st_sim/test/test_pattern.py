@@ -1,10 +1,11 @@
-"""The paper's models have the same errors on the realistic virtual car as on the real one: Table 2, same protocol.
+"""The models of the paper have the same errors on the realistic virtual car as on the real car (Table 2).
 
-The models are implemented here again, as numpy batches from the paper, so that neither the plant nor the models of the
-suite are tested against themselves.
+An independent numpy implementation of the models ensures that neither the plant nor the models of the suite are tested
+against themselves.
 """
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from st_sim.car import GRAVITY, read_car
 from st_sim.scenarios import load_plan
 from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
-from support import ROOT
+from support import LEAF
 
-CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
-RATE, STEP, STEPS = 100, 0.05, 100
+CAR = read_car(LEAF)
+RATE, STEP, STEPS = 100, 0.05, 100  # Hz, s, steps of the horizon
 
 
 def drive(name, seconds):
@@ -39,6 +40,7 @@ def magic_formula(alpha, load_n, t):
 
 
 def derivative(model, s, steer, vx_dot):
+    """Time derivative of s = (x, y, v_x, v_y, yaw, yaw rate) at the CG; steer: road wheel angle [rad]."""
     _, _, vx, vy, psi, r = s
     wheelbase, l0, l1 = CAR.wheelbase, CAR.cg_to_front_axle, CAR.cg_to_rear_axle
     zero = np.zeros_like(vx)
@@ -72,7 +74,7 @@ def filtered_derivative(speed):
 
 
 def horizon_means(rows, model):
-    """Per start the mean over the horizon of the longitudinal and lateral error at the INS, measured inputs [m]."""
+    """Longitudinal and lateral error at the INS with measured inputs, averaged over the horizon of each start [m]."""
     grid = np.arange(len(rows))
     starts = grid[: -STEPS * 5 : RATE // 10]
     vx_dot = filtered_derivative(rows[:, 2])
@@ -96,7 +98,8 @@ def horizon_means(rows, model):
     return np.mean(along, axis=0), np.mean(across, axis=0)
 
 
-def table(name, seconds):
+@cache
+def compute_errors(name, seconds):
     rows = drive(name, seconds)
     return {model: horizon_means(rows, model) for model in ("kinematic", "linear", "nonlinear")}
 
@@ -106,8 +109,8 @@ def table(name, seconds):
     [("S3", {"kinematic": (0.85, 1.20), "linear": (-0.21, -0.30), "nonlinear": (-0.25, -0.33)}),
      ("S4", {"kinematic": (2.49, 2.88), "linear": (-0.45, -0.46), "nonlinear": (-0.77, -0.67)})],
 )
-def test_mean_errors_in_the_circles_are_those_of_the_paper(name, paper):
-    for model, (along, across) in table(name, 12).items():
+def test_mean_errors_in_circles_equal_those_of_the_paper(name, paper):
+    for model, (along, across) in compute_errors(name, 12).items():
         assert along.mean() == pytest.approx(paper[model][0], abs=0.08), model
         assert across.mean() == pytest.approx(paper[model][1], abs=0.08), model
 
@@ -117,8 +120,8 @@ def rmse(values):
 
 
 @pytest.mark.parametrize("name", ["S3", "S4", "S7"])
-def test_kinematic_is_worse_by_the_papers_factor(name):
-    errors = table(name, 55 if name == "S7" else 12)
+def test_kinematic_error_exceeds_the_linear_one_by_the_factor_of_the_paper(name):
+    errors = compute_errors(name, 55 if name == "S7" else 12)
     lateral = {model: rmse(across) for model, (_, across) in errors.items()}
     assert 2.0 < lateral["kinematic"] / lateral["linear"] < 7.0
     if name == "S4":

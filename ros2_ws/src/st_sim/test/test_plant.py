@@ -1,4 +1,4 @@
-"""The plant: balance of forces and energy, symmetry, steady states, step size, standstill."""
+"""The plant: force and energy balance, symmetry, steady states, step size, standstill."""
 
 import math
 
@@ -7,14 +7,14 @@ import pytest
 from st_sim.car import GRAVITY, read_car
 from st_sim.plant import STEP, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
 from st_sim.settings import resolve_settings
-from support import ROOT
+from support import LEAF
 
-CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+CAR = read_car(LEAF)
 RATIO = CAR.steering_ratio
 
 
-def driven(settings, steering_wheel, force, seconds, speed=8.0, step=STEP):
-    """Plant after `seconds`; hand and force are functions of time and plant, applied in steps of STEP."""
+def simulate(settings, steering_wheel, force, seconds, speed=8.0, step=STEP):
+    """Plant after `seconds`. steering_wheel(time) [rad] and force(time, plant) [N] are constant within each STEP."""
     plant = Plant(CAR, settings, step=step)
     plant.place(0.0, 0.0, 0.0, speed)
     per_input = round(STEP / step)
@@ -25,19 +25,19 @@ def driven(settings, steering_wheel, force, seconds, speed=8.0, step=STEP):
     return plant
 
 
-def wiggle(time):
+def two_sines(time):
     return 1.5 * math.sin(2 * math.pi * 0.4 * time) + 0.8 * math.sin(2 * math.pi * 1.3 * time)
 
 
-def keep(speed):
+def hold_speed(speed):
     return lambda time, plant: 3000.0 * (speed - plant.state[VX])
 
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
-def test_left_and_right_are_mirror_images(plant):
+def test_left_and_right_turns_are_mirror_images(plant):
     settings = resolve_settings(plant)
-    left = driven(settings, wiggle, keep(8.0), 6.0)
-    right = driven(settings, lambda t: -wiggle(t), keep(8.0), 6.0)
+    left = simulate(settings, two_sines, hold_speed(8.0), 6.0)
+    right = simulate(settings, lambda t: -two_sines(t), hold_speed(8.0), 6.0)
     mirror = np.ones(16)
     for i in (Y, YAW, VY, YAW_RATE):
         mirror[i] = -1
@@ -47,24 +47,24 @@ def test_left_and_right_are_mirror_images(plant):
 
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
-def test_half_the_step_gives_the_same_drive(plant):
+def test_drive_is_independent_of_the_step(plant):
     settings = resolve_settings(plant)
-    whole = driven(settings, wiggle, keep(8.0), 10.0)
-    half = driven(settings, wiggle, keep(8.0), 10.0, step=STEP / 2)
+    whole = simulate(settings, two_sines, hold_speed(8.0), 10.0)
+    half = simulate(settings, two_sines, hold_speed(8.0), 10.0, step=STEP / 2)
     assert math.dist(whole.state[:2], half.state[:2]) < 1e-3
     assert whole.state[YAW] == pytest.approx(half.state[YAW], abs=1e-4)
 
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
-def test_forces_add_up_to_the_motion(plant):
+def test_forces_equal_mass_times_acceleration(plant):
     settings = resolve_settings(plant, ["drag_area=0", "rolling_resistance=0"])
-    car = driven(settings, lambda t: 3.0, keep(8.0), 3.0)
+    car = simulate(settings, lambda t: 3.0, hold_speed(8.0), 3.0)
     before, force = car.state, 900.0
     forces = car.observe(force)
     assert sum(forces.load) == pytest.approx(car.mass * GRAVITY, rel=1e-9)
     car.step(3.0, force)
     change = (np.array(car.state) - np.array(before)) / STEP
-    # Acceleration over ground in body axes from the states, against what the sensors are given.
+    # Acceleration over ground in body axes from the states, compared with the input of the sensors.
     assert change[VX] - before[YAW_RATE] * before[VY] == pytest.approx(forces.acceleration_x, abs=0.02)
     assert change[VY] + before[YAW_RATE] * before[VX] == pytest.approx(forces.acceleration_y, abs=0.02)
     assert change[YAW_RATE] == pytest.approx(forces.yaw_acceleration, abs=0.02)
@@ -72,28 +72,28 @@ def test_forces_add_up_to_the_motion(plant):
 
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
-def test_without_drive_the_energy_only_falls(plant):
+def test_kinetic_energy_decreases_without_drive_force(plant):
     car = Plant(CAR, resolve_settings(plant))
     car.place(0.0, 0.0, 0.0, 15.0)
     energies = []
     for i in range(3000):
         s = car.state
         energies.append(0.5 * car.mass * (s[VX] ** 2 + s[VY] ** 2) + 0.5 * car.yaw_inertia * s[YAW_RATE] ** 2)
-        car.step(wiggle(i * STEP), 0.0)
-    fall = -np.diff(energies)
-    # A relaxing tyre is a spring and may give a little back when the steering turns round: at most 0.01 % of a stroke.
-    assert fall.min() > -1e-4 * energies[0] * STEP * 50
+        car.step(two_sines(i * STEP), 0.0)
+    loss = -np.diff(energies)
+    # A tyre with relaxation stores energy and may return at most 0.01 % of the total when the steering reverses.
+    assert loss.min() > -1e-4 * energies[0] * STEP * 50
     assert energies[-1] < 0.97 * energies[0]
 
 
-def test_drive_power_is_what_the_speed_gains_on_a_straight():
-    car = driven(resolve_settings("ideal"), lambda t: 0.0, lambda t, p: 1590.0, 4.0, speed=5.0)
+def test_drive_force_accelerates_the_car_on_a_straight():
+    car = simulate(resolve_settings("ideal"), lambda t: 0.0, lambda t, p: 1590.0, 4.0, speed=5.0)
     assert car.state[VX] == pytest.approx(5.0 + 4.0, rel=1e-3)
     assert car.state[Y] == 0.0
 
 
 def steady_circle(plant, road_wheel_angle, speed):
-    """(v_y, yaw rate, lateral acceleration) the plant settles to at v_x = speed."""
+    """Steady-state v_y [m/s], yaw rate [rad/s] and lateral acceleration [m/s^2] at v_x = speed."""
     integral = 0.0
     plant.place(0.0, 0.0, 0.0, speed, math.tan(road_wheel_angle) / CAR.wheelbase)
     for _ in range(6000):
@@ -105,9 +105,9 @@ def steady_circle(plant, road_wheel_angle, speed):
 
 @pytest.mark.parametrize(
     ("speed", "road_wheel_deg", "nonlinear_yaw_rate", "nonlinear_v_y"),
-    # Steady state of the paper's nonlinear single-track model for S3 and S4 as paper_notes.md derives them from the
-    # error table (root of the paper's equations). The plant turns up to 4 % more: its driven front wheels pull into
-    # the bend, which the model, whose input is the acceleration, leaves out.
+    # Steady state of the nonlinear single-track model of the paper for S3 and S4, which paper_notes.md derives from the
+    # error table. The yaw rate of the plant is up to 4 % higher: the drive force of its steered front wheels has a
+    # lateral component, which the model, whose input is the acceleration, neglects.
     [(6.59, 14.20, 0.5506, 0.6710), (8.56, 15.21, 0.7050, 0.6472)],
 )
 def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
@@ -119,30 +119,30 @@ def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])
 @pytest.mark.parametrize("effects", [[], ["grade_angle=0.08"], ["bank_angle=0.05"]])
-def test_braked_to_rest_it_stays_there(plant, effects):
-    car = driven(resolve_settings(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
-    place = car.state[:4]
+def test_car_braked_to_rest_remains_at_rest(plant, effects):
+    car = simulate(resolve_settings(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
+    pose = car.state[:4]
     assert car.parked and car.state[VX] == car.state[VY] == car.state[YAW_RATE] == 0.0
     for _ in range(500):
         car.step(2.0, -3000.0)
-    assert car.state[:4] == place
+    assert car.state[:4] == pose
     assert car.observe(-3000.0).acceleration_x == 0.0
 
 
-def test_pulls_away_again():
-    car = driven(resolve_settings("realistic"), lambda t: 2.0, lambda t, p: -3000.0 if t < 4 else 1500.0, 8.0,
+def test_car_accelerates_from_rest():
+    car = simulate(resolve_settings("realistic"), lambda t: 2.0, lambda t, p: -3000.0 if t < 4 else 1500.0, 8.0,
                  speed=4.0)
     assert car.state[VX] > 2.0
 
 
-def test_climbs_by_the_grade():
-    car = driven(resolve_settings("ideal", ["grade_angle=0.05"]), lambda t: 0.0, keep(10.0), 5.0, speed=10.0)
+def test_height_increases_by_the_grade():
+    car = simulate(resolve_settings("ideal", ["grade_angle=0.05"]), lambda t: 0.0, hold_speed(10.0), 5.0, speed=10.0)
     assert car.state[Z] / car.state[X] == pytest.approx(math.tan(0.05), rel=1e-6)
 
 
 @pytest.mark.parametrize("effects", [[], ["friction_factor=0.2"], ["relaxation_length=2.0"], ["mass_factor=2"]])
-def test_finite_through_a_spin(effects):
-    car = driven(resolve_settings("realistic", effects), lambda t: 9.0, lambda t, p: 4000.0 * math.sin(3 * t), 12.0,
+def test_state_remains_finite_in_a_spin(effects):
+    car = simulate(resolve_settings("realistic", effects), lambda t: 9.0, lambda t, p: 4000.0 * math.sin(3 * t), 12.0,
                  speed=18.0)
     assert all(map(math.isfinite, car.state))
     assert abs(car.state[VX]) < 40.0

@@ -1,4 +1,4 @@
-"""A recorded drive as source: sent as recorded."""
+"""A recorded drive as the source of the simulated sensors."""
 
 import math
 
@@ -15,20 +15,20 @@ from support import EXAMPLES, ROOT
 
 GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
 CAR = read_car(GENESIS)
-HEAD = ",".join(COLUMNS)
+HEADER = ",".join(COLUMNS)
 
 
-def written(tmp_path, rows):
+def write_rows(tmp_path, rows):
     file = tmp_path / "drive.csv"
-    file.write_text(HEAD + "\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    file.write_text(HEADER + "\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
     return file
 
 
-def test_straight_lines_between_rows(tmp_path):
+def test_values_are_interpolated_linearly(tmp_path):
     # Yaw passes from just below pi to just above -pi between the rows.
     a = [5.0, 0.0, 0.0, 3.1, 8.0, 0.1, 0.4, 0.2, 3.0, 0.05]
     b = [5.1, -0.8, 0.1, -3.1, 9.0, 0.3, 0.6, 0.4, 5.0, 0.07]
-    drive = RecordedDrive(written(tmp_path, [a, b]), CAR)
+    drive = RecordedDrive(write_rows(tmp_path, [a, b]), CAR)
     assert drive.duration == pytest.approx(0.1)
     drive.advance(0.025)
     t = drive.make_truth()
@@ -42,7 +42,7 @@ def test_straight_lines_between_rows(tmp_path):
     assert drive.make_truth().velocity_x == pytest.approx(9.0)
 
 
-def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
+def test_real_drive_is_encoded_as_recorded(tmp_path):
     file = EXAMPLES / "rfs_turn_a.csv"
     arguments = ["--drive", str(file), "--vehicle", str(GENESIS), "--to-files", str(tmp_path), "--ncom-rate", "250"]
     assert run.main(arguments) == 0
@@ -51,11 +51,11 @@ def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
     time = np.array([(r.utc_ns - received[0].utc_ns) / 1e9 for r in received])
     assert time[-1] == pytest.approx(table["t"][-1], abs=0.005) and np.diff(time) == pytest.approx(0.004)
     frame = LocalFrame(math.radians(51.448), math.radians(5.49), 65.0)
-    place = np.array(
+    position = np.array(
         [frame.to_enu(r.packet.latitude, r.packet.longitude, r.packet.altitude + UNDULATION) for r in received]
     )
     for i, name in enumerate(("x", "y")):
-        assert place[:, i] == pytest.approx(np.interp(time, table["t"], table[name]), abs=2e-5)
+        assert position[:, i] == pytest.approx(np.interp(time, table["t"], table[name]), abs=2e-5)
     yaw = np.unwrap([math.pi / 2 - r.packet.heading for r in received])
     yaw += 2 * math.pi * round((table["yaw"][0] - yaw[0]) / 2 / math.pi)
     assert yaw == pytest.approx(np.interp(time, table["t"], table["yaw"]), abs=1e-6)
@@ -66,23 +66,23 @@ def test_a_real_drive_comes_out_of_the_wire_as_recorded(tmp_path):
     assert rates == pytest.approx(np.interp(time, table["t"], table["yaw_rate"]), abs=1e-5)
 
 
-GOOD = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
+VALID_ROWS = "0,0,0,0,5,0,0,0,0,0\n0.02,0.1,0,0,5,0,0,0,0,0\n"
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("t,x,y\n0,0,0\n", "column yaw is missing"),
-        (f"{HEAD}\n{GOOD}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
-        (f"{HEAD}\n{GOOD}0.04,0,0\n", "line 4"),
-        (f"{HEAD}\n{GOOD}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: a value is not finite"),
-        (f"{HEAD}\n{GOOD}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not increase"),
-        (f"{HEAD}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),
+        (f"{HEADER}\n{VALID_ROWS}0.04,a,0,0,5,0,0,0,0,0\n", "line 4"),
+        (f"{HEADER}\n{VALID_ROWS}0.04,0,0\n", "line 4"),
+        (f"{HEADER}\n{VALID_ROWS}0.04,nan,0,0,5,0,0,0,0,0\n", "line 4: a value is not finite"),
+        (f"{HEADER}\n{VALID_ROWS}0.01,0,0,0,5,0,0,0,0,0\n", "line 4: t does not increase"),
+        (f"{HEADER}\n0,0,0,0,5,0,0,0,0,0\n", "has 1 rows"),
         ("", "column t is missing"),
         ("\udcff\udcfe", "not a CSV file"),
     ],
 )
-def test_bad_drive_is_named(tmp_path, text, message):
+def test_invalid_drive_is_refused_with_its_name(tmp_path, text, message):
     file = tmp_path / "drive.csv"
     file.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(SimulationError, match=r"^[^\n]*drive\.csv[^\n]*$") as caught:

@@ -1,4 +1,4 @@
-"""The command: files, sockets, signals, bad arguments."""
+"""The program virtual_leaf: files, sockets, signals, wrong arguments."""
 
 import json
 import math
@@ -17,18 +17,17 @@ from canedge_bridge.transport import open_bus
 from mcap.reader import make_reader
 from oxts_bridge.stream import NcomParser
 from st_sim import run
-from support import ROOT
+from support import LEAF, ROOT
 
-LEAF = ROOT / "config/vehicle/leaf.yaml"
 DBC, SIGNALS = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
 
 
-def files(folder, *arguments):
+def write_files(folder, *arguments):
     assert run.main(["--vehicle", str(LEAF), "--to-files", str(folder), "--duration", "3", *arguments]) == 0
     return {f.name: f.read_bytes() for f in folder.iterdir()}
 
 
-def truth_of(folder):
+def read_truth(folder):
     with (folder / "truth.mcap").open("rb") as stream:
         reader = make_reader(stream)
         messages = [(m.log_time, json.loads(m.data)) for _, _, m in reader.iter_messages(topics=["/truth"])]
@@ -37,23 +36,23 @@ def truth_of(folder):
 
 
 @pytest.mark.parametrize("can_format", ["log", "mf4"])
-def test_files_are_the_same_for_the_same_seed(tmp_path, can_format):
+def test_files_are_identical_for_equal_seeds(tmp_path, can_format):
     name = f"run.{can_format}"
-    first = files(tmp_path / "a", "--can-format", can_format, "--seed", "5")
+    first = write_files(tmp_path / "a", "--can-format", can_format, "--seed", "5")
     assert set(first) == {"run.ncom", "truth.mcap", name}
-    # In another process, later: independent of the clock and of this process.
+    # A later run in another process: files depend neither on the clock nor on the process.
     command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path / "b"),
                "--duration", "3", "--can-format", can_format, "--seed", "5"]
     subprocess.run(command, check=True, capture_output=True)
     assert first == {f.name: f.read_bytes() for f in (tmp_path / "b").iterdir()}
-    other = files(tmp_path / "c", "--can-format", can_format, "--seed", "6")
+    other = write_files(tmp_path / "c", "--can-format", can_format, "--seed", "6")
     assert all(first[f] != other[f] for f in first)
 
 
-def test_mf4_holds_the_frames_of_the_log(tmp_path):
+def test_mf4_contains_the_frames_of_the_log(tmp_path):
     asammdf = pytest.importorskip("asammdf")
-    files(tmp_path, "--can-format", "log")
-    files(tmp_path, "--can-format", "mf4")
+    write_files(tmp_path, "--can-format", "log")
+    write_files(tmp_path, "--can-format", "mf4")
     lines = (tmp_path / "run.log").read_text().splitlines()
     logged = {channel: [] for channel in ("can0", "can1")}
     for line in lines:
@@ -77,7 +76,7 @@ def test_mf4_holds_the_frames_of_the_log(tmp_path):
         assert payload == [d for _, _, d in logged[channel]]
         assert set(rows["CAN_DataFrame.BusChannel"]) == {group + 1}
     decoded = log.extract_bus_logging({"CAN": [(str(DBC), 0)]})
-    truth, _ = truth_of(tmp_path)
+    truth, _ = read_truth(tmp_path)
     wheel = decoded.get("SteeringWheelAngle")
     true = np.interp(
         wheel.timestamps - 0.004, [t["time"] for _, t in truth], [t["steering_wheel_angle"] for _, t in truth]
@@ -85,9 +84,9 @@ def test_mf4_holds_the_frames_of_the_log(tmp_path):
     assert wheel.samples == pytest.approx(np.degrees(true) - 2.7, abs=0.25)
 
 
-def test_truth_is_complete(tmp_path):
-    files(tmp_path, "--scenario", "S4", "--effect", "bank_angle=0.02", "wind_speed=4")
-    messages, metadata = truth_of(tmp_path)
+def test_truth_contains_states_forces_and_settings(tmp_path):
+    write_files(tmp_path, "--scenario", "S4", "--effect", "bank_angle=0.02", "wind_speed=4")
+    messages, metadata = read_truth(tmp_path)
     assert len(messages) == 300
     stamps = np.array([stamp for stamp, _ in messages])
     assert set(np.diff(stamps)) == {10_000_000} and stamps[0] == run.FILE_EPOCH_NS
@@ -101,18 +100,18 @@ def test_truth_is_complete(tmp_path):
     assert metadata["run"]["scenario"] == "S4" and metadata["run"]["seed"] == "0"
 
 
-def test_clock_of_the_logger(tmp_path):
+def test_logger_clock_has_offset_and_drift(tmp_path):
     def times(name, *effects):
-        files(tmp_path / name, *effects)
+        write_files(tmp_path / name, *effects)
         return [float(line[1:18]) for line in (tmp_path / name / "run.log").read_text().splitlines()]
 
-    plain = np.array(times("a"))
-    bent = np.array(times("b", "--effect", "logger_clock_offset=1.5", "--effect", "logger_clock_drift=1e-4"))
-    due = plain - run.FILE_EPOCH_NS / 1e9
-    assert bent - plain == pytest.approx(1.5 + 1e-4 * due, abs=2e-6)
+    ideal = np.array(times("a"))
+    drifting = np.array(times("b", "--effect", "logger_clock_offset=1.5", "--effect", "logger_clock_drift=1e-4"))
+    elapsed = ideal - run.FILE_EPOCH_NS / 1e9
+    assert drifting - ideal == pytest.approx(1.5 + 1e-4 * elapsed, abs=2e-6)
 
 
-class Live:
+class LiveRun:
     """A virtual_leaf process and receivers of its packets and frames."""
 
     def __init__(self, folder, *arguments):
@@ -122,7 +121,7 @@ class Live:
         port = self.udp.getsockname()[1]
         channel = f"239.74.{100 + port % 50}.{1 + port % 250}:{port}"
         self.bus = open_bus("udp_multicast", channel)
-        with socket.socket(fileno=os.dup(self.bus.fileno())) as receiver:  # holds all while this process waits its turn
+        with socket.socket(fileno=os.dup(self.bus.fileno())) as receiver:  # buffers all frames while this process waits
             receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--output", str(folder), "--ncom-port",
                    str(port), "--can-interface", "udp_multicast", "--can-channel", channel, *arguments]
@@ -148,8 +147,8 @@ class Live:
         return [json.loads(line) for line in out.splitlines()], err
 
 
-def test_live_on_real_sockets(tmp_path):
-    live = Live(tmp_path, "--duration", "2", "--ncom-rate", "250", "--can-rate", "full")
+def test_live_outputs_arrive_on_real_sockets(tmp_path):
+    live = LiveRun(tmp_path, "--duration", "2", "--ncom-rate", "250", "--can-rate", "full")
     live.listen(lambda: False)
     output, err = live.finish()
     assert live.process.returncode == 0 and err == ""
@@ -159,7 +158,7 @@ def test_live_on_real_sockets(tmp_path):
     assert len(received) == 500 == output[1]["ncom_packets"] and parser.counters.skipped_bytes == 0
     stamps = np.array([r.utc_ns for r in received])
     assert set(np.diff(stamps)) == {4_000_000} and stamps[0] == output[0]["start_ns"]
-    # The stamps are those of this host's clock, and nothing is sent before it was measured.
+    # Stamps are of the clock of this host; nothing is sent before its measurement.
     age = np.array([r.received_ns for r in received]) - stamps
     assert (age > 0).all()
     decoder = Decoder(DBC, SIGNALS)
@@ -167,24 +166,24 @@ def test_live_on_real_sockets(tmp_path):
     assert len(live.frames) == output[1]["can_frames"] == pytest.approx(2 * (1750 + 2000), rel=0.02)
     assert all(d.valid for d in decoded)
     assert len([d for d in decoded if d.message == "Leaf_Steering"]) == 200
-    messages, _ = truth_of(tmp_path)
+    messages, _ = read_truth(tmp_path)
     assert [m[0] for m in messages] == list(range(stamps[0], stamps[0] + 2_000_000_000, 10_000_000))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_closes_the_files(tmp_path, number):
-    live = Live(tmp_path, "--duration", "1000")
+    live = LiveRun(tmp_path, "--duration", "1000")
     live.listen(lambda: len(live.packets) > 60)
     live.process.send_signal(number)
     live.listen(lambda: False)
     output, err = live.finish()
     assert live.process.returncode == 0 and err == ""
     assert output[-1]["state"] == "done"
-    messages, metadata = truth_of(tmp_path)
+    messages, metadata = read_truth(tmp_path)
     assert len(messages) >= 60 and "settings" in metadata
 
 
-def test_signals_to_the_very_end_do_not_spoil_the_status(tmp_path):
+def test_repeated_signals_do_not_change_the_exit_status(tmp_path):
     options = ["--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration", "1"]
     command = [sys.executable, "-m", "st_sim.run", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -194,7 +193,7 @@ def test_signals_to_the_very_end_do_not_spoil_the_status(tmp_path):
     assert process.returncode == 0 and process.communicate()[1] == ""
 
 
-def test_signal_closes_the_files_of_file_mode(tmp_path):
+def test_signal_closes_the_files_in_file_mode(tmp_path):
     command = [sys.executable, "-m", "st_sim.run", "--vehicle", str(LEAF), "--to-files", str(tmp_path), "--duration",
                "9e5"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -204,22 +203,22 @@ def test_signal_closes_the_files_of_file_mode(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 0 and err == ""
-    messages, _ = truth_of(tmp_path)
+    messages, _ = read_truth(tmp_path)
     packets = NcomParser().feed((tmp_path / "run.ncom").read_bytes())
     assert len(packets) == pytest.approx(len(messages), abs=2) and len(packets) > 100
     assert (tmp_path / "run.log").read_text().endswith("\n")
 
 
-@pytest.mark.parametrize("given", [["--config", str(ROOT / "config")], []])
-def test_another_car_drives_on_the_bus_of_the_leaf(tmp_path, monkeypatch, given):
+@pytest.mark.parametrize("config", [["--config", str(ROOT / "config")], []])
+def test_other_car_uses_the_bus_of_the_leaf(tmp_path, monkeypatch, config):
     """The folder of another car has its own DBC, which the virtual car cannot send."""
     monkeypatch.delenv("ST_ENVIRONMENT", raising=False)
     monkeypatch.chdir(ROOT / "tests")
     (tmp_path / "vehicle.yaml").write_text(LEAF.read_text())
     (tmp_path / "can.dbc").write_text(DBC.read_text().replace("Leaf_Steering", "Mine"))
     (tmp_path / "signals.yaml").write_text(SIGNALS.read_text().replace("Leaf_Steering", "Mine"))
-    words = ["--vehicle", str(tmp_path / "vehicle.yaml"), "--to-files", str(tmp_path / "run"), "--duration", "1"]
-    assert run.main([*words, *given]) == 0
+    arguments = ["--vehicle", str(tmp_path / "vehicle.yaml"), "--to-files", str(tmp_path / "run"), "--duration", "1"]
+    assert run.main([*arguments, *config]) == 0
     assert (tmp_path / "run" / "run.log").stat().st_size > 10_000
 
 
@@ -263,31 +262,31 @@ def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeyp
         (["--wheels", "5"], "--wheels"),
     ],
 )
-def test_bad_argument_is_one_line(arguments, output, capsys):
+def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
     if arguments and "--vehicle" not in arguments:
         arguments = ["--vehicle", str(LEAF), *arguments]
     try:
         status = run.main(arguments)
-    except SystemExit as leaving:
-        status = leaving.code
+    except SystemExit as error:
+        status = error.code
     assert status == 2
     out, err = capsys.readouterr()
     assert out == "" and err.startswith("virtual_leaf: ") and err.count("\n") == 1
     assert output in err
 
 
-def test_full_disk_ends_the_truth_and_not_the_drive(tmp_path):
+def test_full_disk_ends_the_truth_file_but_not_the_drive(tmp_path):
     if not os.path.exists("/dev/full"):
         pytest.skip("this system has no /dev/full")
     (tmp_path / "truth.mcap").symlink_to("/dev/full")
-    live = Live(tmp_path, "--duration", "3")
+    live = LiveRun(tmp_path, "--duration", "3")
     live.listen(lambda: False)
     output, _ = live.finish()
     assert live.process.returncode == 0 and output[-1]["ncom_packets"] == 300
     assert "truth.mcap: No space left" in output[-1]["fault"]
 
 
-def test_lists(capsys):
+def test_list_shows_scenarios_and_effects(capsys):
     assert run.main(["--list"]) == 0
     out = capsys.readouterr().out
     assert "S7" in out and "steering_lag" in out

@@ -1,6 +1,7 @@
-"""Everything the car sends, decoded by the codecs of the bridges and compared with the truth."""
+"""NCOM packets and CAN frames of the virtual car, decoded by the bridges and compared with the truth."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,9 +18,9 @@ from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
 from st_sim.stream import Stream
-from support import ROOT
+from support import LEAF, ROOT
 
-CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+CAR = read_car(LEAF)
 START_NS = 1_756_900_832_000_000_000  # 10 s before a full minute of GPS, so that a drive crosses it
 ORIGIN = Origin(51.448, 5.49, 65.0)
 FRAME = LocalFrame(math.radians(51.448), math.radians(5.49), 65.0)
@@ -29,6 +30,7 @@ def codec():
     return Decoder(ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml")
 
 
+@cache
 def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0, **options):
     settings = resolve_settings(plant, effects)
     car = SimulatedCar(CAR, settings, load_plan(scenario), seed)
@@ -37,13 +39,13 @@ def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0,
     return list(stream.generate_outputs(seconds))
 
 
-def of(kind, made):
-    return [o for o in made if isinstance(o.payload, kind)]
+def select(kind, emitted):
+    return [o for o in emitted if isinstance(o.payload, kind)]
 
 
-def parsed(made):
+def parse(emitted):
     parser = NcomParser()
-    received = [r for o in of(bytes, made) for r in parser.feed(o.payload)]
+    received = [r for o in select(bytes, emitted) for r in parser.feed(o.payload)]
     return received, parser
 
 
@@ -58,8 +60,8 @@ def truths(seconds, scenario="S6", rate=100):
 
 @pytest.mark.parametrize("rate", [100, 250])
 def test_ncom_equals_the_truth_within_its_resolution(rate):
-    """S7 without noise: fast and slow, turns to both sides."""
-    received, parser = parsed(outputs(12, scenario="S7", rate=rate))
+    """S7 without noise: a wide range of speed, and turns to both sides."""
+    received, parser = parse(outputs(12, scenario="S7", rate=rate))
     expected = truths(12, "S7", rate)
     assert len(received) == len(expected) == 12 * rate
     assert parser.counters.skipped_bytes == parser.counters.inner_checksum_warnings == 0
@@ -81,9 +83,9 @@ def test_ncom_equals_the_truth_within_its_resolution(rate):
 
 def test_ncom_of_a_tilted_car():
     """Roll and pitch include body and road; heading and velocity are horizontal."""
-    made = outputs(3, ["bank_angle=0.05", "roll_gradient=0.0075"], scenario="S3")
-    received, _ = parsed(made)
-    truth = of(Truth, made)[200].payload
+    emitted = outputs(3, ("bank_angle=0.05", "roll_gradient=0.0075"), scenario="S3")
+    received, _ = parse(emitted)
+    truth = select(Truth, emitted)[200].payload
     packet = received[200].packet
     assert packet.roll == pytest.approx(truth.roll, abs=1e-6) and truth.roll > 0.06
     across, lift = -packet.acceleration[1], -packet.acceleration[2]
@@ -91,7 +93,7 @@ def test_ncom_of_a_tilted_car():
     assert level == pytest.approx(truth.acceleration_at(-0.398, 0.0)[1], abs=0.01)
 
 
-def test_status_channels_come_as_from_a_real_unit():
+def test_status_channels_have_the_schedule_of_a_real_unit():
     slots = make_schedule()
     places = {channel: [i for i in range(CYCLE_LENGTH) if slots[i] == channel] for channel in set(slots)}
     assert all(np.diff(places[1]) == 10) and np.diff(places[0]).max() <= 10
@@ -104,7 +106,7 @@ def test_status_channels_come_as_from_a_real_unit():
 
 
 def test_status_matches_the_drive():
-    received, _ = parsed(outputs(4))
+    received, _ = parse(outputs(12))
     fields = {}
     for r in received:
         fields.update(decode_channel(r.packet.channel, r.packet.batch_s))
@@ -118,8 +120,8 @@ def test_status_matches_the_drive():
     assert all(abs(fields[f"InnPos{a}"]) <= 0.5 for a in "XYZ")
 
 
-def test_lever_arm_of_the_antenna_is_known_after_every_status_channel():
-    received, _ = parsed(outputs(4))
+def test_antenna_lever_arm_is_constant_once_known():
+    received, _ = parse(outputs(12))
     fields, known = {}, False
     for r in received:
         fields.update(decode_channel(r.packet.channel, r.packet.batch_s))
@@ -128,10 +130,10 @@ def test_lever_arm_of_the_antenna_is_known_after_every_status_channel():
     assert known and fields["ImuTemperature"] == pytest.approx(38.5) and fields["NtripStatus"] == 6
 
 
-def test_unit_that_starts_up():
-    made = outputs(30, start_up=True)
-    received, parser = parsed(made)
-    due = [o.due for o in of(bytes, made)]
+def test_starting_unit_passes_through_its_states():
+    emitted = outputs(30, start_up=True)
+    received, parser = parse(emitted)
+    due = [o.due for o in select(bytes, emitted)]
     status = np.array([r.packet.navigation_status for r in received])
     assert [s for i, s in enumerate(status) if i == 0 or s != status[i - 1]] == [0, 1, 2, 3, 4]
     assert (status <= 1).sum() == 20 and all(r.utc_ns is None for r in received[:20])
@@ -140,7 +142,7 @@ def test_unit_that_starts_up():
         s: [d - (r.utc_ns - START_NS) / 1e9 for r, d in timed if r.packet.navigation_status == s] for s in (2, 3, 4)
     }
     assert behind[2] == pytest.approx([1.0] * len(behind[2]))
-    # Catches up 0.1 s per second: 11 s of drive in 10 s.
+    # The delay decreases by 0.1 s per second: 11 s of the drive in 10 s.
     assert behind[3][0] == pytest.approx(1.0) and behind[3][-1] == pytest.approx(0.0, abs=0.01)
     assert due[int(np.argmax(status == 4))] - due[int(np.argmax(status == 3))] == pytest.approx(10.0, abs=0.05)
     assert max(map(abs, behind[4])) < 1e-9
@@ -151,7 +153,7 @@ def test_can_equals_the_truth_within_its_resolution():
     decoder = codec()
     expected = {round(t.time * 500): t for t in truths(12, "S6", 500)}
     seen = {}
-    for o in of(Frame, outputs(12)):
+    for o in select(Frame, outputs(12)):
         decoded = decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
         if decoded is None:
             # 0x421 and 0x601: in the DBC, but not used by the suite.
@@ -190,48 +192,48 @@ def test_can_equals_the_truth_within_its_resolution():
     assert len([m for m in rates if m.startswith("RT_")]) == 7
 
 
-def test_bus_traffic():
-    ids = [o.payload.message.arbitration_id for o in of(Frame, outputs(2, background=True))]
+def test_bus_traffic_has_the_rates_of_the_car_and_the_ins():
+    ids = [o.payload.message.arbitration_id for o in select(Frame, outputs(2, background=True))]
     car = [i for i in ids if not 0x600 <= i <= 0x608 and not 0x630 <= i <= 0x634]
-    # 0x60D of the car's own traffic lies in the range of the INS but is none of its frames here.
+    # 0x60D is traffic of the car, although it is in the identifier range of the INS.
     assert len(car) / 2 == pytest.approx(CAR_CAN_RATE, rel=0.02)
     assert len(ids) - len(car) == 2 * 100 * 8
-    known = {key[0] for key in codec().keys} | {0x421, 0x601}
-    assert {0x002, 0x284, 0x285, 0x421} <= set(car) and len(set(ids) - known) >= 20
+    decoded = {key[0] for key in codec().keys} | {0x421, 0x601}
+    assert {0x002, 0x284, 0x285, 0x421} <= set(car) and len(set(ids) - decoded) >= 20
 
 
-def test_sorted_and_delayed_as_set():
-    made = outputs(2, ["ins_latency=0.02", "steering_sensor_latency=0.03"])
-    assert [o.due for o in made] == sorted(o.due for o in made)
-    received, _ = parsed(made)
-    late = [o.due - (r.utc_ns - START_NS) / 1e9 for o, r in zip(of(bytes, made), received, strict=True)]
-    assert late == pytest.approx([0.02] * len(late))
-    first = next(o for o in of(Frame, made) if o.payload.message.arbitration_id == 2)
+def test_outputs_are_sorted_and_delayed():
+    emitted = outputs(2, ("ins_latency=0.02", "steering_sensor_latency=0.03"))
+    assert [o.due for o in emitted] == sorted(o.due for o in emitted)
+    received, _ = parse(emitted)
+    delays = [o.due - (r.utc_ns - START_NS) / 1e9 for o, r in zip(select(bytes, emitted), received, strict=True)]
+    assert delays == pytest.approx([0.02] * len(delays))
+    first = next(o for o in select(Frame, emitted) if o.payload.message.arbitration_id == 2)
     assert first.due == pytest.approx(0.002 + 0.03)
 
 
-def test_losses_leave_gaps_the_receiver_can_count():
-    made = outputs(8, ["ins_packet_loss=0.1", "can_frame_loss=0.1", "ins_outage_every=5"])
-    times = [(r.utc_ns - START_NS) / 1e9 for r in parsed(made)[0] if r.utc_ns]
+def test_losses_leave_countable_gaps():
+    emitted = outputs(8, ("ins_packet_loss=0.1", "can_frame_loss=0.1", "ins_outage_every=5"))
+    times = [(r.utc_ns - START_NS) / 1e9 for r in parse(emitted)[0] if r.utc_ns]
     assert not [t for t in times if 5.0 <= t < 6.0] and times[-1] > 7.9
     assert len(times) == pytest.approx(0.9 * 700, rel=0.05)
     decoder = codec()
-    for o in of(Frame, made):
+    for o in select(Frame, emitted):
         decoder.decode(o.payload.message, START_NS + round(o.due * 1e9))
     statistics = decoder.statistics("Leaf_Steering")
     assert statistics.lost == pytest.approx(80, abs=25) and statistics.wrong_checksum == 0
 
 
-def test_time_error_moves_the_stamp_only():
-    plain, _ = parsed(outputs(1))
-    wrong, _ = parsed(outputs(1, ["ins_time_error=0.04"]))
+def test_time_error_changes_the_stamps_only():
+    plain, _ = parse(outputs(1))
+    wrong, _ = parse(outputs(1, ("ins_time_error=0.04",)))
     assert {w.utc_ns - p.utc_ns for p, w in zip(plain, wrong, strict=True)} == {40_000_000}
     assert [w.packet.velocity_ned for w in wrong] == [p.packet.velocity_ned for p in plain]
 
 
-def test_minute_of_every_packet_is_its_own():
+def test_minute_of_every_packet_is_current():
     """Channel 0 directly after a full minute contains the new minute."""
-    received, _ = parsed(outputs(12))
+    received, _ = parse(outputs(12))
     after = [r for r in received if r.packet.milliseconds < 200 and r.packet.channel == 0]
     assert after
     for r in after:
@@ -242,11 +244,11 @@ def test_minute_of_every_packet_is_its_own():
 # Geodesy: against the independent conversion of the bridge and radii of curvature.
 
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (100.0, -50.0, 2.0), (-3000.0, 8000.0, 30.0), (20000.0, 1.0, -5.0)])
-def test_there_and_back_through_the_bridge(point):
+def test_geodetic_conversion_is_inverse_to_that_of_the_bridge(point):
     assert FRAME.to_enu(*ORIGIN.to_geodetic(*point)) == pytest.approx(point, abs=1e-6)
 
 
-def test_short_distances_follow_the_radii():
+def test_short_distances_agree_with_the_radii_of_curvature():
     sine = math.sin(math.radians(51.448))
     e2 = 0.00669437999014
     normal = 6378137.0 / math.sqrt(1 - e2 * sine**2)
