@@ -1,6 +1,6 @@
-"""A fourth model from a model file: predicted in addition to the three and scored, over DDS, on a circle known exactly.
+"""A fourth model from a model file: predicted and scored over DDS, in addition to the three, on an exact circle.
 
-The effects are chosen so that the circle is the augmented car's own steady state; the three others have errors.
+Its effects are chosen so that the circle is its steady state; the three other models have errors.
 """
 
 import sys
@@ -15,26 +15,25 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
-from bags import health, nanoseconds, read_messages, stamps, trim_to_common_start
+from bags import nanoseconds, read_messages, stamps, trim_to_common_start
 from circle_feeder import pose_at
 from ros_processes import Processes, wait_for
 from scipy.optimize import fsolve
 from st_core.augmented import augment
 from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
-from support import ROOT
+from support import LEAF, ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks")]
-VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
-RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0
+RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0  # m, m/s, rad of the road wheels, s
 MODELS = ("kinematic", "linear", "nonlinear", "augmented")
-FEWEST = 20  # ticks that a starved machine makes at least
+MIN_TICKS = 20  # of an overloaded machine
 
 
-def on_the_circle(leaf: VehicleParameters) -> ModelFile:
+def make_circle_model(car: VehicleParameters) -> ModelFile:
     """Rear stiffness and steering offset with which the linear model follows the feeder's circle, and a lag."""
     yaw_rate = SPEED / RADIUS
-    state = (0.0, 0.0, SPEED, -leaf.cg_to_ins_x * yaw_rate, 0.0, yaw_rate)
+    state = (0.0, 0.0, SPEED, -car.cg_to_ins_x * yaw_rate, 0.0, yaw_rate)
 
     def model(unknown):
         factor, offset = map(float, unknown)
@@ -42,10 +41,10 @@ def on_the_circle(leaf: VehicleParameters) -> ModelFile:
                                   "steering_lag": {"time_constant": 0.1}})
 
     def residual(unknown):
-        p = model(unknown).parameters(leaf)
+        p = model(unknown).parameters(car)
         return np.array(model(unknown).rhs(state, model(unknown).inputs(ANGLE, 0.0, p), p))[[3, 5]]
 
-    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), leaf, ModelProvenance(note="steady circle"))
+    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), car, ModelProvenance(note="steady circle"))
 
 
 @dataclass
@@ -60,11 +59,11 @@ class Run:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("augmented")
-    file = on_the_circle(VehicleParameters.from_yaml(VEHICLE.read_text()))
+    file = make_circle_model(VehicleParameters.from_yaml(LEAF.read_text()))
     (folder / "model.yaml").write_text(file.to_yaml())
     processes = Processes(folder)
     try:
-        chosen = f"vehicle_file:={VEHICLE}", f"model_file:={folder / 'model.yaml'}"
+        chosen = f"vehicle_file:={LEAF}", f"model_file:={folder / 'model.yaml'}"
         nodes = [processes.node("st_predictor", "predictor", *chosen),
                  processes.node("st_predictor", "evaluator", *chosen, f"output_directory:={folder / 'errors'}"),
                  processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}")]
@@ -80,14 +79,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
                read_messages(folder / "errors"))
 
 
-def test_each_tick_carries_four_predictions_and_paths(run: Run) -> None:
+def test_every_tick_has_four_predictions_and_paths(run: Run) -> None:
     ticks, *others = trim_to_common_start(
         *(stamps(run.messages[f"/predictor/{model}/{kind}"]) for model in MODELS for kind in ("prediction", "path")))
-    assert len(ticks) > FEWEST
+    assert len(ticks) > MIN_TICKS
     assert all(other == ticks for other in others)
 
 
-def test_the_augmented_path_is_the_circle(run: Run) -> None:
+def test_augmented_path_follows_the_circle(run: Run) -> None:
     paths = run.messages["/predictor/augmented/path"]
     for path in paths[5:]:
         t = (nanoseconds(path.header.stamp) - run.zero_ns) * 1e-9 + 0.05 * np.arange(101)
@@ -96,18 +95,18 @@ def test_the_augmented_path_is_the_circle(run: Run) -> None:
         np.testing.assert_allclose(points, truth, atol=2e-3)
 
 
-def test_both_modes_are_scored_and_the_gap_is_gone(run: Run) -> None:
+def test_augmented_model_has_no_error_in_both_modes(run: Run) -> None:
     summary = run.messages["/evaluator/summary"][-1]
     rows = {(s.model, s.mode): s for s in summary.statistics}
     assert rows.keys() == set(product(MODELS, ("forecast", "hindsight")))
     for mode in ("forecast", "hindsight"):
-        # Each topic is matched in its own time: the first few predictions of one may go unheard.
+        # Topics are matched independently, so the first predictions of a model may be lost.
         assert min(rows["augmented", mode].n_starts, rows["linear", mode].n_starts) > 10
         assert rows["augmented", mode].lateral_max < 2e-3
         assert abs(rows["linear", mode].lateral_mean) > 0.2
 
 
-def test_configurations_are_distinguished(run: Run) -> None:
+def test_configuration_hash_distinguishes_the_augmented_model(run: Run) -> None:
     hashes = {m: {p.configuration_hash for p in run.messages[f"/predictor/{m}/prediction"]} for m in MODELS}
     assert hashes["kinematic"] == hashes["linear"] == hashes["nonlinear"]
     assert all(len(h) == 1 for h in hashes.values()) and hashes["augmented"] != hashes["linear"]
@@ -115,7 +114,7 @@ def test_configurations_are_distinguished(run: Run) -> None:
     assert scored == hashes
 
 
-def test_errors_are_recorded_with_the_model_they_belong_to(run: Run) -> None:
+def test_errors_are_recorded_with_their_model_file(run: Run) -> None:
     from mcap.reader import make_reader
 
     with (run.folder / "errors" / "errors_0.mcap").open("rb") as stream:
@@ -124,14 +123,8 @@ def test_errors_are_recorded_with_the_model_they_belong_to(run: Run) -> None:
     assert records["configuration"]["model_hash"] == run.file.hash
 
 
-def test_health_is_reported(run: Run) -> None:
-    message = {name: {(level, text) for _, level, text in lines} for name, lines in health(run.messages).items()}
-    assert (0, "predicting") in message["predictor: prediction"]
-    assert (0, "scoring") in message["evaluator: scoring"]
-
-
 OWN_EFFECT = '''
-"""Yaw moment of a tow hook, as far as a test needs one."""
+"""Yaw damping by a tow hook, for a test."""
 
 from st_core.effects import Effect, Parameter, register
 
@@ -143,7 +136,7 @@ class TowHook(Effect):
     excited_by = "turning"
     kind, slot = "physics", "body"
     parameters = (
-        Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="a test"),
+        Parameter("gain", "1/s", null=0.0, initial=0.5, bounds=(0.0, 5.0), meaning="damping", source="test"),
     )
 
     @staticmethod
@@ -162,36 +155,36 @@ TOW_HOOK = MODEL.format(effect="tow_hook", entry='gain: {value: 0.5, unit: "1/s"
 ANOTHER_CAR = MASS + 'vehicle: {name: "Truck", hash: "abcdef"}\n'
 
 
-@pytest.mark.parametrize("node", ["predictor", "evaluator"])
-@pytest.mark.parametrize(("text", "message"), [
-    (None, "model.yaml: No such file"),
-    (MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
-    (TOW_HOOK, "unknown effect 'tow_hook'"),
-    (ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
+@pytest.mark.parametrize(("node", "text", "message"), [
+    ("predictor", None, "model.yaml: No such file"),
+    ("predictor", MASS.replace("1.1", "9.0"), "effects.mass.factor: 9.0 is outside 0.6 to 2 1"),
+    ("predictor", TOW_HOOK, "unknown effect 'tow_hook'"),
+    ("predictor", ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
+    ("evaluator", ANOTHER_CAR, "the values are valid for 'Truck' abcdef"),
 ])
-def test_a_wrong_model_file_stops_the_start_with_one_line(
+def test_invalid_model_file_is_refused_in_one_line(
         processes: Processes, node: str, text: str | None, message: str):
     path = processes.folder / "model.yaml"
     if text:
         path.write_text(text)
-    process = processes.node("st_predictor", node, f"vehicle_file:={VEHICLE}", f"model_file:={path}")
+    process = processes.node("st_predictor", node, f"vehicle_file:={LEAF}", f"model_file:={path}")
     assert process.wait(30) == 2
     lines = [line for line in processes.log(node).splitlines() if line.strip()]
     assert len(lines) == 1 and "model_file: " in lines[0] and message in lines[0]
 
 
-def test_own_effects_come_from_their_folder(processes: Processes) -> None:
+def test_own_effects_are_loaded_from_their_folder(processes: Processes) -> None:
     (processes.folder / "effects").mkdir()
     (processes.folder / "effects" / "tow_hook.py").write_text(OWN_EFFECT)
     (processes.folder / "model.yaml").write_text(TOW_HOOK)
-    node = processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}",
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}",
                           f"model_file:={processes.folder / 'model.yaml'}",
                           f"effects_directory:={processes.folder / 'effects'}")
     wait_for(lambda: "linear, nonlinear, augmented of" in processes.log("predictor"), what="predictor up")
     assert processes.stop(node) == 0
 
 
-def test_a_folder_without_effects_stops_the_start(processes: Processes) -> None:
-    node = processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}", "effects_directory:=/nowhere")
+def test_missing_folder_of_effects_is_refused(processes: Processes) -> None:
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}", "effects_directory:=/nowhere")
     assert node.wait(30) == 2
     assert "effects_directory: /nowhere: not a folder of effects" in processes.log("predictor")

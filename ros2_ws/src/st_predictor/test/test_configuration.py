@@ -27,24 +27,24 @@ LAUNCH_FILES = sorted(LAUNCH.glob("*.launch.py"))
 NODES_YAML = ROOT / "config" / "nodes.yaml"
 
 
-def declared() -> dict[str, tuple[Parameter, ...]]:
+def get_declared() -> dict[str, tuple[Parameter, ...]]:
     return {"predictor": params.PREDICTOR, "evaluator": params.EVALUATOR, "recorder": params.RECORDER,
             "markers": params.MARKERS, "identifier": params.IDENTIFIER,
             "oxts_bridge": importlib.import_module("oxts_bridge.node").PARAMETERS,
             "canedge_bridge": importlib.import_module("canedge_bridge.node").PARAMETERS}
 
 
-def test_the_file_has_every_parameter_and_no_other() -> None:
+def test_file_has_exactly_the_declared_parameters() -> None:
     document = yaml.safe_load(NODES_YAML.read_text())
-    assert document.keys() == declared().keys()
-    for node, table in declared().items():
+    assert document.keys() == get_declared().keys()
+    for node, table in get_declared().items():
         assert document[node].keys() == {"ros__parameters"}
         assert document[node]["ros__parameters"].keys() == {p.name for p in table}, node
 
 
 def test_values_of_the_file_are_the_defaults() -> None:
     document = yaml.safe_load(NODES_YAML.read_text())
-    for node, table in declared().items():
+    for node, table in get_declared().items():
         for parameter in table:
             value = parameter.check(document[node]["ros__parameters"][parameter.name])
             if parameter.name.endswith("_file") and value:
@@ -58,15 +58,15 @@ def test_values_of_the_file_are_the_defaults() -> None:
 def test_every_value_has_a_comment_with_its_range() -> None:
     """The range in the comment is that of the declaration."""
     text = NODES_YAML.read_text()
-    for node, table in declared().items():
+    for node, table in get_declared().items():
         section = re.search(rf"^{node}:\n(.*?)(?=^\w|\Z)", text, re.S | re.M).group(1)
         for parameter in table:
             line = re.search(rf"(?:^ *# .*\n)?^ +{parameter.name}:.*$", section, re.M).group(0)
             assert "#" in line, f"{node}.{parameter.name}"
             if math.isfinite(parameter.minimum) and isinstance(parameter.default, float):
                 numbers = re.search(r"\((-?[\d.e]+|-pi) to (-?[\d.e]+|pi)", line).groups()
-                shown = [float(n.replace("pi", f"{math.pi}")) for n in numbers]
-                assert shown == pytest.approx([parameter.minimum, parameter.maximum]), f"{node}.{parameter.name}"
+                limits = [float(n.replace("pi", f"{math.pi}")) for n in numbers]
+                assert limits == pytest.approx([parameter.minimum, parameter.maximum]), f"{node}.{parameter.name}"
 
 
 @pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda f: f.name)
@@ -74,47 +74,47 @@ def test_launch_file_compiles(file: Path) -> None:
     compile(file.read_text(), file.name, "exec")
 
 
-def calls(file: Path, *functions: str) -> list[ast.Call]:
+def find_calls(file: Path, *functions: str) -> list[ast.Call]:
     tree = ast.parse(file.read_text())
     return [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") in functions]
 
 
 def test_launched_nodes_are_installed_and_their_parameters_exist() -> None:
-    nodes = {tuple(a.value for a in call.args[:2]) for call in calls(LAUNCH / "car.launch.py", "suite_node")}
-    assert {executable for _, executable in nodes} == declared().keys()
+    nodes = {tuple(a.value for a in call.args[:2]) for call in find_calls(LAUNCH / "car.launch.py", "suite_node")}
+    assert {executable for _, executable in nodes} == get_declared().keys()
     for package, executable in nodes:
         setup = (ROOT / "ros2_ws" / "src" / package / "setup.py").read_text()
         assert re.search(rf"'{executable} = {package}\.", setup), f"{package} installs no {executable}"
     functions = "override_text", "override_number"
-    overrides = [[a.value for a in call.args[:2]] for call in calls(LAUNCH / "car.launch.py", *functions)
+    overrides = [[a.value for a in call.args[:2]] for call in find_calls(LAUNCH / "car.launch.py", *functions)
                  if all(isinstance(a, ast.Constant) for a in call.args[:2])]
     assert len(overrides) >= 10
     for node, name in overrides:
-        assert name in BUILT_IN or name in {p.name for p in declared()[node]}, f"{node}.{name}"
+        assert name in BUILT_IN or name in {p.name for p in get_declared()[node]}, f"{node}.{name}"
     literal = re.findall(r'"(\w+):(\w+):=', (LAUNCH / "car.launch.py").read_text())
     assert literal == [("recorder", "configuration_files")]
     assert "configuration_files" in {p.name for p in params.RECORDER}
 
 
-def test_no_process_outlives_the_launch() -> None:
+def test_launched_processes_end_with_their_launch() -> None:
     """launch does not forward SIGTERM; the kernel does, as requested by the prefix."""
     for file in LAUNCH_FILES:
-        for call in calls(file, "Node", "ExecuteProcess"):
+        for call in find_calls(file, "Node", "ExecuteProcess"):
             given = {k.arg: ast.unparse(k.value) for k in call.keywords}
             assert given["prefix"] in ("PARENT_DEATH", "'setpriv --pdeathsig INT'"), file.name
     assert "PARENT_DEATH = \"setpriv --pdeathsig INT\"" in (LAUNCH / "car.launch.py").read_text()
 
 
-def test_launch_arguments_that_are_used_are_declared() -> None:
-    declared_by_car = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "declare")}
-    used = {call.args[0].value for call in calls(LAUNCH / "car.launch.py", "LaunchConfiguration")}
+def test_used_launch_arguments_are_declared() -> None:
+    declared_by_car = {call.args[0].value for call in find_calls(LAUNCH / "car.launch.py", "declare")}
+    used = {call.args[0].value for call in find_calls(LAUNCH / "car.launch.py", "LaunchConfiguration")}
     assert used == declared_by_car
     for file in LAUNCH_FILES:
         if file.name == "car.launch.py":
             continue
-        (include,) = calls(file, "IncludeLaunchDescription")
-        handed = {k.value for d in ast.walk(include) if isinstance(d, ast.Dict) for k in d.keys}
-        assert handed <= declared_by_car, file.name
+        (include,) = find_calls(file, "IncludeLaunchDescription")
+        arguments = {k.value for d in ast.walk(include) if isinstance(d, ast.Dict) for k in d.keys}
+        assert arguments <= declared_by_car, file.name
 
 
 @pytest.mark.parametrize(("given", "steering"), [
@@ -124,8 +124,8 @@ def test_launch_arguments_that_are_used_are_declared() -> None:
     ({"car": "FOLDER", "steering_sign": "1"}, {"steering_sign": "1", "steering_latency": "0.03"}),
     ({"steering_latency": "0"}, {"steering_latency": "0.0"}),
 ])
-def test_a_launched_suite_takes_a_car_by_its_folder(tmp_path: Path, given: dict[str, str], steering) -> None:
-    """Each file of the folder, and its steering; arguments replace a part; nodes.yaml holds where no car is named."""
+def test_launch_accepts_a_car_by_its_folder(tmp_path: Path, given: dict[str, str], steering) -> None:
+    """Files and steering of the folder; arguments override both; without a car those of nodes.yaml are used."""
     launch = pytest.importorskip("launch")
     pytest.importorskip("launch_ros")
     (tmp_path / "car.yaml").write_text("steering_sign: -1\nsteering_latency: 0.03\n")
@@ -143,19 +143,18 @@ def test_a_launched_suite_takes_a_car_by_its_folder(tmp_path: Path, given: dict[
     assert names["steering_parameters"](context) == steering
 
 
-def test_virtual_leaf_knows_every_option_it_is_launched_with() -> None:
+def test_launch_options_of_virtual_leaf_exist() -> None:
     text = (LAUNCH / "sim.launch.py").read_text()
     options = set(re.findall(r'"(--[a-z-]+)"', text))
     assert "--scenario" in options
     setup = (ROOT / "ros2_ws" / "src" / "st_sim" / "setup.py").read_text()
     module, function = re.search(r"virtual_leaf = ([\w.]+):(\w+)", setup).groups()
     program = f"import sys; sys.argv = ['virtual_leaf', '--help']; from {module} import {function}; {function}()"
-    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
-    assert options <= set(re.findall(r"--[a-z-]+", shown.stdout))
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert options <= set(re.findall(r"--[a-z-]+", result.stdout))
 
 
-def test_two_configuration_files_of_one_name_are_kept_apart(tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
+def test_configuration_files_of_equal_names_are_stored_separately(tmp_path: Path) -> None:
     from st_predictor.nodes.recorder import make_metadata
 
     files = [tmp_path / "car" / "leaf.yaml", tmp_path / "can" / "leaf.yaml", tmp_path / "nodes.yaml"]
@@ -163,13 +162,13 @@ def test_two_configuration_files_of_one_name_are_kept_apart(tmp_path: Path) -> N
         file.parent.mkdir(exist_ok=True)
         file.write_text(f"content of {file.parent.name}")
     values = SimpleNamespace(where="", configuration_files=[str(f) for f in files], metadata_json="")
-    kept = make_metadata(values)["configuration"]
-    assert set(kept) == {"car/leaf.yaml", "can/leaf.yaml", "nodes.yaml", "hash"}
-    assert kept["can/leaf.yaml"] == "content of can"
+    configuration = make_metadata(values)["configuration"]
+    assert set(configuration) == {"car/leaf.yaml", "can/leaf.yaml", "nodes.yaml", "hash"}
+    assert configuration["can/leaf.yaml"] == "content of can"
 
 
-def test_all_nodes_start_from_the_file(processes: Processes) -> None:
-    """rcl reads the file, also NaN and empty lists; each node starts and ends with status 0."""
+def test_all_nodes_start_with_the_file(processes: Processes) -> None:
+    """rcl reads the file including NaN and empty lists; each node starts and ends with status 0."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -185,7 +184,7 @@ def test_all_nodes_start_from_the_file(processes: Processes) -> None:
         processes.node("st_predictor", "markers", arguments=arguments),
         processes.node("st_predictor", "identifier", arguments=arguments),
     ]
-    for name in declared():
-        # Seven at once on a busy machine, and the predictor may have to compile its models.
+    for name in get_declared():
+        # Seven nodes start simultaneously, and the predictor may have to compile its models.
         wait_for(lambda name=name: f"[{name}]" in processes.log(name), 120.0, f"{name} up: {processes.log(name)}")
-    assert [processes.stop(node) for node in nodes] == [0] * 7, [processes.log(name) for name in declared()]
+    assert [processes.stop(node) for node in nodes] == [0] * 7, [processes.log(name) for name in get_declared()]

@@ -1,4 +1,4 @@
-"""Messages to plain values and back."""
+"""Conversion of messages to plain values and back."""
 
 import math
 
@@ -20,11 +20,11 @@ from st_predictor import convert
 from st_predictor.nodes._bands import BandMessages, read_bands
 from st_recordings.bag_metadata import INFINITE_NS
 from st_ros.polling import from_nanoseconds
-from support import ROOT
+from support import LEAF
 
 pytestmark = pytest.mark.ros
 TIME_NS = 1_790_000_000_123_456_789
-VEHICLE = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
+CAR = VehicleParameters.from_yaml(LEAF.read_text())
 
 
 def odometry(yaw: float = 2.0, frame: str = "map") -> Odometry:
@@ -37,14 +37,14 @@ def odometry(yaw: float = 2.0, frame: str = "map") -> Odometry:
     return message
 
 
-def test_odometry_is_the_ins_sample() -> None:
+def test_odometry_is_converted_to_an_ins_sample() -> None:
     sample = convert.read_ins_sample(odometry(), "map")
     assert sample == pytest.approx(InsSample(TIME_NS, 10.0, -20.0, 2.0, 8.0, 0.1, -0.3), rel=1e-15)
     assert sample.time_ns == TIME_NS
 
 
-def test_roll_and_pitch_leave_the_yaw() -> None:
-    """Yaw of the z-y-x sequence: independent of the slope the car is on."""
+def test_yaw_is_independent_of_roll_and_pitch() -> None:
+    """Yaw of the z-y-x (yaw, pitch, roll) sequence."""
     yaw, pitch, roll = 1.2, 0.2, -0.3
     message = odometry()
     cy, sy, cp, sp, cr, sr = (f(a / 2) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
@@ -54,7 +54,7 @@ def test_roll_and_pitch_leave_the_yaw() -> None:
     assert convert.read_ins_sample(message, "map").yaw == pytest.approx(yaw)
 
 
-def test_unusable_odometry_has_a_reason() -> None:
+def test_unusable_odometry_is_refused_with_a_reason() -> None:
     assert "'odom'" in convert.read_ins_sample(odometry(frame="odom"), "map")
     message = odometry()
     message.twist.twist.linear.y = math.nan
@@ -67,44 +67,44 @@ def test_unusable_odometry_has_a_reason() -> None:
     assert "unit quaternion" in convert.read_ins_sample(message, "map")
 
 
-def start_and_trajectory() -> tuple[Start, Trajectory]:
+def predict_example() -> tuple[Start, Trajectory]:
     state = VehicleState(1.0, 2.0, 9.0, 0.2, 3.0, 0.4)
     inputs = ControlInput(0.05, -0.5)
-    return Start(TIME_NS, state, inputs), predict("nonlinear", VEHICLE, state, inputs)
+    return Start(TIME_NS, state, inputs), predict("nonlinear", CAR, state, inputs)
 
 
-def test_prediction_survives_the_wire() -> None:
-    start, trajectory = start_and_trajectory()
-    message = convert.make_prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "ab" * 32)
-    again = deserialize_message(serialize_message(message), Prediction)
-    start_ns, read = convert.read_trajectory(again)
+def test_prediction_is_unchanged_by_serialisation() -> None:
+    start, trajectory = predict_example()
+    message = convert.make_prediction_message(start, "nonlinear", trajectory, CAR, "map", "ab" * 32)
+    received = deserialize_message(serialize_message(message), Prediction)
+    start_ns, read = convert.read_trajectory(received)
     assert (start_ns, read.step) == (TIME_NS, 0.05)
-    assert ControlInput(again.road_wheel_angle, again.velocity_x_dot) == start.inputs
+    assert ControlInput(received.road_wheel_angle, received.velocity_x_dot) == start.inputs
     np.testing.assert_array_equal(read.states, trajectory.states)
-    assert (again.model, again.configuration_hash, again.header.frame_id) == ("nonlinear", "ab" * 32, "map")
+    assert (received.model, received.configuration_hash, received.header.frame_id) == ("nonlinear", "ab" * 32, "map")
 
 
-def test_unusable_predictions_have_a_reason() -> None:
-    start, trajectory = start_and_trajectory()
+def test_unusable_predictions_are_refused_with_a_reason() -> None:
+    start, trajectory = predict_example()
 
-    def broken(**changes) -> str:
-        message = convert.make_prediction_message(start, "nonlinear", trajectory, VEHICLE, "map", "")
+    def read_with(**changes) -> str:
+        message = convert.make_prediction_message(start, "nonlinear", trajectory, CAR, "map", "")
         for name, value in changes.items():
             setattr(message, name, value)
         return convert.read_trajectory(message)
 
-    assert "length" in broken(yaw=[0.0, 1.0])
-    assert "step" in broken(step=0.0)
-    assert "step" in broken(step=math.nan)
-    assert "start state" in broken(x=[math.nan] * 101)
-    assert "length" in broken(**{name: [] for name in STATE_NAMES})
+    assert "length" in read_with(yaw=[0.0, 1.0])
+    assert "step" in read_with(step=0.0)
+    assert "step" in read_with(step=math.nan)
+    assert "start state" in read_with(x=[math.nan] * 101)
+    assert "length" in read_with(**{name: [] for name in STATE_NAMES})
 
 
-def test_path_is_reused_and_complete() -> None:
-    start, trajectory = start_and_trajectory()
+def test_reused_path_message_is_filled_completely() -> None:
+    start, trajectory = predict_example()
     builder = convert.PathBuilder("map", 101)
-    builder.fill(TIME_NS - 10**9, Trajectory(0.05, trajectory.states + 5.0), VEHICLE)
-    path = builder.fill(start.time_ns, trajectory, VEHICLE)
+    builder.fill(TIME_NS - 10**9, Trajectory(0.05, trajectory.states + 5.0), CAR)
+    path = builder.fill(start.time_ns, trajectory, CAR)
     for k, pose in enumerate(path.poses):
         x, y, _, _, yaw, _ = trajectory.states[k]
         assert pose.pose.position.x == pytest.approx(x - 0.398 * math.cos(yaw))
@@ -114,7 +114,7 @@ def test_path_is_reused_and_complete() -> None:
         assert pose.header.stamp == from_nanoseconds(TIME_NS + k * 50_000_000)
 
 
-def test_qos_as_in_a_bag() -> None:
+def test_qos_is_converted_to_that_of_a_bag() -> None:
     plain = convert.make_bag_qos(QoSProfile(depth=50))
     assert (plain.reliability, plain.durability) == ("reliable", "volatile")
     assert (plain.history, plain.depth) == ("keep_last", 50)
@@ -124,12 +124,12 @@ def test_qos_as_in_a_bag() -> None:
     assert convert.make_bag_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
 
 
-def test_a_band_message_has_the_newest_half_widths() -> None:
+def test_band_message_has_the_newest_half_widths() -> None:
     widths = np.zeros((3, 5), np.float32)
     messages = BandMessages({"linear": {("forecast", 0.9): widths.T}})
     for scale in (1.0, 2.0):
         widths[:] = scale * np.arange(15.0).reshape(3, 5)
         prediction = Prediction(x=[0.0] * 5, bands=messages.fill()["linear"])
-        again = deserialize_message(serialize_message(prediction), Prediction)
-        (question, read), = read_bands(again).items()
-        assert question == ("forecast", 0.9) and read.T.tolist() == widths.tolist()
+        received = deserialize_message(serialize_message(prediction), Prediction)
+        (key, read), = read_bands(received).items()
+        assert key == ("forecast", 0.9) and read.T.tolist() == widths.tolist()

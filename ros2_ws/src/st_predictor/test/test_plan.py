@@ -17,11 +17,10 @@ from st_core.vehicle import VehicleParameters
 from st_live.verification import verify
 from st_msgs.msg import InputPlan
 from st_predictor import convert
-from support import ROOT
+from support import LEAF, ROOT
 
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 pytestmark = pytest.mark.ros
-GOOD, FAULTY = 14.0, 2.0  # s, as tests/plan_feeder.py
+VALID_SECONDS, FAULT_SECONDS = 14.0, 2.0  # of tests/plan_feeder.py: valid plans, then each fault
 live = pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks")
 
 
@@ -41,22 +40,22 @@ def drive(folder: Path, *options: str) -> tuple[int, dict[str, list[Any]]]:
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, dict[str, list[Any]]]:
+def recorded_drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, dict[str, list[Any]]]:
     return drive(tmp_path_factory.mktemp("plan"))
 
 
-def errors(messages: dict[str, list[Any]], model: str, mode: str) -> np.ndarray:
-    """Distance at the end of the horizon of every complete score [m]."""
+def get_final_errors(messages: dict[str, list[Any]], mode: str) -> np.ndarray:
+    """Position error of the linear model at the end of the horizon, of every complete score [m]."""
     return np.array([np.hypot(e.longitudinal[-1], e.lateral[-1]) for e in messages["/evaluator/errors"]
-                     if e.model == model and e.mode == mode and e.complete])
+                     if e.model == "linear" and e.mode == mode and e.complete])
 
 
 @live
 @pytest.mark.slow
-def test_a_plan_of_the_true_inputs_predicts_as_hindsight(driven) -> None:
+def test_plan_of_the_true_inputs_is_as_accurate_as_hindsight(recorded_drive) -> None:
     """The drive is that of the linear model: the remaining error is the 0.1 deg quantisation of the steering."""
-    _, messages = driven
-    planned, held, hindsight = (errors(messages, "linear", mode) for mode in ("plan", "forecast", "hindsight"))
+    _, messages = recorded_drive
+    planned, held, hindsight = (get_final_errors(messages, mode) for mode in ("plan", "forecast", "hindsight"))
     assert len(planned) > 80
     assert np.median(held) > 2.0
     assert np.median(planned) < 0.3 and np.median(planned) < 0.1 * np.median(held)
@@ -71,20 +70,20 @@ def test_a_plan_of_the_true_inputs_predicts_as_hindsight(driven) -> None:
 
 @live
 @pytest.mark.slow
-@pytest.mark.parametrize(("place", "reason"), [
+@pytest.mark.parametrize(("fault_number", "reason"), [
     (0, "road_wheel_angle is not finite"), (1, "header.frame_id is 'map', expected 'base_link'"), (2, "issued"),
     (3, "it ends"), (4, "check sign, frame and unit"), (5, "issued"),
 ])
-def test_a_plan_that_cannot_be_used_is_refused_and_inputs_are_held(driven, place: int, reason: str) -> None:
-    zero_ns, messages = driven
-    begin = GOOD + place * FAULTY
+def test_unusable_plan_is_refused_and_inputs_are_held(recorded_drive, fault_number: int, reason: str) -> None:
+    zero_ns, messages = recorded_drive
+    begin = VALID_SECONDS + fault_number * FAULT_SECONDS
     span = [(nanoseconds(m.header.stamp) - zero_ns) * 1e-9 for m in messages["/predictor/linear/prediction"]]
     planned = [(nanoseconds(m.header.stamp) - zero_ns) * 1e-9 for m in messages["/predictor/linear/plan"]]
     texts = [(level, text) for stamp, level, text in health(messages)["predictor: plan"]
-             if begin + 0.9 < (stamp - zero_ns) * 1e-9 < begin + FAULTY + 0.3]
-    assert [t for t in span if begin + 0.7 < t < begin + FAULTY]
-    if place != 4:  # a sign is only wrong where the wheels are turned
-        assert not [t for t in planned if begin + 0.7 < t < begin + FAULTY]
+             if begin + 0.9 < (stamp - zero_ns) * 1e-9 < begin + FAULT_SECONDS + 0.3]
+    assert [t for t in span if begin + 0.7 < t < begin + FAULT_SECONDS]
+    if fault_number != 4:  # a wrong sign has an effect only while the wheels are steered
+        assert not [t for t in planned if begin + 0.7 < t < begin + FAULT_SECONDS]
         assert any(level == 1 and "inputs are held" in text and reason in text for level, text in texts), texts
 
 
@@ -98,32 +97,33 @@ def path_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @live
 @pytest.mark.slow
-def test_a_recording_with_plans_is_verified_and_replayed(path_folder: Path, tmp_path: Path) -> None:
+def test_recording_with_plans_is_verified_and_replayed(path_folder: Path, tmp_path: Path) -> None:
     replayed = tmp_path / "replayed"
-    done = subprocess.run([str(ROOT / "st"), "replay", str(path_folder / "bag"), "--fast", "--vehicle", str(LEAF),
+    process = subprocess.run([str(ROOT / "st"), "replay", str(path_folder / "bag"), "--fast", "--vehicle", str(LEAF),
                            "--output", str(replayed)], capture_output=True, text=True, timeout=180, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert process.returncode == 0, process.stdout + process.stderr
     for recording in (path_folder / "bag", replayed):
-        found = verify(recording, LEAF)
-        assert found is not None and found.largest < 1.0e-6
-        assert all(c.n_planned > 60 and c.n_scores["plan"] > 40 and not c.n_disagree for c in found.comparisons)
+        result = verify(recording, LEAF)
+        assert result is not None and result.largest < 1.0e-6
+        assert all(c.n_planned > 60 and c.n_scores["plan"] > 40 and not c.n_disagree for c in result.comparisons)
 
 
 @live
 @pytest.mark.slow
-def test_a_plan_of_speed_and_curvature_predicts_far_better_than_held_inputs(path_folder: Path) -> None:
+def test_plan_of_speed_and_curvature_reduces_the_error_of_held_inputs(path_folder: Path) -> None:
     messages = read_messages(path_folder / "bag")
-    assert np.median(errors(messages, "linear", "plan")) < 0.3 * np.median(errors(messages, "linear", "forecast"))
+    planned, held = (np.median(get_final_errors(messages, mode)) for mode in ("plan", "forecast"))
+    assert planned < 0.3 * held
 
 
 @pytest.mark.parametrize(("changes", "reason"), [
     ({"speed": [1.0, 1.0]}, "value of one pair"), ({"velocity_x_dot": [0.0]}, "value of one pair"),
     ({"time": []}, "value of one pair"), ({"time": [0.0, float("nan")]}, "time is not finite"),
 ])
-def test_a_malformed_message_is_refused(changes: dict[str, list[float]], reason: str) -> None:
+def test_malformed_plan_is_refused(changes: dict[str, list[float]], reason: str) -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
     values = {"time": [0.0, 0.1], "road_wheel_angle": [0.0, 0.1], "velocity_x_dot": [0.0, 0.0]} | changes
     message = InputPlan(**values)
     message.header.frame_id = "base_link"
-    found = convert.read_planned_inputs(message, "base_link", car)
-    assert isinstance(found, str) and reason in found
+    result = convert.read_planned_inputs(message, "base_link", car)
+    assert isinstance(result, str) and reason in result

@@ -1,4 +1,4 @@
-"""config/sros2/policies.xml against the nodes that not every suite runs; the others: tests/faults/test_faults.py."""
+"""config/sros2/policies.xml and the topics of optional nodes; the others are in tests/faults/test_faults.py."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,27 +16,27 @@ KINDS = ("publish", "subscribe")
 
 
 @pytest.mark.parametrize("name", ["identifier", "markers"])
-def test_policies_allow_what_a_node_does_and_no_more(name: str, tmp_path: Path) -> None:
+def test_policies_allow_exactly_the_topics_of_a_node(name: str, tmp_path: Path) -> None:
     profile = ElementTree.parse(ROOT / "config/sros2/policies.xml").find(f".//profile[@node='{name}']")
     allowed = {kind: {topic.text for topic in profile.findall(f"./topics[@{kind}='ALLOW']/topic")} for kind in KINDS}
     processes = Processes(tmp_path)
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=int(processes.environment["ROS_DOMAIN_ID"]))
-    looking = rclpy.create_node("looking", context=context)
+    observer = rclpy.create_node("observer", context=context)
     try:
         processes.node("st_predictor", name, "vehicle_file:=config/vehicle/leaf.yaml")
-        wait_for(lambda: all(allowed[kind] <= _topics(looking, name, kind) for kind in KINDS), what="its topics")
-        assert {kind: _topics(looking, name, kind) for kind in KINDS} == allowed
+        wait_for(lambda: all(allowed[kind] <= find_topics(observer, name, kind) for kind in KINDS), what="its topics")
+        assert {kind: find_topics(observer, name, kind) for kind in KINDS} == allowed
     finally:
-        looking.destroy_node()
+        observer.destroy_node()
         rclpy.try_shutdown(context=context)
         processes.close()
 
 
-def _topics(looking, name: str, kind: str) -> set[str]:
-    ask = {"publish": looking.get_publisher_names_and_types_by_node,
-           "subscribe": looking.get_subscriber_names_and_types_by_node}[kind]
+def find_topics(observer, name: str, kind: str) -> set[str]:
+    query = {"publish": observer.get_publisher_names_and_types_by_node,
+             "subscribe": observer.get_subscriber_names_and_types_by_node}[kind]
     try:
-        return {topic for topic, _ in ask(name, "/")}
+        return {topic for topic, _ in query(name, "/")}
     except rclpy.node.NodeNameNonExistentError:
         return set()

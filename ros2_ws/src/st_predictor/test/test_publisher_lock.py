@@ -1,4 +1,4 @@
-"""Which messages of several publishers are accepted, by their numbers; over DDS in test_publishers.py."""
+"""Messages of several publishers accepted by their sequence numbers; over DDS in test_publishers.py."""
 
 import pytest
 from st_predictor.nodes._inputs import SILENCE_TIMEOUT, PublisherLock
@@ -6,95 +6,95 @@ from st_predictor.nodes._inputs import SILENCE_TIMEOUT, PublisherLock
 OURS, OTHER = "/oxts_bridge", "/intruder"
 
 
-def running(count=1000):
-    """(a lock after `count` messages of one publisher, 10 ms apart; time of the newest)."""
-    one = PublisherLock()
-    one.update([OURS])
+def make_lock_in_use(count=1000):
+    """A lock after `count` messages of one publisher at intervals of 10 ms, and the time of the newest [s]."""
+    lock = PublisherLock()
+    lock.update([OURS])
     for k in range(1, count + 1):
-        assert one.accept(k, 0.01 * k)
-    assert one.describe_competition(0.01 * count) == ""
-    return one, 0.01 * count
+        assert lock.accept(k, 0.01 * k)
+    assert lock.describe_competition(0.01 * count) == ""
+    return lock, 0.01 * count
 
 
-def test_a_single_publisher_is_accepted_with_any_numbers():
-    one = PublisherLock()
-    one.update([OURS])
-    assert [one.accept(number, 0.0) for number in (5, 9, 1, None)] == [True] * 4
+def test_single_publisher_is_accepted_with_any_numbers():
+    lock = PublisherLock()
+    lock.update([OURS])
+    assert [lock.accept(number, 0.0) for number in (5, 9, 1, None)] == [True] * 4
 
 
-def test_a_second_publisher_is_named_at_once_and_rejected():
-    one, now = running()
-    one.update([OURS, OTHER])
-    assert OTHER in one.describe_competition(now) and "only the first one" in one.describe_competition(now)
+def test_second_publisher_is_reported_immediately_and_rejected():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
+    assert OTHER in lock.describe_competition(now) and "only the first one" in lock.describe_competition(now)
     for k in range(1, 101):
-        assert one.accept(1000 + k, now)
-        assert not one.accept(k, now)
-    assert one.rejected == 100
-    one.update([OURS])
-    assert one.describe_competition(now) == "" and one.accept(1101, now)
+        assert lock.accept(1000 + k, now)
+        assert not lock.accept(k, now)
+    assert lock.rejected == 100
+    lock.update([OURS])
+    assert lock.describe_competition(now) == "" and lock.accept(1101, now)
 
 
 def test_two_publishers_from_the_start_are_both_rejected():
-    one = PublisherLock()
-    one.update([OURS, OTHER])
-    assert not one.accept(7, 0.0) and not one.accept(900, 0.0)
-    assert "none is used" in one.describe_competition(0.0)
+    lock = PublisherLock()
+    lock.update([OURS, OTHER])
+    assert not lock.accept(7, 0.0) and not lock.accept(900, 0.0)
+    assert "none is used" in lock.describe_competition(0.0)
 
 
 @pytest.mark.parametrize("ahead", [-999, -3, 2, 40])
-def test_a_second_chain_of_near_numbers_is_distinguished(ahead):
-    one, now = running()
-    one.update([OURS, OTHER])
+def test_second_sequence_of_similar_numbers_is_distinguished(ahead):
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
     for k in range(1001, 1101):
-        assert not one.accept(k + ahead, now)
-        assert one.accept(k, now)
-    assert "only the first one" in one.describe_competition(now)
+        assert not lock.accept(k + ahead, now)
+        assert lock.accept(k, now)
+    assert "only the first one" in lock.describe_competition(now)
 
 
-def test_chains_that_meet_are_both_rejected_until_one_publisher_remains():
+def test_sequences_that_coincide_are_rejected_until_one_publisher_remains():
     """The other publisher sends twice as often and reaches the same numbers."""
-    one, now = running()
-    one.update([OURS, OTHER])
-    used = [(number, one.accept(number, now)) for k in range(1, 21) for number in (989 + 2 * k, 990 + 2 * k, 1000 + k)]
-    assert [number for number, ours in used if ours] == list(range(1001, 1009))
-    assert "cannot be distinguished" in one.describe_competition(now)
-    one.update([OTHER])
-    assert one.accept(1031, now)
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
+    used = [(number, lock.accept(number, now)) for k in range(1, 21) for number in (989 + 2 * k, 990 + 2 * k, 1000 + k)]
+    assert [number for number, accepted in used if accepted] == list(range(1001, 1009))
+    assert "cannot be distinguished" in lock.describe_competition(now)
+    lock.update([OTHER])
+    assert lock.accept(1031, now)
 
 
 def test_two_candidates_after_a_loss_are_both_rejected():
-    one, now = running()
-    one.update([OURS, OTHER])
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
     later = now + 1.1 * SILENCE_TIMEOUT
-    assert not one.accept(1300, later - 0.2 * SILENCE_TIMEOUT)
-    assert not one.accept(1110, later) and not one.accept(1301, later)
+    assert not lock.accept(1300, later - 0.2 * SILENCE_TIMEOUT)
+    assert not lock.accept(1110, later) and not lock.accept(1301, later)
 
 
-def test_a_restarted_publisher_is_accepted_while_the_killed_one_is_in_the_graph():
-    one, now = running()
-    one.update([OURS, OURS])
+def test_restarted_publisher_is_accepted_while_the_killed_one_is_in_the_graph():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OURS])
     later = now + 1.1 * SILENCE_TIMEOUT
-    assert one.accept(1, later) and one.accept(2, later)
-    assert one.describe_competition(later) == ""
+    assert lock.accept(1, later) and lock.accept(2, later)
+    assert lock.describe_competition(later) == ""
 
 
-def test_a_second_publisher_of_the_same_name_is_rejected_and_named():
-    one, now = running()
-    one.update([OURS, OURS])
-    assert not one.accept(1, now) and one.accept(1001, now)
-    assert one.describe_competition(now).startswith("published by 2 nodes: /oxts_bridge, /oxts_bridge")
+def test_second_publisher_of_the_same_name_is_rejected_and_reported():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OURS])
+    assert not lock.accept(1, now) and lock.accept(1001, now)
+    assert lock.describe_competition(now).startswith("published by 2 nodes: /oxts_bridge, /oxts_bridge")
 
 
-def test_another_name_is_not_accepted_when_the_first_is_silent():
-    one, now = running()
-    one.update([OURS, OTHER])
+def test_other_publisher_is_not_accepted_while_the_first_is_silent():
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
     later = now + 2.0 * SILENCE_TIMEOUT
-    assert not one.accept(1, later) and not one.accept(2, later)
-    assert one.accept(1005, later)  # ours, after a loss
+    assert not lock.accept(1, later) and not lock.accept(2, later)
+    assert lock.accept(1005, later)  # the first publisher after lost messages
 
 
 @pytest.mark.parametrize("number", [None, 0])
 def test_without_numbers_two_publishers_are_rejected(number):
-    one, now = running()
-    one.update([OURS, OTHER])
-    assert not one.accept(number, now)
+    lock, now = make_lock_in_use()
+    lock.update([OURS, OTHER])
+    assert not lock.accept(number, now)

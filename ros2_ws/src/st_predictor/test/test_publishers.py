@@ -3,8 +3,7 @@
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
@@ -17,17 +16,16 @@ from intruder import ELSEWHERE
 from rclpy.executors import SingleThreadedExecutor
 from ros_processes import Processes, wait_for
 from st_msgs.msg import Prediction
-from support import ROOT
+from support import LEAF, ROOT
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 
 
 class Listener:
-    """Output of the predictor: newest text of its check `publishers`, and starts of its predictions [m]."""
+    """Output of the predictor: newest text of its check `publishers`, and x at the starts of its predictions [m]."""
 
     def __init__(self, domain: int):
         self.context = rclpy.Context()
@@ -37,16 +35,16 @@ class Listener:
         self._executor.add_node(self._node)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._node.create_subscription(Prediction, "predictor/linear/prediction", self._on_prediction, 50)
-        self.said = ""
+        self.text = ""
         self.starts: list[float] = []
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.said = next((s.message for s in message.status if s.name == "predictor: publishers"), self.said)
+        self.text = next((s.message for s in message.status if s.name == "predictor: publishers"), self.text)
 
     def _on_prediction(self, message: Prediction) -> None:
         self.starts.append(message.x[0])
 
-    def until(self, condition: Callable[[], object], what: str) -> None:
+    def wait_until(self, condition: Callable[[], object], what: str) -> None:
         def received() -> object:
             for _ in range(20):
                 self._executor.spin_once(timeout_sec=0.01)
@@ -54,9 +52,9 @@ class Listener:
 
         wait_for(received, 60.0, what)
 
-    def more_predictions(self, count: int = 10) -> None:
+    def wait_for_predictions(self, count: int = 10) -> None:
         expected = len(self.starts) + count
-        self.until(lambda: len(self.starts) >= expected, f"{count} more predictions, {self.said}")
+        self.wait_until(lambda: len(self.starts) >= expected, f"{count} more predictions, {self.text}")
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -64,38 +62,31 @@ class Listener:
         rclpy.try_shutdown(context=self.context)
 
 
-@pytest.fixture
-def processes(tmp_path: Path) -> Iterator[Processes]:
-    running = Processes(tmp_path)
-    yield running
-    running.close()
-
-
-def feeder(processes: Processes) -> subprocess.Popen:
+def start_feeder(processes: Processes) -> subprocess.Popen:
     return processes.start([sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--duration", "600"], "feeder")
 
 
-def test_an_intruder_is_named_and_not_used_and_the_own_node_is_taken_again(processes: Processes) -> None:
+def test_intruder_is_reported_and_unused_and_restarted_publisher_is_accepted(processes: Processes) -> None:
     listener = Listener(int(processes.environment["ROS_DOMAIN_ID"]))
     try:
         processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
-        first = feeder(processes)
-        listener.more_predictions()
-        assert listener.said == "one of each input"
+        first = start_feeder(processes)
+        listener.wait_for_predictions()
+        assert listener.text == "one of each input"
 
         intruder = processes.start([sys.executable, str(ROOT / "tests" / "intruder.py")], "intruder")
-        listener.until(lambda: "/intruder" in listener.said, "the intruder is named")
-        listener.more_predictions()
+        listener.wait_until(lambda: "/intruder" in listener.text, "the intruder is reported")
+        listener.wait_for_predictions()
         intruder.terminate()
         intruder.wait(20)
-        listener.until(lambda: listener.said == "one of each input", "well again")
-        listener.more_predictions()
+        listener.wait_until(lambda: listener.text == "one of each input", "a single publisher again")
+        listener.wait_for_predictions()
 
-        # Dead without a word it stays in the graph for a while, beside the one that takes its place.
+        # A killed node remains in the graph for some time, together with its replacement.
         first.send_signal(signal.SIGKILL)
         first.wait(20)
-        feeder(processes)
-        listener.more_predictions()
+        start_feeder(processes)
+        listener.wait_for_predictions()
         assert max(map(abs, listener.starts)) < ELSEWHERE / 2
     finally:
         listener.close()

@@ -1,4 +1,4 @@
-"""The predictor where the car stops: predictions that end in standstill are scored for the bands; time jumps back."""
+"""The predictor when the car stops: predictions that end at standstill are scored for the adaptive bands."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ from rclpy.time import Time
 from st_core.bands.adaptive import WARM_UP
 from st_core.types import InsSample
 from st_predictor.nodes.predictor import PredictorNode
-from support import ROOT
+from support import LEAF
 
 pytestmark = pytest.mark.ros
 BEGIN_NS = 1_700_000_000 * 10**9
@@ -20,12 +20,11 @@ BEGIN_NS = 1_700_000_000 * 10**9
 
 @pytest.fixture
 def node() -> Iterator[PredictorNode]:
-    vehicle = ROOT / "config" / "vehicle" / "leaf.yaml"
-    rclpy.init(args=["--ros-args", "-p", f"vehicle_file:={vehicle}", "-p", "use_sim_time:=true",
+    rclpy.init(args=["--ros-args", "-p", f"vehicle_file:={LEAF}", "-p", "use_sim_time:=true",
                      "-p", "compiled:=false"])
-    one = PredictorNode()
-    yield one
-    one.destroy_node()
+    node = PredictorNode()
+    yield node
+    node.destroy_node()
     rclpy.shutdown()
 
 
@@ -44,11 +43,11 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
     return node._counter.as_dict()["predicted"] - before, texts
 
 
-def test_predictions_that_end_in_standstill_are_scored(node: PredictorNode) -> None:
+def test_predictions_that_end_at_standstill_are_scored(node: PredictorNode) -> None:
     predicted, texts = drive(node)
     assert predicted > 100
     assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * predicted, abs=1.5)
     assert texts == ["not used: no prediction at the moment", "off (course_file is empty)"]
-    again, _ = drive(node)  # a replay that starts over
-    assert again == pytest.approx(predicted, abs=3)
-    assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * (predicted + again), abs=3.0)
+    repeated, _ = drive(node)  # time jumps back, as in a replay that restarts
+    assert repeated == pytest.approx(predicted, abs=3)
+    assert node._bands._adaptive.remaining_warm_up == pytest.approx(WARM_UP - 0.1 * (predicted + repeated), abs=3.0)

@@ -1,4 +1,4 @@
-"""Loss of power: unsynced data are lost, at most the last second of the recording."""
+"""Power loss: unsynced data are lost, at most the last second of the recording."""
 
 import errno
 import os
@@ -17,13 +17,13 @@ RATE = 500  # messages/s
 
 
 class Disk:
-    """What survives: of each file its length when the last fdatasync of it that has returned was called.
+    """Length of each file that survives a power loss: that at the call of the last completed fdatasync.
 
-    delay [s] of each; error: number to fail with.
+    delay: of each fdatasync [s]; error: errno with which fdatasync fails, 0 for none.
     """
 
     def __init__(self, delay: float = 0.0, error: int = 0):
-        self.safe: dict[int, int] = {}  # by inode, bytes
+        self.safe: dict[int, int] = {}  # bytes by inode
         self.delay, self.error, self.threads = delay, error, set()
         self._real = os.fdatasync
 
@@ -37,7 +37,7 @@ class Disk:
         self.safe[status.st_ino] = status.st_size
 
     def lose_power(self, file: Path, target: Path, tail: bytes = b"") -> Path:
-        """The bag after the power loss; the rest of the file is missing, or old content of the disk."""
+        """The bag after the power loss; the unsynced part of the file is missing or filled with `tail`."""
         length, whole = self.safe.get(file.stat().st_ino, 0), file.stat().st_size
         target.mkdir()
         (target / file.name).write_bytes(file.read_bytes()[:length] + (tail * whole)[:whole - length])
@@ -46,13 +46,13 @@ class Disk:
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
-    made = Disk()
-    monkeypatch.setattr(syncing.os, "fdatasync", made.fdatasync)
-    return made
+    disk = Disk()
+    monkeypatch.setattr(syncing.os, "fdatasync", disk.fdatasync)
+    return disk
 
 
 def record(directory: Path, seconds: float, synced: bool = True, padding: str = "") -> tuple[BagWriter, list[float]]:
-    """A bag being written as by the recorder, and the time each message was passed to it [s, monotonic]."""
+    """An open bag, written as by the recorder, and the time at which each message was written [s, monotonic]."""
     bag = BagWriter(directory, {"configuration": {"hash": "0123"}}, synced=synced)
     topic = bag.add_topic("/a", TYPE, definition=DEFINITION, type_hash=TYPE_HASH)
     written: list[float] = []
@@ -68,8 +68,8 @@ def record(directory: Path, seconds: float, synced: bool = True, padding: str = 
 
 @pytest.mark.parametrize("tail", [b"", b"\0", b"\xa5"], ids=["cut", "zeros", "old bytes"])
 @pytest.mark.parametrize("seconds", [1.6, 2.3])
-def test_a_loss_of_power_costs_at_most_the_last_second(disk: Disk, tmp_path: Path, seconds: float, tail: bytes) -> None:
-    disk.delay = 0.1  # a slow card
+def test_power_loss_loses_at_most_the_last_second(disk: Disk, tmp_path: Path, seconds: float, tail: bytes) -> None:
+    disk.delay = 0.1  # a slow memory card
     bag, written = record(tmp_path / "bag", seconds)
     now = time.monotonic()
     found = disk.lose_power(bag.path, tmp_path / "found", tail)
@@ -78,17 +78,17 @@ def test_a_loss_of_power_costs_at_most_the_last_second(disk: Disk, tmp_path: Pat
     kept = read_numbers(found)["/a"]
     assert kept == list(range(len(kept)))
     assert len(kept) >= sum(one < now - 1.0 for one in written) > 0
-    assert len(kept) < len(written)  # else nothing was lost and nothing tested
+    assert len(kept) < len(written)  # otherwise nothing was lost and nothing is tested
     assert threading.current_thread() not in disk.threads
 
 
-def test_without_syncing_everything_may_be_lost(disk: Disk, tmp_path: Path) -> None:
+def test_nothing_is_synced_without_the_option(disk: Disk, tmp_path: Path) -> None:
     bag, _ = record(tmp_path / "bag", 1.2, synced=False)
     assert not disk.safe and bag.syncer is None
     bag.close()
 
 
-def test_many_chunks_a_second_do_not_keep_the_disk_busy(disk: Disk, tmp_path: Path) -> None:
+def test_sync_rate_is_limited_for_many_chunks(disk: Disk, tmp_path: Path) -> None:
     bag, written = record(tmp_path / "bag", 1.2, padding="x" * 50_000)  # a chunk of 1 MiB every 40 ms
     assert bag.syncer is not None
     assert 3 <= bag.syncer.count <= 1.2 / syncing.SHORTEST_PERIOD + 3
@@ -96,7 +96,7 @@ def test_many_chunks_a_second_do_not_keep_the_disk_busy(disk: Disk, tmp_path: Pa
     assert read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
 
 
-def test_a_disk_that_does_not_follow_does_not_hold_up_the_writer(disk: Disk, tmp_path: Path) -> None:
+def test_slow_disk_does_not_delay_the_writer(disk: Disk, tmp_path: Path) -> None:
     disk.delay = 1.5
     bag, written = record(tmp_path / "bag", 2.2)
     assert bag.syncer is not None
@@ -108,18 +108,18 @@ def test_a_disk_that_does_not_follow_does_not_hold_up_the_writer(disk: Disk, tmp
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
-def test_a_failing_disk_is_reported_and_recording_continues(disk: Disk, tmp_path: Path, number: int) -> None:
+def test_failing_disk_is_reported_and_recording_continues(disk: Disk, tmp_path: Path, number: int) -> None:
     disk.error = number
     bag, before = record(tmp_path / "bag", 0.8)
     assert bag.syncer is not None and bag.syncer.error == os.strerror(number)
     disk.error = 0
     time.sleep(0.3)
-    assert bag.syncer.error == os.strerror(number)  # it was refused once: that does not become good
+    assert bag.syncer.error == os.strerror(number)  # data of a failed sync remain uncertain
     bag.close()
     assert bag.error == "" and read_numbers(tmp_path / "bag")["/a"] == list(range(len(before)))
 
 
-def test_no_thread_and_no_file_is_left(tmp_path: Path) -> None:
+def test_threads_and_files_are_released(tmp_path: Path) -> None:
     threads, files = threading.active_count(), len(os.listdir("/proc/self/fd"))
     bag, _ = record(tmp_path / "closed", 0.6)
     bag.close()
@@ -132,7 +132,7 @@ def test_no_thread_and_no_file_is_left(tmp_path: Path) -> None:
     assert threading.active_count() == threads and len(os.listdir("/proc/self/fd")) == files
 
 
-def test_the_nodes_say_what_the_disk_does(disk: Disk, tmp_path: Path) -> None:
+def test_recording_check_reports_slow_and_failing_disk(disk: Disk, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     from st_predictor.nodes._bag import is_complete, make_recording_check
     from st_ros import diagnostics

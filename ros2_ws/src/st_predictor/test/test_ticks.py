@@ -7,7 +7,7 @@ from st_predictor.nodes.predictor import TickCounter
 PERIOD = 100_000_000
 
 
-def test_nothing_is_due_before_the_inputs_are_known() -> None:
+def test_no_tick_is_due_before_the_inputs_are_known() -> None:
     counter = TickCounter()
     for _ in range(5):
         counter.count(0, "stale")
@@ -17,7 +17,7 @@ def test_nothing_is_due_before_the_inputs_are_known() -> None:
         "due": 1, "predicted": 1, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
 
 
-def test_a_slow_car_has_known_inputs() -> None:
+def test_ticks_of_a_slow_car_are_due() -> None:
     counter = TickCounter()
     counter.count(0, "slow")
     counter.count(0, "stale")
@@ -25,13 +25,13 @@ def test_a_slow_car_has_known_inputs() -> None:
         "due": 2, "predicted": 0, "skipped_stale": 1, "skipped_overrun": 0, "skipped_slow": 1}
 
 
-def test_jitter_of_the_clock_reading_is_no_overrun() -> None:
+def test_clock_jitter_is_no_overrun() -> None:
     counter = TickCounter()
     for k, jitter in enumerate((0, 30_000_000, -40_000_000, 5)):
         assert counter.count_missed(k * PERIOD + jitter, PERIOD) == 0
 
 
-def test_jumps_of_the_clock_are_no_overruns() -> None:
+def test_clock_jumps_are_no_overruns() -> None:
     counter = TickCounter()
     for due_ns in (10**18, 10**18 - 5 * 10**9, 10**18 + 3600 * 10**9):
         assert counter.count_missed(due_ns, PERIOD) == 0

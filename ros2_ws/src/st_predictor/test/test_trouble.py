@@ -1,4 +1,4 @@
-"""Faults during a drive: silence, NaN, a wrong frame, jumping time, overruns, a full disk, wrong files."""
+"""Faults during a drive: missing inputs, NaN, a wrong frame, time jumps, overruns, a full disk, wrong parameters."""
 
 import os
 import shutil
@@ -25,13 +25,12 @@ from bags import (
     trim_to_common_start,
 )
 from ros_processes import Processes, executable, wait_for
-from support import ROOT
+from support import LEAF, ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks")]
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 MODELS = ("kinematic", "linear", "nonlinear")
-OK, WARN, ERROR = 0, 1, 2
+OK, WARNING, ERROR = 0, 1, 2
 
 
 def feed(processes: Processes, *options: str) -> int:
@@ -41,25 +40,25 @@ def feed(processes: Processes, *options: str) -> int:
     return int(processes.log("feeder").split()[1])
 
 
-# Evaluator and recorder have found all that the predictor publishes.
-ALL_HEARD = [f"--wait-for=predictor/{model}/prediction:2" for model in MODELS]
+# Evaluator and recorder have discovered all predictions.
+WAIT_FOR_PREDICTIONS = [f"--wait-for=predictor/{model}/prediction:2" for model in MODELS]
 
 
-def recorder(processes: Processes, **options: Any) -> tuple[subprocess.Popen, Path]:
+def start_recorder(processes: Processes, **options: Any) -> tuple[subprocess.Popen, Path]:
     bag = processes.folder / "bag"
     return processes.node("st_predictor", "recorder", f"output_directory:={bag}", **options), bag
 
 
 @pytest.fixture(scope="module")
-def troubled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def drive_with_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """One drive of 22 s with several faults in sequence, each temporary."""
     processes = Processes(tmp_path_factory.mktemp("trouble"))
     try:
         nodes = [processes.node("st_predictor", name, f"vehicle_file:={LEAF}") for name in ("predictor", "evaluator")]
-        recording, bag = recorder(processes)
-        zero_ns = feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "22", "--silent-steering", "6:7.5",
-                       "--nan", "11:12.5", "--silent-odometry", "13.5:15", "--invalid-steering", "16:17.5",
-                       "--jump", "18.5:20:-3")
+        recording, bag = start_recorder(processes)
+        zero_ns = feed(processes, *WAIT_FOR_PREDICTIONS, "--subscribers", "3", "--duration", "22",
+                       "--silent-steering", "6:7.5", "--nan", "11:12.5", "--silent-odometry", "13.5:15",
+                       "--invalid-steering", "16:17.5", "--jump", "18.5:20:-3")
         statuses = [processes.stop(node) for node in (*nodes, recording)]
     finally:
         processes.close()
@@ -67,76 +66,76 @@ def troubled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_nothing_crashed(troubled: dict[str, Any]) -> None:
-    assert troubled["statuses"] == [0, 0, 0]
+def test_nodes_end_with_status_0(drive_with_faults: dict[str, Any]) -> None:
+    assert drive_with_faults["statuses"] == [0, 0, 0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("begin", "end", "words"), [
+@pytest.mark.parametrize(("begin", "end", "fragments"), [
     (6.0, 7.5, ("steering", "s old")),
     (11.0, 12.5, ("INS", "s old", "NaN or infinite")),
     (13.5, 15.0, ("INS", "s old")),
     (16.0, 17.5, ("steering", "s old", "marked invalid")),
     (18.5, 20.0, ("INS", "3.", "s old")),
 ])
-def test_no_prediction_without_an_input_and_the_reason_is_reported(
-    troubled: dict[str, Any], begin: float, end: float, words: tuple[str, ...]
+def test_no_prediction_without_valid_inputs_and_the_reason_is_reported(
+    drive_with_faults: dict[str, Any], begin: float, end: float, fragments: tuple[str, ...]
 ) -> None:
     """Nothing is issued between the limit of 0.2 s and the return of the signal; then predictions resume."""
-    zero_ns, messages = troubled["zero_ns"], troubled["messages"]
+    zero_ns, messages = drive_with_faults["zero_ns"], drive_with_faults["messages"]
     issued = [(nanoseconds(m.issued_at) - zero_ns) * 1e-9 for m in messages["/predictor/linear/prediction"]]
     assert not [t for t in issued if begin + 0.35 < t < end]
     assert [t for t in issued if begin - 0.6 < t <= begin + 0.1]
     assert [t for t in issued if end < t < end + 0.7]
     output = [(level, text) for stamp, level, text in health(messages)["predictor: prediction"]
               if begin + 0.3 < (stamp - zero_ns) * 1e-9 < end]
-    assert any(level == ERROR and all(word in text for word in words) for level, text in output), output
+    assert any(level == ERROR and all(fragment in text for fragment in fragments) for level, text in output), output
 
 
 @pytest.mark.slow
-def test_skipped_ticks_are_counted(troubled: dict[str, Any]) -> None:
-    last = troubled["messages"]["/predictor/status"][-1]
+def test_skipped_ticks_are_counted(drive_with_faults: dict[str, Any]) -> None:
+    last = drive_with_faults["messages"]["/predictor/status"][-1]
     assert last.skipped_stale > 30
     assert last.due == last.predicted + last.skipped_stale + last.skipped_overrun + last.skipped_slow
-    got = stamps(troubled["messages"]["/predictor/nonlinear/prediction"])
-    assert 0 <= last.predicted - len(got) <= count_ticks_before(got[0], troubled["zero_ns"])
-    reasons = {m.reason for m in troubled["messages"]["/predictor/status"]}
+    recorded = stamps(drive_with_faults["messages"]["/predictor/nonlinear/prediction"])
+    assert 0 <= last.predicted - len(recorded) <= count_ticks_before(recorded[0], drive_with_faults["zero_ns"])
+    reasons = {m.reason for m in drive_with_faults["messages"]["/predictor/status"]}
     assert any("steering" in reason for reason in reasons)
 
 
 @pytest.mark.slow
-def test_scores_across_a_gap_say_so(troubled: dict[str, Any]) -> None:
-    zero_ns, messages = troubled["zero_ns"], troubled["messages"]
-    seen = {"forecast": 0, "hindsight": 0}
+def test_scores_across_a_gap_are_incomplete(drive_with_faults: dict[str, Any]) -> None:
+    zero_ns, messages = drive_with_faults["zero_ns"], drive_with_faults["messages"]
+    counts = {"forecast": 0, "hindsight": 0}
     for error in messages["/evaluator/errors"]:
         start = (nanoseconds(error.header.stamp) - zero_ns) * 1e-9
         if 1.2 < start < 5.8:
-            # The steering is missing from 6 to 7.5 s: only the simulation with measured inputs needs it.
+            # The steering is missing from 6 to 7.5 s; only hindsight uses it.
             assert error.complete == (error.mode == "forecast")
             assert error.complete or error.incomplete_reason.startswith("steering: ")
         if 7.6 < start < 10.9:
             assert not error.complete
             assert error.incomplete_reason.startswith("INS: ")
-        seen[error.mode] += 1
-    assert min(seen.values()) > 200
+        counts[error.mode] += 1
+    assert min(counts.values()) > 200
 
 
 @pytest.mark.slow
-def test_predictions_waiting_when_time_jumps_back_end_incomplete(troubled: dict[str, Any]) -> None:
+def test_pending_predictions_are_scored_incomplete_when_time_jumps_back(drive_with_faults: dict[str, Any]) -> None:
     """Each prediction is scored once per mode, from the first one that evaluator and recorder both receive."""
-    messages = troubled["messages"]
+    messages = drive_with_faults["messages"]
     assert any("jumped back" in e.incomplete_reason for e in messages["/evaluator/errors"])
     predicted = [(m, stamp) for m in MODELS for stamp in stamps(messages[f"/predictor/{m}/prediction"])]
     for mode in ("forecast", "hindsight"):
         scored = [(e.model, nanoseconds(e.header.stamp)) for e in messages["/evaluator/errors"] if e.mode == mode]
-        there, here = select_common_period(scored, predicted)
-        assert there == here
-        assert here[0][1] < troubled["zero_ns"] + 5 * 10**9  # before the first fault
+        scores, predictions = select_common_period(scored, predicted)
+        assert scores == predictions
+        assert predictions[0][1] < drive_with_faults["zero_ns"] + 5 * 10**9  # before the first fault
 
 
 def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
     predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
-    recording, bag = recorder(processes)
+    recording, bag = start_recorder(processes)
     feed(processes, "--subscribers", "2", "--duration", "3", "--frame", "odom")
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
     messages = read_messages(bag)
@@ -146,18 +145,18 @@ def test_odometry_in_another_frame_is_refused(processes: Processes) -> None:
 
 
 @pytest.mark.slow
-def test_recorder_names_the_node_that_it_does_not_hear(processes: Processes) -> None:
+def test_recorder_reports_the_silent_node(processes: Processes) -> None:
     predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
-    recording, bag = recorder(processes)
+    recording, bag = start_recorder(processes)
     feed(processes, "--subscribers", "2", "--duration", "3")
-    predictor.send_signal(signal.SIGSTOP)  # what it published stays matched
-    wait_for(lambda: "nothing recorded from predictor" in processes.log("recorder"), what="the silence is reported")
+    predictor.send_signal(signal.SIGSTOP)  # its publishers stay matched
+    wait_for(lambda: "nothing recorded from predictor" in processes.log("recorder"), what="report of the silence")
     predictor.send_signal(signal.SIGCONT)
-    wait_for(lambda: "messages of all publishers arrive" in processes.log("recorder"), what="and its end")
+    wait_for(lambda: "messages of all publishers arrive" in processes.log("recorder"), what="report of its end")
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
     output = health(read_messages(bag))["recorder: senders"]
-    assert {level for _, level, _ in output} == {OK, WARN}
-    assert not [text for _, level, text in output if level == WARN and "predictor" not in text]
+    assert {level for _, level, _ in output} == {OK, WARNING}
+    assert not [text for _, level, text in output if level == WARNING and "predictor" not in text]
 
 
 @pytest.mark.slow
@@ -166,8 +165,8 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     predictor = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}", "horizon:=60.0", "step:=0.01",
                                "rate:=50.0")
     evaluator = processes.node("st_predictor", "evaluator", f"vehicle_file:={GENESIS}")
-    recording, bag = recorder(processes)
-    feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "3")
+    recording, bag = start_recorder(processes)
+    feed(processes, *WAIT_FOR_PREDICTIONS, "--subscribers", "3", "--duration", "3")
     assert [processes.stop(p) for p in (predictor, evaluator, recording)] == [0, 0, 0]
     messages = read_messages(bag)
     status = messages["/predictor/status"][-1]
@@ -176,18 +175,20 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     ticks, others = trim_to_common_start(
         *(stamps(messages[f"/predictor/{model}/prediction"]) for model in ("nonlinear", "kinematic")))
     assert ticks == sorted(set(ticks)) == others
-    warnings = {name: [text for _, level, text in output if level == WARN] for name, output in health(messages).items()}
+    warnings = {name: [text for _, level, text in output if level == WARNING]
+                for name, output in health(messages).items()}
     assert any("skipped by overrun" in text for text in warnings["predictor: timing"])
     assert any("another vehicle" in text for text in warnings["evaluator: scoring"])
 
 
 @pytest.mark.slow
-def test_simulated_time_that_starts_over(processes: Processes) -> None:
+def test_simulated_time_may_restart(processes: Processes) -> None:
     """A replay in a loop: stamps and /clock of 1970, back to their start after four seconds."""
     nodes = [processes.node("st_predictor", name, f"vehicle_file:={LEAF}", "use_sim_time:=true")
              for name in ("predictor", "evaluator")]
-    recording, bag = recorder(processes)
-    feed(processes, *ALL_HEARD, "--subscribers", "3", "--duration", "12", "--loop", "4", "--zero", str(1000 * 10**9))
+    recording, bag = start_recorder(processes)
+    feed(processes, *WAIT_FOR_PREDICTIONS, "--subscribers", "3", "--duration", "12", "--loop", "4",
+         "--zero", str(1000 * 10**9))
     assert [processes.stop(p) for p in (*nodes, recording)] == [0, 0, 0]
     messages = read_messages(bag)
     times = [(s - 1000 * 10**9) * 1e-9 for s in stamps(messages["/predictor/linear/prediction"])]
@@ -198,17 +199,17 @@ def test_simulated_time_that_starts_over(processes: Processes) -> None:
     rounds = [times[a:b] for a, b in zip([0, *backwards], [*backwards, None], strict=True)]
     assert all(len(one) > 25 for one in rounds)
     for message in messages["/predictor/linear/prediction"]:
-        # On the same clock; a measurement may arrive just before the /clock that belongs to it.
+        # Both are on the same clock; a measurement may arrive just before its /clock.
         assert abs(nanoseconds(message.issued_at) - nanoseconds(message.header.stamp)) < 10**9
 
 
 @pytest.mark.slow
 def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> None:
-    """A file size limit emulates the full disk; a second recorder elsewhere records the diagnostics."""
+    """A limit of the file size emulates the full disk; a second recorder records the diagnostics."""
     bag = processes.folder / "full"
     command = [executable("st_predictor", "recorder"), "--ros-args", "-p", f"output_directory:={bag}"]
     limited = processes.start(["bash", "-c", 'ulimit -f 60; exec "$@"', "bash", *command], "limited")
-    watching, seen = recorder(processes, arguments=("-r", "__node:=watcher"))
+    watching, seen = start_recorder(processes, arguments=("-r", "__node:=watcher"))
     feed(processes, "--subscribers", "2", "--duration", "8", "--rate", "250")
     assert limited.poll() is None
     assert processes.stop(limited) == 1
@@ -216,8 +217,8 @@ def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> Non
     output = [text for _, level, text in health(read_messages(seen))["recorder: recording"] if level == ERROR]
     assert output
     assert all("File too large" in text for text in output)
-    kept = read_messages(bag)
-    assert len(kept["/ins/odometry"]) > 200
+    messages = read_messages(bag)
+    assert len(messages["/ins/odometry"]) > 200
     assert (bag / "full_0.mcap").stat().st_size <= 60 * 1024
 
 
@@ -225,7 +226,7 @@ def test_recorder_reports_a_full_disk_and_continues(processes: Processes) -> Non
 def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
     from st_recordings.mcap import recover
 
-    node, bag = recorder(processes)
+    node, bag = start_recorder(processes)
     feeder = processes.start([sys.executable, str(ROOT / "tests" / "circle_feeder.py"), "--duration", "20"], "feeder")
     wait_for(lambda: "feeding" in processes.log("feeder"), what="feeding")
     time.sleep(4.0)
@@ -258,16 +259,18 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("node", "parameters", "words"), REFUSED, ids=[f"{n}-{w[:25]}" for n, _, w in REFUSED])
-def test_start_is_refused_in_one_line(processes: Processes, node: str, parameters: list[str], words: str) -> None:
+@pytest.mark.parametrize(("node", "parameters", "message"), REFUSED, ids=[f"{n}-{w[:25]}" for n, _, w in REFUSED])
+def test_wrong_parameters_are_refused_in_one_line(
+    processes: Processes, node: str, parameters: list[str], message: str
+) -> None:
     process = processes.node("st_predictor", node, *parameters)
     assert process.wait(30) == 2
     (line,) = processes.log(node).splitlines()
     assert line.startswith(f"{node}.") or line.startswith(f"{node}: ")
-    assert words in line
+    assert message in line
 
 
-def test_start_from_a_file_is_refused_naming_file_key_and_limit(processes: Processes) -> None:
+def test_wrong_value_in_a_parameter_file_is_refused_with_file_key_and_limit(processes: Processes) -> None:
     text = (ROOT / "config" / "nodes.yaml").read_text()
     file = processes.folder / "mine.yaml"
     file.write_text(text.replace("stale_after: 0.2", "stale_after: 20.0"))

@@ -1,4 +1,4 @@
-"""Two recorders with the same directory: one uses it, the other changes nothing."""
+"""Several recorders with the same directory: one uses it, the others change nothing."""
 
 import threading
 from pathlib import Path
@@ -17,16 +17,16 @@ def record(bag: BagWriter, number: int) -> None:
     bag.close()
 
 
-def test_of_many_that_begin_at_once_one_gets_the_directory(tmp_path: Path) -> None:
+def test_one_of_many_simultaneous_recorders_gets_the_directory(tmp_path: Path) -> None:
     for attempt in range(20):
-        directory, together, bags, refused = tmp_path / str(attempt), threading.Barrier(RECORDERS), [], []
+        directory, barrier, bags, refused = tmp_path / str(attempt), threading.Barrier(RECORDERS), [], []
 
-        def begin(where: Path = directory, at_once=together, made=bags, reported=refused) -> None:
-            at_once.wait()
+        def begin(directory: Path = directory, barrier=barrier, bags=bags, refused=refused) -> None:
+            barrier.wait()
             try:
-                made.append(BagWriter(where))
+                bags.append(BagWriter(directory))
             except FileExistsError as error:
-                reported.append(error)
+                refused.append(error)
 
         threads = [threading.Thread(target=begin) for _ in range(RECORDERS)]
         for thread in threads:
@@ -38,7 +38,7 @@ def test_of_many_that_begin_at_once_one_gets_the_directory(tmp_path: Path) -> No
         assert read_numbers(directory) == {"/a": [attempt]}
 
 
-def test_one_that_was_started_again_records_beside_the_first(tmp_path: Path) -> None:
+def test_restarted_recorder_writes_a_numbered_directory(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2")
     from st_predictor.nodes._bag import open_bag
     from st_ros.parameters import ConfigurationError
