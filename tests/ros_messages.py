@@ -9,11 +9,11 @@ from st_recordings.runs.cdr import load_typestore
 STORE = load_typestore(definitions_folder())
 
 
-def make(name: str, **values: Any) -> Any:
+def make(name: str, /, **values: Any) -> Any:
     return STORE.types[name](**values)
 
 
-def serialise(name: str, **values: Any) -> bytes:
+def serialise(name: str, /, **values: Any) -> bytes:
     return bytes(STORE.serialize_cdr(make(name, **values), name))
 
 

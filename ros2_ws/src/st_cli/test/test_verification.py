@@ -3,12 +3,12 @@
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from command_line import st
 from mcap.reader import make_reader
+from ros_messages import STORE, definition, header, odometry, serialise, stamp
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
@@ -17,11 +17,9 @@ from st_live import verification
 from st_live.replaying import describe_omissions
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter
-from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder
-from st_recordings.runs.cdr import load_typestore
+from st_recordings.runs.bag import ODOMETRY, STEERING
 from support import LEAF, ROOT
 
-STORE = load_typestore(definitions_folder())
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 MODELS = ("kinematic", "linear")
 T0 = 1_756_900_800_000_000_000
@@ -30,29 +28,6 @@ SETTINGS = PredictionSettings(horizon=1.0)
 LEAF_TEXT = LEAF.read_text()
 CAR = VehicleParameters.from_yaml(LEAF_TEXT, "leaf")
 NODES = {"predictor": {"horizon": 1.0, "vehicle_file": "config/vehicle/leaf.yaml"}, "evaluator": {}}
-
-
-def header(time_ns: int, frame: str = "map") -> Any:
-    sec, nanosec = divmod(time_ns, 10**9)
-    return STORE.types["std_msgs/msg/Header"](stamp(sec, nanosec), frame)
-
-
-def stamp(sec: int, nanosec: int) -> Any:
-    return STORE.types["builtin_interfaces/msg/Time"](sec, nanosec)
-
-
-def message(name: str, **values: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(STORE.types[name](**values), name))
-
-
-def odometry(s: InsSample) -> bytes:
-    t = {n: STORE.types[f"geometry_msgs/msg/{n}"] for n in (
-        "Point", "Quaternion", "Pose", "PoseWithCovariance", "Vector3", "Twist", "TwistWithCovariance")}
-    pose = t["Pose"](t["Point"](s.x, s.y, 0.0), t["Quaternion"](0.0, 0.0, np.sin(s.yaw / 2), np.cos(s.yaw / 2)))
-    twist = t["Twist"](t["Vector3"](s.velocity_x, s.velocity_y, 0.0), t["Vector3"](0.0, 0.0, s.yaw_rate))
-    return message(ODOMETRY, header=header(s.time_ns), child_frame_id="ins_link",
-                   pose=t["PoseWithCovariance"](pose, np.zeros(36)),
-                   twist=t["TwistWithCovariance"](twist, np.zeros(36)))
 
 
 def path(time: float) -> tuple[float, float]:
@@ -83,7 +58,7 @@ class LiveBag:
         parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
         files = {"leaf.yaml": LEAF_TEXT} if self.contains_its_car else {}
         writer = BagWriter(self.folder, {"configuration": {**files, "parameters.yaml": parameters}})
-        topics = {name: writer.add_topic(topic, name, definition=STORE.generate_msgdef(name, ros_version=2)[0],
+        topics = {name: writer.add_topic(topic, name, definition=definition(name),
                                          type_hash=STORE.hash_rihs01(name))
                   for topic, name in (("/ins/odometry", ODOMETRY), ("/vehicle/steering", STEERING),
                                       ("/predictor/x/prediction", PREDICTION), ("/evaluator/errors", ERROR))}
@@ -98,8 +73,8 @@ class LiveBag:
             for core in (self._evaluator,) if k in self.unreceived else (self._predictor, self._evaluator):
                 core.add_ins(sample)
                 core.add_steering(steering_ns, angle)
-            writer.write(topics[ODOMETRY], odometry(sample), time_ns)
-            writer.write(topics[STEERING], message(STEERING, header=header(steering_ns, ""), road_wheel_angle=angle,
+            writer.write(topics[ODOMETRY], odometry(*sample), time_ns)
+            writer.write(topics[STEERING], serialise(STEERING, header=header(steering_ns), road_wheel_angle=angle,
                                                    steering_wheel_angle=angle * 17.3, valid=True), steering_ns)
             if k % 10 == 9 and not self.without_predictions:
                 for prediction in self._tick(steering_ns):
@@ -123,8 +98,8 @@ class LiveBag:
             names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
             columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
             columns["x"][-1] += self.path_shift if self._count == 41 else 0.0
-            messages.append(message(
-                PREDICTION, header=header(start.time_ns), issued_at=stamp(0, 0), model=model, step=path.step,
+            messages.append(serialise(
+                PREDICTION, header=header(start.time_ns, "map"), issued_at=stamp(0), model=model, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
                 cg_to_ins_x=self.car.cg_to_ins_x, cg_to_ins_y=0.0, compute_time=0.0,
                 configuration_hash=configuration_hash(self.car, SETTINGS), bands=[]))
@@ -132,8 +107,8 @@ class LiveBag:
 
     def _score(self, score) -> bytes:
         shift = self.score_shift if (score.model, score.mode) == ("linear", "hindsight") else 0.0
-        return message(
-            ERROR, header=header(score.start_ns), model=score.model, mode=score.mode, complete=score.complete,
+        return serialise(
+            ERROR, header=header(score.start_ns, "map"), model=score.model, mode=score.mode, complete=score.complete,
             incomplete_reason=score.incomplete_reason, horizon=score.horizon, longitudinal=score.longitudinal,
             lateral=score.lateral + shift, yaw=score.yaw, longitudinal_mean=score.longitudinal_mean,
             lateral_mean=score.lateral_mean, yaw_mean=score.yaw_mean, configuration_hash="")
@@ -222,7 +197,7 @@ def test_truncated_recording_is_reported(live):
     os.truncate(file, chunks[-1].chunk_start_offset + chunks[-1].chunk_length)
     unread = st_verify(live.folder)
     assert unread.exit_code == 2 and "was not closed" in unread.output and "st recover" in unread.output
-    recovered = CliRunner().invoke(app, ["recover", str(live.folder)])
+    recovered = st("recover", live.folder)
     assert recovered.exit_code == 0, recovered.output
     done = st_verify(live.folder)
     assert f"{live.folder} is truncated" in done.output.replace("\n", "")

@@ -2,46 +2,24 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from ros_messages import STORE, header, make, odometry, serialise
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import check_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
-from st_recordings.runs.bag import definitions_folder, read_bag
-from st_recordings.runs.cdr import ODOMETRY, load_typestore
+from st_recordings.runs.bag import read_bag
+from st_recordings.runs.cdr import ODOMETRY
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.run_types import SteeringField
 
-STORE = load_typestore(definitions_folder())
 START_NS = 1_700_000_000_000_000_000
 N, STEP_NS = 400, 10_000_000
 FLOAT, STAMPED, TEXT = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
 JOINTS = "sensor_msgs/msg/JointState"
-
-
-def make(name: str, /, **values: Any) -> Any:
-    return STORE.types[name](**values)
-
-
-def header(time_ns: int, frame: str) -> Any:
-    sec, nanosec = divmod(time_ns, 10**9)
-    return make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
-                frame_id=frame)
-
-
-def odometry(time_ns: int, x: float) -> Any:
-    point = make("geometry_msgs/msg/Point", x=x, y=0.0, z=0.0)
-    orientation = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    linear, angular = (make("geometry_msgs/msg/Vector3", x=v, y=0.0, z=0.0) for v in (10.0, 0.0))
-    pose = make("geometry_msgs/msg/Pose", position=point, orientation=orientation)
-    twist = make("geometry_msgs/msg/Twist", linear=linear, angular=angular)
-    return make(ODOMETRY, header=header(time_ns, "odom"), child_frame_id="base_link",
-                pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-                twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)))
 
 
 def angle(k: int) -> float:
@@ -55,14 +33,17 @@ def write_bag(folder: Path, storage: StoragePlugin = StoragePlugin.MCAP) -> Path
         connections = {topic: writer.add_connection(topic, name, typestore=STORE) for topic, name in names.items()}
         for k in range(N):
             now = START_NS + k * STEP_NS
-            stamped = make(STAMPED, header=header(now - 30_000_000, ""),
-                           vector=make("geometry_msgs/msg/Vector3", x=7.0, y=angle(k), z=0.0))
-            for topic, message in (("/odom", odometry(now, 0.1 * k)), ("/rack", stamped),
-                                   ("/steering_angle", make(FLOAT, data=angle(k))), ("/notes", make(TEXT, data="x"))):
-                writer.write(connections[topic], now, bytes(STORE.serialize_cdr(message, names[topic])))
-            joints = make(JOINTS, header=header(now, ""), name=["left", "right"], position=np.array([9.0, angle(k)]),
-                          velocity=np.zeros(2), effort=np.zeros(2))
-            writer.write(connections["/joints"], now, bytes(STORE.serialize_cdr(joints, JOINTS)))
+            messages = {
+                "/odom": odometry(now, 0.1 * k, 0.0, 0.0, 10.0, frame="odom", child_frame="base_link"),
+                "/steering_angle": serialise(FLOAT, data=angle(k)),
+                "/rack": serialise(STAMPED, header=header(now - 30_000_000),
+                                   vector=make("geometry_msgs/msg/Vector3", x=7.0, y=angle(k), z=0.0)),
+                "/notes": serialise(TEXT, data="x"),
+                "/joints": serialise(JOINTS, header=header(now), name=["left", "right"],
+                                     position=np.array([9.0, angle(k)]), velocity=np.zeros(2), effort=np.zeros(2)),
+            }
+            for topic, message in messages.items():
+                writer.write(connections[topic], now, message)
     return folder
 
 
