@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.fit import Problem
+from st_core.discovery.fit import Fit, Problem
 from st_core.discovery.loss import Loss
 from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.discovery.space import Space
@@ -78,18 +78,23 @@ def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
     shape = (count, len(Rows.time) * len(COLUMNS))
-    taking_part = np.isin(space.effect_of, effects)
+    selected = np.isin(space.effect_of, effects)
     blocks = np.arange(count) // block
 
-    def drawn() -> np.ndarray:
+    def draw() -> np.ndarray:
         return size * (np.sqrt(common) * rng.standard_normal((blocks.max() + 1, shape[1]))[blocks]
                        + np.sqrt(1.0 - common) * rng.standard_normal(shape))
     signatures = np.zeros((len(space), *shape))
-    signatures[taking_part] = [drawn() for _ in range(int(taking_part.sum()))]
-    noise = drawn()
+    signatures[selected] = [draw() for _ in range(int(selected.sum()))]
+    noise = draw()
     at = space.null.copy()
-    for name, by in truth.items():
+    for name, deviation in truth.items():
         first = space.indices(name)[0]
-        at[first] += by * space.scale[first]
+        at[first] += deviation * space.scale[first]
     errors = LinearErrors(space, at, signatures, noise, runs)
     return Problem(Loss(errors, space.null), space.null, blocks, prior)
+
+
+def fit_problem(problem: Problem, *effects: str, iterations: int = 30) -> Fit:
+    """Joint fit of the effects from the start of the problem."""
+    return problem.fit(effects, problem.all_sensitivities(problem.start), iterations=iterations)

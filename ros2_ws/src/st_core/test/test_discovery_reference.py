@@ -1,4 +1,4 @@
-"""A healthy car learnt from its drives: how firmly, and how much its own drives differ."""
+"""Fit of the healthy car to its reference drives: prior precision, and gain between those drives."""
 
 import numpy as np
 import pytest
@@ -10,41 +10,41 @@ from st_core.discovery.space import Space
 FEW = ("steering_offset", "mass", "yaw_rate_bias")
 
 
-def between(problem) -> float:
+def gain_between_runs(problem) -> float:
     q = problem.loss.quadratic(problem.errors.at(problem.start), problem.errors.signatures)
     size = len(problem.space)
     return _gain_between_runs(q, problem.space, problem.errors.windows, np.ones(size), np.eye(size) / 9.0)
 
 
-def test_a_run_that_differs_from_the_others_raises_what_healthy_drives_may_gain():
+def test_gain_of_healthy_drives_is_larger_if_one_run_differs():
     problem = linear_problem(FEW, {}, 1, runs=4)
-    difference = between(problem)
-    assert 0.0 <= difference < 0.1
+    equal_runs = gain_between_runs(problem)
+    assert 0.0 <= equal_runs < 0.1
     first = problem.errors.windows.run == 0
     mass = int(problem.space.indices("mass")[0])
     problem.errors.noise[first] += 2.0 * problem.errors.signatures[mass][first]
-    assert between(problem) > 5.0 * max(difference, 0.02)
+    assert gain_between_runs(problem) > 5.0 * max(equal_runs, 0.02)
 
 
-def test_two_runs_say_nothing_of_each_other():
-    assert between(linear_problem(FEW, {}, 1, runs=2)) == 0.0
+def test_two_runs_are_too_few_for_a_gain_between_runs():
+    assert gain_between_runs(linear_problem(FEW, {}, 1, runs=2)) == 0.0
 
 
 @pytest.mark.slow
-def test_the_second_start_is_at_what_effects_say_theory_is():
+def test_second_start_of_the_fit_is_at_the_theoretical_values():
     space = Space("nonlinear", DiscoverySettings())
-    moved = {(space.free[i].effect, space.free[i].parameter): theoretical_values(space)[i]
+    changed = {(space.free[i].effect, space.free[i].parameter): theoretical_values(space)[i]
              for i in np.flatnonzero(theoretical_values(space) != space.null)}
-    assert moved == {("combined_slip", "share"): 1.0}
+    assert changed == {("combined_slip", "share"): 1.0}
 
 
-def test_what_is_learnt_holds_the_car(leaf):
+def test_healthy_car_fit_recovers_the_true_values_within_its_uncertainty(leaf):
     effects = {"steering_lag": {"time_constant": 0.06}, "heading_misalignment": {"angle": 0.01}}
     settings = DiscoverySettings(windows=60, effects=("steering_lag", "heading_misalignment", "yaw_rate_bias"))
     space = Space("nonlinear", settings)
     healthy = fit_healthy_car(recorded(leaf, effects, 3), leaf, space, settings, 1, lambda: None)
-    spread = np.sqrt(0.5 * np.diag(np.linalg.inv(healthy.prior))) * space.scale
+    deviation = np.sqrt(0.5 * np.diag(np.linalg.inv(healthy.prior))) * space.scale
     for name, values in effects.items():
         (truth,), own = values.values(), int(space.indices(name)[0])
-        assert abs(healthy.vector[own] - truth) < 4.0 * spread[own] < 0.2 * truth
+        assert abs(healthy.vector[own] - truth) < 4.0 * deviation[own] < 0.2 * truth
     assert (healthy.residual > 0.0).all() and healthy.gain < 0.05
