@@ -3,7 +3,7 @@
 bench/discovery has an independent plant and sealed cases.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.discovery.space import Space
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
+from st_core.relations import Candidate
 from st_core.vehicle import VehicleParameters
 
 NOISE = {"x": 0.01, "y": 0.01, "yaw": 1e-4, "velocity_x": 0.003, "velocity_y": 0.003, "yaw_rate": 0.002,
@@ -35,6 +36,18 @@ def recorded(vehicle: VehicleParameters, effects: Mapping, seed: int, names: Seq
         noisy = {key: getattr(log, key) + noise * size * rng.standard_normal(len(log.x)) for key, size in NOISE.items()}
         logs.append(replace(log, name=f"{name} {k + 1}", **noisy))
     return logs
+
+
+def fit_splines(candidate: Candidate, formula: Callable[[np.ndarray], np.ndarray], points: int = 200) -> np.ndarray:
+    """Spline coefficients of the curve of the candidate that approximates y = formula(u) over its range."""
+    u = np.linspace(candidate.low, candidate.high, points)
+    return np.linalg.lstsq(candidate.compute_splines(u).T, formula(u), rcond=1e-6)[0]
+
+
+def relation(candidate: Candidate, formula: Callable[[np.ndarray], np.ndarray]) -> dict[str, dict[str, float]]:
+    """Effects of a model with the relation y = formula(u): {name: {parameter: value}}."""
+    coefficients = {f"c{k}": float(c) for k, c in enumerate(fit_splines(candidate, formula))}
+    return {candidate.effect: coefficients | candidate.constants}
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,33 +61,33 @@ def exact_drive(car: VehicleParameters, seconds: float = 60.0, *, rate: float = 
     ahead = car.cg_to_rear_axle + car.cg_to_ins_x
     slip = car.mass * car.cg_to_front_axle / (car.wheelbase * car.cornering_stiffness_rear)
 
-    def across(t: np.ndarray) -> np.ndarray:
+    def lateral_velocity(t: np.ndarray) -> np.ndarray:
         return (ahead - slip * speed.at(t) ** 2) * turning.at(t)
 
-    def over_ground(t: np.ndarray) -> np.ndarray:
-        return (speed.at(t) + 1j * across(t)) * np.exp(1j * turning.integral(t))
+    def map_velocity(t: np.ndarray) -> np.ndarray:
+        return (speed.at(t) + 1j * lateral_velocity(t)) * np.exp(1j * turning.integral(t))
 
     half = 0.5 / rate
-    inner = over_ground(time[:-1, None] + half * (1.0 + NODES))
+    inner = map_velocity(time[:-1, None] + half * (1.0 + NODES))
     place = np.concatenate(([0.0], np.cumsum(half * inner @ WEIGHTS)))
     v, r = speed.at(time), turning.at(time)
-    across_slope = (ahead - slip * v**2) * turning.slope(time) - 2.0 * slip * v * speed.slope(time) * r
+    lateral_slope = (ahead - slip * v**2) * turning.slope(time) - 2.0 * slip * v * speed.slope(time) * r
     draw = np.random.default_rng(seed).standard_normal((9, len(time)))
     later = time + half
-    meant = later + response_time(car, float(np.median(np.abs(v))))
-    road = np.arctan(car.wheelbase * turning.at(meant) / speed.at(meant)) + noise.steering * draw[8]
+    response = later + response_time(car, float(np.median(np.abs(v))))
+    road = np.arctan(car.wheelbase * turning.at(response) / speed.at(response)) + noise.steering * draw[8]
     wheel = car.steering_wheel_angle(road)
     ns, later_ns = (T0 + np.round(t * 1e9).astype(np.int64) for t in (time, later))
     return DriveLog(
         "exact", ns, place.real + noise.position * draw[0], place.imag + noise.position * draw[1],
         turning.integral(time) + noise.yaw * draw[2], v + noise.velocity * draw[3],
-        across(time) + noise.velocity * draw[4], r + noise.yaw_rate * draw[5], later_ns,
+        lateral_velocity(time) + noise.velocity * draw[4], r + noise.yaw_rate * draw[5], later_ns,
         car.road_wheel_angle(wheel), wheel,
-        speed.slope(time) - across(time) * r + noise.acceleration * draw[6],
-        across_slope + v * r + noise.acceleration * draw[7])
+        speed.slope(time) - lateral_velocity(time) * r + noise.acceleration * draw[6],
+        lateral_slope + v * r + noise.acceleration * draw[7])
 
 
-def late(log: DriveLog, seconds: float, *channels: str) -> DriveLog:
+def delay(log: DriveLog, seconds: float, *channels: str) -> DriveLog:
     """Delays INS channels by a whole number of samples, or the stamps of the steering [s]."""
     if channels == ("road_wheel_angle",):
         return replace(log, steering_time_ns=log.steering_time_ns + round(seconds * 1e9))

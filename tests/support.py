@@ -1,15 +1,21 @@
-"""Paths of the project and of the reference data, shared by the tests."""
+"""Paths of the project and of the reference data, and the vehicle files, shared by the tests."""
 
 import os
 from pathlib import Path
 
 import pytest
+from st_core.vehicle import VehicleParameters
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "tests" / "golden" / "data"
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 EXAMPLES = ROOT / "examples" / "data"
 SETS = ("kept", "whole")
+
+
+def read_car(name: str) -> VehicleParameters:
+    path = ROOT / "config" / "vehicle" / f"{name}.yaml"
+    return VehicleParameters.from_yaml(path.read_text(), str(path))
 
 
 def shared(relative: str) -> Path:

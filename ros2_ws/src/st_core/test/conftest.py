@@ -1,13 +1,8 @@
-"""The two cars of config/vehicle, read as the nodes read them."""
+"""The two cars of config/vehicle."""
 
 import pytest
 from st_core.vehicle import VehicleParameters
-from support import ROOT
-
-
-def read_car(name: str) -> VehicleParameters:
-    path = ROOT / "config" / "vehicle" / f"{name}.yaml"
-    return VehicleParameters.from_yaml(path.read_text(), str(path))
+from support import read_car
 
 
 @pytest.fixture(scope="session")

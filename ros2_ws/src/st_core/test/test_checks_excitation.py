@@ -1,10 +1,10 @@
-"""Nothing is judged that a drive does not excite: standstill, slow changes, lags in a slalom, rates of the logger."""
+"""Checks judge only what a drive excites: standstill, slow changes, lags in a slalom, rate of the logger."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_drive import SPEED, Noise, Sines, exact_drive, late
+from exact_drive import SPEED, Noise, Sines, delay, exact_drive
 from st_core.checks import AuxiliaryData, Severity, check, compare_runs
 from st_core.log import DriveLog
 
@@ -13,33 +13,39 @@ SWEEP = Sines(0.0, tuple((0.1, period, period) for period in (8.0, 5.0, 3.0, 2.0
 SLALOM = Sines(0.0, ((0.3, 2.0, 0.0),))
 
 
-def standing(kind, car):
+def stationary_drive(kind):
     noise = np.random.default_rng(5).standard_normal((9, len(STAMPS)))
-    walk, zero, swing = np.cumsum(noise, axis=1) * 0.14, np.zeros(len(STAMPS)), np.sin(np.arange(len(STAMPS)) / 150.0)
+    walk, zero, sine = np.cumsum(noise, axis=1) * 0.14, np.zeros(len(STAMPS)), np.sin(np.arange(len(STAMPS)) / 150.0)
     x, y, yaw, v_x, v_y, rate, steering = {
         "zeros": (zero,) * 7,
         "noise": (*(0.005 * noise[:2]), 0.0005 * noise[2], *(0.01 * noise[3:5]), 0.002 * noise[5], 0.0005 * noise[6]),
         "wandering": (*(0.5 * walk[:2] + 0.2 * noise[:2]), 0.02 * walk[2], *(0.1 * noise[3:5]), 0.01 * noise[5],
-                      0.2 * np.round(swing)),
-        "turned wheel": (*(0.01 * noise[:2]), 0.001 * noise[2], *(0.02 * noise[3:5]), 0.002 * noise[5], 0.5 * swing),
+                      0.2 * np.round(sine)),
+        "turned wheel": (*(0.01 * noise[:2]), 0.001 * noise[2], *(0.02 * noise[3:5]), 0.002 * noise[5], 0.5 * sine),
         "heading from course": (*(0.3 * noise[:2]), np.unwrap(np.angle(noise[0] + 1j * noise[1])),
                                 *np.abs(0.3 * noise[3:5]), 0.01 * noise[5], zero),
     }[kind]
     return DriveLog(kind, STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, steering, None, 0.1 * noise[7], 0.1 * noise[8])
 
 
+@pytest.fixture(scope="module")
+def delayed_runs(leaf):
+    return [check(delay(exact_drive(leaf, 60.0, seed=seed), 0.2, "yaw_rate"), leaf) for seed in range(3)]
+
+
 @pytest.mark.parametrize("kind", ["zeros", "noise", "wandering", "turned wheel", "heading from course"])
-def test_a_run_at_standstill_is_not_judged_and_spoils_no_others(leaf, kind):
-    found = check(standing(kind, leaf), leaf)
-    assert not found.findings and not found.estimates
-    wrong = [check(late(exact_drive(leaf, 60.0, seed=seed), 0.2, "yaw_rate"), leaf) for seed in range(3)]
-    assert compare_runs([*wrong, found]) == compare_runs(wrong) and compare_runs(wrong)[0].consistent
+def test_run_at_standstill_has_no_findings_and_does_not_change_those_of_other_runs(leaf, delayed_runs, kind):
+    stationary = check(stationary_drive(kind), leaf)
+    assert not stationary.findings and not stationary.estimates
+    compared = compare_runs(delayed_runs)
+    assert compare_runs([*delayed_runs, stationary]) == compared and compared[0].consistent
 
 
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
-def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
-    runs = [check(late(exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise)), 0.36, "yaw_rate"),
-                  leaf) for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP), (Sines(15.0, ()), SWEEP))]
+def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
+    runs = [check(delay(exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise)), 0.36,
+                        "yaw_rate"), leaf) for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP),
+                                                                  (Sines(15.0, ()), SWEEP))]
     for run in runs:
         assert not run.with_severity(Severity.ERROR)
         lags = [one for one in run.findings if one.name.endswith("_lag")]
@@ -49,7 +55,7 @@ def test_one_late_sensor_is_one_finding_whatever_is_driven(leaf, noise):
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])
-def test_a_wrong_nominal_rate_is_one_finding(leaf, factor):
+def test_wrong_nominal_sampling_rate_gives_one_finding(leaf, factor):
     log = exact_drive(leaf, 60.0)
     start = log.ins_time_ns[0]
     wrong = replace(log, **{name: start + np.round((getattr(log, name) - start) * factor).astype(np.int64)
@@ -58,7 +64,7 @@ def test_a_wrong_nominal_rate_is_one_finding(leaf, factor):
     assert one.name == "time_rate" and one.interval[0] < factor < one.interval[1]
 
 
-def test_slow_changes_carry_no_lag(leaf):
+def test_no_lag_is_reported_for_slow_changes(leaf):
     for seed in range(4):
         log = exact_drive(leaf, 60.0, speed=Sines(14.0, ((9.0, 17.0, 0.0),)), turning=Sines(0.0, ((0.05, 40.0, 0.0),)),
                           seed=seed)
@@ -66,7 +72,7 @@ def test_slow_changes_carry_no_lag(leaf):
 
 
 @pytest.mark.parametrize(("back", "share"), [(30.0, 0.5), (5.0, 0.083), (59.0, 0.5)])
-def test_a_clock_set_back_is_a_warning_with_the_rows_it_costs(leaf, back, share):
+def test_clock_set_back_gives_a_warning_with_the_number_of_lost_rows(leaf, back, share):
     stamps = STAMPS.copy()
     stamps[1500:] -= round(back * 1e9)
     (one,) = [one for one in check(exact_drive(leaf), leaf, AuxiliaryData({"INS": stamps})).findings
@@ -76,8 +82,8 @@ def test_a_clock_set_back_is_a_warning_with_the_rows_it_costs(leaf, back, share)
 
 
 @pytest.mark.parametrize("slip", [-0.03, -0.1])
-def test_on_a_steady_circle_the_sign_of_velocity_y_is_one_of_two_explanations(leaf, slip):
-    """Its constant value is a displaced measuring point or an offset of yaw as well."""
+def test_finding_on_a_steady_circle_names_the_opposite_sign_of_velocity_y_as_alternative(leaf, slip):
+    """A constant velocity_y of the wrong sign looks like a displaced measuring point or a yaw offset."""
     rng, radius, speed = np.random.default_rng(0), 50.0, 10.0
     time = (STAMPS - STAMPS[0]) * 1e-9
     course = speed / radius * time + slip

@@ -1,4 +1,4 @@
-"""95 % intervals hold the truth about as often as they say, though neighbouring samples share their errors."""
+"""Coverage of 95 % confidence intervals when the errors of neighbouring samples are correlated."""
 
 import numpy as np
 import pytest
@@ -10,74 +10,74 @@ from st_core.checks.regression import Estimate, Regression, with_systematic
 RUNS, FEW_RUNS = 200, 50
 
 
-def slow_noise(generator, count, step, correlation):
-    """First-order autoregressive, standard deviation 1; step, correlation time [s]."""
-    kept = np.exp(-step / correlation)
-    driven = generator.standard_normal(count) * np.sqrt(1.0 - kept**2)
-    driven[0] = generator.standard_normal()
-    return lfilter([1.0], [1.0, -kept], driven)
+def correlated_noise(generator, count, step, correlation):
+    """First-order autoregressive noise of standard deviation 1; step, correlation time [s]."""
+    factor = np.exp(-step / correlation)
+    innovations = generator.standard_normal(count) * np.sqrt(1.0 - factor**2)
+    innovations[0] = generator.standard_normal()
+    return lfilter([1.0], [1.0, -factor], innovations)
 
 
-def judge(estimates, truth, least, runs):
-    """Covered in at least that share of the runs; on average as wide as the scatter asks for, not absurdly wider."""
-    inside = sum(one.interval[0] <= truth <= one.interval[1] for one in estimates)
-    half = np.mean([0.5 * (one.interval[1] - one.interval[0]) for one in estimates])
+def assert_coverage(estimates, truth, min_coverage, runs):
+    """Minimum share of intervals that contain the truth; mean half width between 1.5 and 5.9 times the scatter."""
+    covered = sum(one.interval[0] <= truth <= one.interval[1] for one in estimates)
+    half_width = np.mean([0.5 * (one.interval[1] - one.interval[0]) for one in estimates])
     scatter = float(np.std([one.value for one in estimates]))
-    assert inside >= least * runs
-    assert 1.5 * scatter < half < 3.0 * 1.96 * scatter
+    assert covered >= min_coverage * runs
+    assert 1.5 * scatter < half_width < 3.0 * 1.96 * scatter
     assert abs(np.mean([one.value for one in estimates]) - truth) < 4.0 * scatter / np.sqrt(runs)
 
 
 @pytest.mark.parametrize("correlation", [0.3, 2.0])
-def test_of_a_regression(correlation):
+def test_coverage_of_regression_coefficients(correlation):
     time = np.arange(0.0, 90.0)
     columns = {"a": np.stack([np.sin(time / 2.7), np.cos(time / 3.7)], axis=1), "b": np.ones((len(time), 2))}
     found = []
     for seed in range(RUNS):
         draw = np.random.default_rng(seed)
-        noise = np.stack([slow_noise(draw, len(time), 1.0, correlation) for _ in range(2)], axis=1)
+        noise = np.stack([correlated_noise(draw, len(time), 1.0, correlation) for _ in range(2)], axis=1)
         found.append(Regression(time, 0.7 * columns["a"] - 0.3 * columns["b"] + noise, columns)
                      .estimates(("a", "b")))
-    judge([one["a"] for one in found], 0.7, 0.85, RUNS)
-    judge([one["b"] for one in found], -0.3, 0.85, RUNS)
+    assert_coverage([one["a"] for one in found], 0.7, 0.85, RUNS)
+    assert_coverage([one["b"] for one in found], -0.3, 0.85, RUNS)
 
 
-@pytest.mark.parametrize(("late", "correlation"), [(0.2, 0.3), (-0.3, 2.0)])
-def test_of_lag_scale_and_bias(late, correlation):
+@pytest.mark.parametrize(("lag", "correlation"), [(0.2, 0.3), (-0.3, 2.0)])
+def test_coverage_of_lag_scale_and_bias(lag, correlation):
     time = np.arange(0.0, 60.0, 0.02)
 
     def turning(t):
         return 0.16 * np.sin(t / 3.7) + 0.07 * np.sin(t + 0.7) + 0.05 * np.sin(2.7 * t + 2.0)
     found = []
     for seed in range(FEW_RUNS):
-        noise = 0.03 * slow_noise(np.random.default_rng(seed), len(time), 0.02, correlation)
-        found.append(compare_series(time, turning(time), time, 1.1 * turning(time - late) + 0.01 + noise, 4.0))
-    for kind, truth in (("lag", late), ("scale", 1.1), ("bias", 0.01)):
-        judge([getattr(one, kind) for one in found], truth, 0.8, FEW_RUNS)
+        noise = 0.03 * correlated_noise(np.random.default_rng(seed), len(time), 0.02, correlation)
+        found.append(compare_series(time, turning(time), time, 1.1 * turning(time - lag) + 0.01 + noise, 4.0))
+    for quantity, truth in (("lag", lag), ("scale", 1.1), ("bias", 0.01)):
+        assert_coverage([getattr(one, quantity) for one in found], truth, 0.8, FEW_RUNS)
 
 
-def test_more_noise_is_a_wider_interval_and_less_driving_too():
-    def half(seconds, noise):
+def test_interval_is_wider_for_more_noise_and_for_less_driving():
+    def half_width(seconds, noise):
         time = np.arange(0.0, seconds)
         column = np.sin(time / 2.7)[:, None]
         draw = np.random.default_rng(1).standard_normal((len(time), 1))
         low, high = Regression(time, column + noise * draw, {"a": column}).estimates(("a",))["a"].interval
         return 0.5 * (high - low)
-    assert half(300.0, 0.2) == pytest.approx(2.0 * half(300.0, 0.1), rel=0.1)
-    assert half(600.0, 0.1) < 0.85 * half(150.0, 0.1)
+    assert half_width(300.0, 0.2) == pytest.approx(2.0 * half_width(300.0, 0.1), rel=0.1)
+    assert half_width(600.0, 0.1) < 0.85 * half_width(150.0, 0.1)
 
 
-def test_what_an_identity_does_not_know_is_added_in_quadrature():
+def test_systematic_uncertainty_is_added_in_quadrature():
     one = with_systematic("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
-    half = np.hypot(0.012, SYSTEMATIC["lag"])
-    assert one.interval == pytest.approx((0.3 - half, 0.3 + half))
+    half_width = np.hypot(0.012, SYSTEMATIC["lag"])
+    assert one.interval == pytest.approx((0.3 - half_width, 0.3 + half_width))
     in_degrees = with_systematic("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
     assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC["scale"])
     unknown = Estimate(1.0, 0.1, (0.8, 1.2))
     assert with_systematic("something_else", unknown).interval == pytest.approx(unknown.interval)
 
 
-def test_sure_is_more_than_an_interval_that_leaves_out_zero():
+def test_significance_requires_more_than_an_interval_without_zero():
     assert Estimate(1.0, 0.1, (0.6, 1.4)).significant and Estimate(-1.0, 0.1, (-1.4, -0.6)).significant
     assert not Estimate(1.0, 0.4, (0.2, 1.8)).significant
     assert not Estimate(1.0, 0.6, (-0.2, 2.2)).significant

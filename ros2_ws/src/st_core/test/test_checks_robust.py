@@ -1,4 +1,4 @@
-"""A check never raises for what is in a recording, and takes no healthy drive for a wrong one because of its form."""
+"""Checks accept any finite values without an exception, and report no error for a healthy drive of any kind."""
 
 import json
 from dataclasses import replace
@@ -6,28 +6,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import SILENT, SPEED, TURNING, Noise, Sines, exact_drive
-from exact_faults import counted
+from exact_faults import time_unit_misread
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from st_core.checks import AuxiliaryData, InsQuality, Series, Severity, check
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 
 FAST = settings(max_examples=25, deadline=None, derandomize=True, phases=(Phase.generate,))
-STANDING = Sines(0.0, ())
+STRAIGHT = Sines(0.0, ())
 
 
 def errors(log, car=None, auxiliary=None):
     return [one.text for one in check(log, car, auxiliary).findings if one.severity is Severity.ERROR]
 
 
-def turned(log, angle):
-    """The map turned; the car drives the same way."""
+def with_rotated_map(log, angle):
     place = (log.x + 1j * log.y) * np.exp(1j * angle)
     return replace(log, x=place.real, y=place.imag, yaw=log.yaw + angle)
 
 
-def backwards(log):
-    """The INS looks where the car comes from, and says so: yaw and both velocities."""
+def with_reversed_ins(log):
+    """The INS is mounted facing with_reversed_ins; yaw, velocities and accelerations are consistent with that."""
     names = ("velocity_x", "velocity_y", "acceleration_x", "acceleration_y")
     return replace(log, yaw=log.yaw + np.pi, **{name: -getattr(log, name) for name in names})
 
@@ -40,9 +39,9 @@ HEALTHY = {
     "5 Hz": {"seconds": 120.0, "rate": 5.0},
     "1 kHz": {"seconds": 20.0, "rate": 1000.0},
     "without noise": {"noise": SILENT},
-    "straight": {"turning": STANDING},
-    "one bend": {"turning": Sines(0.15, ())},
-    "one speed": {"speed": Sines(12.0, ())},
+    "straight": {"turning": STRAIGHT},
+    "constant yaw rate": {"turning": Sines(0.15, ())},
+    "constant speed": {"speed": Sines(12.0, ())},
     "slow": {"speed": Sines(2.5, ((0.5, 31.0, 0.0),))},
     "stop and go": {"speed": Sines(5.0, ((5.0, 30.0, 0.0),)), "turning": Sines(0.0, ((0.05, 23.0, 0.0),))},
     "creeping": {"speed": Sines(0.3, ()), "turning": Sines(0.002, ())},
@@ -50,16 +49,16 @@ HEALTHY = {
 }
 
 
-@pytest.mark.parametrize("form", HEALTHY)
-def test_a_healthy_drive_of_any_form_has_no_error(leaf, form):
-    assert errors(exact_drive(leaf, **HEALTHY[form]), leaf) == []
+@pytest.mark.parametrize("kind", HEALTHY)
+def test_healthy_drive_of_any_kind_has_no_error(leaf, kind):
+    assert errors(exact_drive(leaf, **HEALTHY[kind]), leaf) == []
 
 
 @pytest.mark.parametrize("change", [
     lambda log: replace(log, x=log.x + 5e5, y=log.y + 5e6),
     lambda log: replace(log, yaw=log.yaw + 20.0 * np.pi),
     lambda log: replace(log, yaw=log.yaw - 200.0 * np.pi),
-    lambda log: turned(log, 2.1),
+    lambda log: with_rotated_map(log, 2.1),
     lambda log: replace(log, ins_time_ns=log.ins_time_ns % 10**12, steering_time_ns=log.steering_time_ns % 10**12),
     lambda log: replace(log, acceleration_x=None, acceleration_y=None, steering_wheel_angle=None),
     lambda log: replace(log, acceleration_y=np.full(len(log.x), np.nan)),
@@ -68,53 +67,55 @@ def test_a_healthy_drive_of_any_form_has_no_error(leaf, form):
     lambda log: replace(log, steering_time_ns=np.zeros(0, np.int64), road_wheel_angle=np.zeros(0),
                         steering_wheel_angle=None),
     lambda log: replace(log, steering_time_ns=log.steering_time_ns + 10**13),
-], ids=["UTM", "ten turns", "a hundred turns back", "another map", "another epoch", "without auxiliary", "no a_y",
+], ids=["UTM", "10 turns of yaw", "-100 turns of yaw", "rotated map", "other epoch", "no auxiliary channels", "no a_y",
         "slow steering", "no steering", "steering of another day"])
-def test_another_origin_or_another_extent_is_no_fault(leaf, change):
+def test_healthy_drive_with_another_origin_or_fewer_channels_has_no_findings(leaf, change):
     assert check(change(exact_drive(leaf)), leaf).findings == ()
 
 
-def test_the_findings_do_not_depend_on_the_origin(leaf):
-    wrong = replace(drive := exact_drive(leaf), x=0.98 * drive.x, yaw_rate=drive.yaw_rate + 0.02)
+def test_estimates_do_not_depend_on_the_origin(leaf):
+    drive = exact_drive(leaf)
+    wrong = replace(drive, x=0.98 * drive.x, yaw_rate=drive.yaw_rate + 0.02)
     moved = replace(wrong, x=wrong.x + 5e5, y=wrong.y + 5e6, yaw=wrong.yaw + 40.0 * np.pi,
                     ins_time_ns=wrong.ins_time_ns - 10**18, steering_time_ns=wrong.steering_time_ns - 10**18)
-    here, there = (check(log, leaf).estimates for log in (wrong, moved))
-    assert here.keys() == there.keys()
-    for name, values in here.items():
-        assert values == pytest.approx(there[name], abs=1e-5), name
+    estimates, estimates_moved = (check(log, leaf).estimates for log in (wrong, moved))
+    assert estimates.keys() == estimates_moved.keys()
+    for name, values in estimates.items():
+        assert values == pytest.approx(estimates_moved[name], abs=1e-5), name
 
 
-def test_driving_backwards_is_no_error(leaf):
-    assert errors(backwards(exact_drive(leaf)), leaf) == []
+def test_driving_in_reverse_or_a_reversed_ins_is_no_error(leaf):
+    assert errors(with_reversed_ins(exact_drive(leaf)), leaf) == []
     reverse = exact_drive(leaf, speed=Sines(-3.0, ((1.0, 31.0, 0.0),)), turning=Sines(0.0, ((0.1, 23.0, 0.0),)))
     assert errors(reverse, leaf) == []
-    there_and_back = exact_drive(leaf, speed=Sines(0.0, ((4.0, 40.0, 0.0),)), turning=Sines(0.0, ((0.05, 23.0, 0.0),)))
-    assert errors(there_and_back, leaf) == []
+    forward_and_reverse = exact_drive(leaf, speed=Sines(0.0, ((4.0, 40.0, 0.0),)),
+                                      turning=Sines(0.0, ((0.05, 23.0, 0.0),)))
+    assert errors(forward_and_reverse, leaf) == []
 
 
 @pytest.mark.parametrize("noise", [SILENT, Noise()])
-def test_a_car_that_stands_all_the_time_says_nothing(leaf, noise):
-    standing = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STANDING, noise=noise)
-    assert [one.text for one in check(standing, leaf).findings] == []
+def test_stationary_car_has_no_findings(leaf, noise):
+    stationary = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT, noise=noise)
+    assert [one.text for one in check(stationary, leaf).findings] == []
 
 
-def test_a_standing_car_that_claims_to_move(leaf):
-    standing = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STANDING)
+def test_motion_reported_at_standstill_is_found(leaf):
+    stationary = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT)
     findings = {one.channels: one for one in check(replace(
-        standing, velocity_x=standing.velocity_x + 0.3, yaw_rate=standing.yaw_rate - 0.02), leaf).findings
+        stationary, velocity_x=stationary.velocity_x + 0.3, yaw_rate=stationary.yaw_rate - 0.02), leaf).findings
                 if one.name == "standstill_motion"}
     assert findings["velocity_x",].value == pytest.approx(0.3, abs=0.01)
     assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 
 
-def test_no_tyre_does_that(leaf):
+def test_lateral_acceleration_beyond_tyre_limits_is_an_error(leaf):
     one, = (one for one in check(exact_drive(leaf, turning=Sines(0.0, ((1.5, 23.0, 0.0),))), leaf).findings
             if one.name == "lateral_acceleration_impossible")
     assert one.severity is Severity.ERROR and one.value == pytest.approx(1.5 * SPEED.mean, rel=0.4)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 49, 50, 60])
-def test_a_few_samples(leaf, count):
+def test_recording_of_few_samples_has_no_findings(leaf, count):
     log = exact_drive(leaf, 5.0)
     short = replace(log.select_ins(np.arange(count)), steering_time_ns=log.steering_time_ns[:count],
                     road_wheel_angle=log.road_wheel_angle[:count], steering_wheel_angle=None)
@@ -125,8 +126,7 @@ NUMBERS = st.one_of(st.just(0.0), st.floats(-1e12, 1e12), st.floats(-10.0, 10.0)
 SHAPES = st.sampled_from(("constant", "white", "walk", "steps", "one spike", "grid"))
 
 
-def made_up(shape, size, count, draw):
-    """(count,) of some shape and size."""
+def synthetic_channel(shape, size, count, draw):
     return size * {
         "constant": np.ones(count), "white": draw.standard_normal(count),
         "walk": np.cumsum(draw.standard_normal(count)),
@@ -138,31 +138,31 @@ def made_up(shape, size, count, draw):
 @given(count=st.sampled_from((50, 70, 400, 3000)), shapes=st.lists(SHAPES, min_size=9, max_size=9),
        sizes=st.lists(NUMBERS, min_size=9, max_size=9), spacing=st.sampled_from((1, 10**3, 10**7, 10**9, 10**13)),
        seed=st.integers(0, 1000))
-def test_any_finite_numbers_are_judged(leaf, count, shapes, sizes, spacing, seed):
+def test_any_finite_values_give_a_valid_result(leaf, count, shapes, sizes, spacing, seed):
     draw = np.random.default_rng(seed)
-    rows = [made_up(shape, size, count, draw) for shape, size in zip(shapes, sizes, strict=True)]
+    rows = [synthetic_channel(shape, size, count, draw) for shape, size in zip(shapes, sizes, strict=True)]
     time = np.cumsum(draw.integers(1, 3, count)) * spacing
     names = (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, "road_wheel_angle")
-    log = DriveLog("made up", ins_time_ns=time, steering_time_ns=time, **dict(zip(names, rows, strict=True)))
-    readable(check(log, leaf, extras_of(time, rows)))
+    log = DriveLog("synthetic", ins_time_ns=time, steering_time_ns=time, **dict(zip(names, rows, strict=True)))
+    assert_valid(check(log, leaf, auxiliary_data(time, rows)))
 
 
 @FAST
 @given(channels=st.dictionaries(st.sampled_from((*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), st.tuples(SHAPES, NUMBERS),
                                 min_size=1, max_size=3), seed=st.integers(0, 1000))
-def test_any_channel_may_be_nonsense(leaf, channels, seed):
+def test_any_invalid_channels_give_a_valid_result(leaf, channels, seed):
     log, draw = exact_drive(leaf, 20.0), np.random.default_rng(seed)
-    readable(check(replace(log, **{name: made_up(shape, size, len(log.x), draw)
+    assert_valid(check(replace(log, **{name: synthetic_channel(shape, size, len(log.x), draw)
                                    for name, (shape, size) in channels.items()}), leaf))
 
 
-def extras_of(time, rows):
+def auxiliary_data(time, rows):
     return AuxiliaryData({"INS": time[::-1], "steering": time}, {"x": 3}, Series(time, rows[3]),
                          Series(time[:1], rows[4][:1]), InsQuality(time, rows[5], rows[6], rows[7], rows[8]))
 
 
-def readable(checked):
-    """Values are finite, intervals in order, and all of it goes into a JSON file."""
+def assert_valid(checked):
+    """Values are finite, intervals contain them, and the result is JSON-serialisable."""
     for one in checked.findings:
         assert one.value is None or np.isfinite(one.value), one
         assert one.interval is None or one.interval[0] <= one.value <= one.interval[1], one
@@ -172,13 +172,12 @@ def readable(checked):
     json.dumps(checked.as_dict(), allow_nan=False)
 
 
-def test_stamps_in_nanoseconds_taken_for_microseconds(leaf):
-    assert check(counted(10**3)(exact_drive(leaf)), leaf).findings[0].name == "time_unit"
+def test_wrong_time_unit_is_the_first_finding(leaf):
+    assert check(time_unit_misread(10**3)(exact_drive(leaf)), leaf).findings[0].name == "time_unit"
 
 
-def test_turning_is_enough_to_tell_a_unit(leaf):
-    """A drive of one bend has no change of the yaw rate to compare."""
+def test_wrong_yaw_rate_unit_is_found_at_constant_yaw_rate(leaf):
+    """Without changes of the yaw rate only its level can be compared."""
     bend = exact_drive(leaf, turning=Sines(TURNING.mean + 0.1, ()))
     degrees = replace(bend, yaw_rate=57.3 * bend.yaw_rate)
-    assert [finding.name for finding in check(degrees, leaf).with_severity(Severity.ERROR)] == [
-        "yaw_rate_scale"]
+    assert [finding.name for finding in check(degrees, leaf).with_severity(Severity.ERROR)] == ["yaw_rate_scale"]

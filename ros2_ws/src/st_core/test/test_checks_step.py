@@ -1,4 +1,4 @@
-"""The note that the integration step is too long: the value it tells cures it, for every car, model and effect."""
+"""Warning about a too long integration step: the proposed value removes it for every car, model and effect."""
 
 import re
 import warnings
@@ -21,8 +21,8 @@ EFFECTS = ({"steering_lag": {"time_constant": 0.1}}, {"tyre_relaxation": {"lengt
            {"rear_stiffness": {"factor": 1.4}, "tyre_relaxation": {"length": 0.1}})
 
 
-def driven(speeds, rate=100.0):
-    """Straight on, at the speeds given."""
+def straight_drive(speeds, rate=100.0):
+    """speeds [m/s] at `rate` [Hz]."""
     speeds = np.asarray(speeds, float)
     time = (np.arange(len(speeds)) * 1e9 / rate).astype(np.int64)
     zero = np.zeros(len(speeds))
@@ -31,11 +31,10 @@ def driven(speeds, rate=100.0):
 
 @pytest.fixture(scope="module")
 def log():
-    return driven(np.interp(np.arange(6000), [0, 2000, 4000, 5000, 5999], [0.5, 20.0, 2.0, 2.0, 35.0]))
+    return straight_drive(np.interp(np.arange(6000), [0, 2000, 4000, 5000, 5999], [0.5, 20.0, 2.0, 2.0, 35.0]))
 
 
-def printed(finding):
-    """The value as a reader would copy it."""
+def printed_value(finding):
     return float(re.search(r"value: ([\d.]+), unit: m/s", finding.advice.line)[1])
 
 
@@ -46,18 +45,18 @@ def models(name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("lighter", [0.5, 0.35, 0.25])
-def test_the_value_told_cures_it(car, log, name, lighter):
-    stiff = replace(car, yaw_inertia=lighter * car.yaw_inertia)
+@pytest.mark.parametrize("inertia_factor", [0.5, 0.35, 0.25])
+def test_proposed_value_removes_the_finding(car, log, name, inertia_factor):
+    stiff = replace(car, yaw_inertia=inertia_factor * car.yaw_inertia)
     findings = 0
     for model in models(name):
         finding = step_too_long([model], stiff, log, STEP)
         if finding is None:
             continue
         if finding.advice.kind == "vehicle":
-            assert printed(finding) == finding.value and finding.unit == "m/s"
+            assert printed_value(finding) == finding.value and finding.unit == "m/s"
             assert ("rerun st discover" in finding.advice.line) is not isinstance(model, str)
-            corrected = replace(stiff, minimum_slip_speed=printed(finding))
+            corrected = replace(stiff, minimum_slip_speed=printed_value(finding))
             assert step_too_long([model], corrected, log, STEP) is None
             findings += 1
         else:
@@ -66,14 +65,14 @@ def test_the_value_told_cures_it(car, log, name, lighter):
     assert findings >= 4
 
 
-def test_one_tenth_less_does_not(car, log):
+def test_value_below_the_proposed_one_is_not_enough(car, log):
     stiff = replace(car, yaw_inertia=0.3 * car.yaw_inertia)
     value = step_too_long(MODELS, stiff, log, STEP).value
     assert step_too_long(MODELS, replace(stiff, minimum_slip_speed=value - 0.1), log, STEP) is not None
 
 
-def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so(leaf):
-    """What was findings before: 6.1 m/s for this car, with which it went on warning."""
+def test_minimum_slip_speed_must_exceed_the_lowest_stable_speed(leaf):
+    """6.1 m/s for this car is not enough as the minimum slip speed."""
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     lowest = stability.lowest_stable_speed("linear", stiff, STEP)
     assert not are_stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
@@ -81,30 +80,30 @@ def test_the_speed_where_steps_become_stable_is_not_the_floor_that_makes_them_so
     assert needed > lowest + 0.1 and round(10 * needed, 9) == round(10 * needed)
 
 
-def test_prediction_no_longer_warns_with_the_value_told(leaf, log, monkeypatch):
+def test_prediction_does_not_warn_with_the_proposed_value(leaf, log, monkeypatch):
     monkeypatch.setattr(stability, "_warned", set())
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     starts = np.arange(0, 50, 5) * 10**9
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
         predict_log("nonlinear", stiff, log, starts, backend="numpy")
-    findings = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
+    proposed = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
     stability._warned.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        predict_log("nonlinear", replace(stiff, minimum_slip_speed=findings), log, starts, backend="numpy")
+        predict_log("nonlinear", replace(stiff, minimum_slip_speed=proposed), log, starts, backend="numpy")
 
 
-def test_it_says_where(leaf, log):
+def test_finding_names_models_and_times(leaf, log):
     finding = step_too_long(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
     assert finding.severity is Severity.WARNING and "linear and nonlinear model of Nissan Leaf ZE0" in finding.text
     first, second = finding.where
-    # 0.5 to 20 m/s in 20 s and so on: 2.66 m/s is the limit.
+    # The speed is below the limit of 2.66 m/s at the start, and again around 45 s.
     assert first == (0.0, pytest.approx(2.2, abs=0.5)) and second == pytest.approx((39.2, 50.2), abs=0.7)
     assert "at 0.5 to 2." in finding.text
 
 
-def test_stiffness_that_no_floor_lowers_asks_for_a_shorter_step(leaf, log):
-    """Tyres that relax over 0.2 m follow the speed: at 35 m/s they are as stiff with any floor."""
+def test_shorter_step_is_proposed_where_no_minimum_slip_speed_helps(leaf, log):
+    """The rate of a relaxation length of 0.2 m grows with speed: at 35 m/s no minimum slip speed reduces it."""
     model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
     finding = step_too_long([model], leaf, log, 0.2)
     assert (finding.advice.kind, finding.unit) == ("option", "s") and finding.advice.line == f"--step {finding.value:g}"
@@ -112,6 +111,6 @@ def test_stiffness_that_no_floor_lowers_asks_for_a_shorter_step(leaf, log):
     assert step_too_long([model], leaf, log, 2.0 * finding.value) is not None
 
 
-def test_nothing_to_say(car, log):
+def test_cars_of_the_repository_have_no_finding(car, log):
     assert step_too_long(("kinematic", *MODELS), car, log, STEP) is None
     assert step_too_long(MODELS, car, log.slice(1, 2), STEP) is None

@@ -1,4 +1,4 @@
-"""A correction is proposed only where it does not make the predictions of its run worse."""
+"""A correction is proposed only if it does not raise the prediction errors of its run."""
 
 from dataclasses import replace
 
@@ -22,18 +22,18 @@ def finding(severity, **correct):
     return Finding("some_fault", severity, (channel,), "a fault", advice=Advice.correct(channel, **values))
 
 
-def inverse(values):
+def inverse_correction(values):
     return {"scale": 1.0 / values["scale"]} if "scale" in values else {key: -value for key, value in values.items()}
 
 
 @pytest.mark.parametrize("severity", [Severity.ERROR, Severity.WARNING])
 @pytest.mark.parametrize("channel", FAULTS)
-def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, severity):
+def test_right_correction_is_proposed_and_wrong_one_is_not(leaf, channel, severity):
     log = exact_drive(leaf, 60.0)
     log = replace(log, steering_wheel_angle=None)
     values = FAULTS[channel]
     broken = apply_corrections(log, {channel: Correction(**values)}, leaf)
-    right, wrong = (finding(severity, **{channel: one}) for one in (inverse(values), values))
+    right, wrong = (finding(severity, **{channel: one}) for one in (inverse_correction(values), values))
     (kept,) = try_corrections([right], broken, leaf)
     assert kept.advice == right.advice and kept.tried[1] < 1.05 * kept.tried[0]
     (refuted,) = try_corrections([wrong], log, leaf)
@@ -41,7 +41,7 @@ def test_a_right_correction_is_proposed_and_a_wrong_one_is_not(leaf, channel, se
     assert refuted.severity is (Severity.NOTE if severity is Severity.WARNING else Severity.ERROR)
 
 
-def test_errors_are_tried_together(leaf):
+def test_corrections_of_errors_are_tried_together(leaf):
     log = replace(exact_drive(leaf, 60.0), steering_wheel_angle=None)
     both = {"yaw": {"scale": -1.0}, "yaw_rate": {"scale": -1.0}}
     broken = apply_corrections(log, {name: Correction(**one) for name, one in both.items()}, leaf)
@@ -50,8 +50,8 @@ def test_errors_are_tried_together(leaf):
 
 
 @pytest.mark.parametrize("ahead", [2.0, -2.0])
-def test_on_a_circle_no_steering_excuses_a_wrong_correction(leaf, ahead):
-    """Gain and offset of the steering look alike there: unbounded, they would explain any error."""
+def test_wrong_correction_is_refused_on_a_steady_circle(leaf, ahead):
+    """Steering gain and offset are not separable there; unbounded, they would explain any error."""
     speed, turning = 8.0, 0.5
     circle = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(turning, ()))
     angle = leaf.wheelbase * turning / speed * (1.0 + stability_factor(leaf) * speed**2)

@@ -1,4 +1,4 @@
-"""Clock alignment on simulated drives and clocks: a known answer is put in and must come out, as surely as claimed."""
+"""Clock alignment on simulated drives and clocks: known offsets are recovered within the stated uncertainty."""
 
 import re
 from dataclasses import replace
@@ -14,7 +14,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 
 class Drive:
-    """A made-up drive of some seconds: speed [m/s] and yaw rate [rad/s] as smooth functions of time [s]."""
+    """A synthetic drive: speed [m/s] and yaw rate [rad/s] as smooth functions of time [s]."""
 
     def __init__(self, seed: int, duration: float):
         self.random = np.random.default_rng(seed)
@@ -25,7 +25,7 @@ class Drive:
     def _noise(self, n: int) -> np.ndarray:
         return self.random.standard_normal(n)
 
-    def slow_noise(self, n: int, deviation: float) -> np.ndarray:
+    def correlated_noise(self, n: int, deviation: float) -> np.ndarray:
         """Correlated over 100 samples, as the difference between two sensors of one quantity is."""
         return lfilter([1], [1, -0.99], self._noise(n)) * np.sqrt(1 - 0.99**2) * deviation
 
@@ -44,8 +44,8 @@ def recorded(drive: Drive, duration: float, offset: float, drift: float, disagre
     stamp += drive.random.normal(0, jitter, len(can))
     order = np.argsort(stamp)
     can, stamp = can[order], stamp[order]
-    speed = 1.03 * np.round((drive.speed(can) + drive.slow_noise(len(can), disagreement)) / 0.01) * 0.01
-    rate = drive.yaw_rate(can) + drive.slow_noise(len(can), 0.1 * disagreement) + 0.01
+    speed = 1.03 * np.round((drive.speed(can) + drive.correlated_noise(len(can), disagreement)) / 0.01) * 0.01
+    rate = drive.yaw_rate(can) + drive.correlated_noise(len(can), 0.1 * disagreement) + 0.01
     return [
         SharedSignal("speed", nanoseconds(ins), drive.speed(ins), nanoseconds(stamp), speed),
         SharedSignal("yaw rate", nanoseconds(ins), drive.yaw_rate(ins), nanoseconds(stamp), rate),
@@ -53,19 +53,19 @@ def recorded(drive: Drive, duration: float, offset: float, drift: float, disagre
 
 
 def true_offset(at_ns: int, offset: float, drift: float) -> float:
-    """Reference minus other clock [s] at an instant of the other one: t_ref = t_other (1 + drift) + offset."""
+    """Reference minus other clock [s] at a time of the other clock: t_ref = t_other (1 + drift) + offset."""
     return offset + drift * (at_ns - EPOCH_NS) * 1e-9
 
 
 @pytest.mark.parametrize(("offset", "drift"), [(3.217, 40e-6), (-72.4, -30e-6), (0.0, 0.0)])
-def test_known_offset_and_drift_come_back(offset: float, drift: float) -> None:
+def test_known_offset_and_drift_are_recovered(offset: float, drift: float) -> None:
     result = align(recorded(Drive(1, 300), 300, offset, drift))
     assert result.verdict is Verdict.GOOD, result.reasons
     assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, offset, drift), abs=1e-4)
     assert result.drift_ppm == pytest.approx(drift * 1e6, abs=1.0)
 
 
-def test_the_mapping_is_exact_to_the_nanosecond() -> None:
+def test_mapping_is_exact_to_the_nanosecond() -> None:
     result = replace(manual_alignment(3_217_000_001, EPOCH_NS), drift_ppm=40.0)
     times = EPOCH_NS + np.array([0, 1_000_000_000, -25_000_000_000])
     assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
@@ -74,8 +74,8 @@ def test_the_mapping_is_exact_to_the_nanosecond() -> None:
     assert (alignment_not_needed().method, alignment_not_needed().verdict) == ("none", "not needed")
 
 
-def test_the_deviations_are_honest() -> None:
-    """Over many drives, error over claimed deviation has an rms near 1, for disagreeing sensors with memory as well."""
+def test_errors_agree_with_the_stated_standard_deviations() -> None:
+    """Over many drives the RMS of error / standard deviation is near 1, also for sensors with correlated errors."""
     for disagreement in (0.02, 0.1):
         z = []
         for seed in range(16):
@@ -86,10 +86,10 @@ def test_the_deviations_are_honest() -> None:
         assert (rms > 0.5).all() and (rms < 1.6).all(), (disagreement, rms)
 
 
-def test_latency_is_taken_off_and_its_uncertainty_added() -> None:
-    plain = recorded(Drive(2, 120), 120, 0.5, 0.0)
+def test_latency_is_subtracted_and_its_uncertainty_added() -> None:
+    signals = recorded(Drive(2, 120), 120, 0.5, 0.0)
     late = [SharedSignal(s.name, s.reference_time_ns, s.reference, s.other_time_ns + 4_000_000, s.other, 0.004, 0.002)
-            for s in plain]
+            for s in signals]
     result = align(late)
     assert result.offset_ns * 1e-9 == pytest.approx(0.5, abs=2e-4)
     assert result.offset_deviation == pytest.approx(0.002, rel=0.05)
@@ -103,7 +103,7 @@ def test_signals_of_different_drives_are_refused() -> None:
     assert "do not overlap in time" in result.reasons[-1]
 
 
-def test_a_short_common_part_is_found_but_doubted() -> None:
+def test_short_overlap_is_aligned_but_doubtful() -> None:
     signals = recorded(Drive(5, 400), 400, 2.0, 0.0)
     cut = []
     for s in signals:
@@ -116,7 +116,7 @@ def test_a_short_common_part_is_found_but_doubted() -> None:
     assert "share only" in result.reasons[-1]
 
 
-def test_repeated_laps_are_pointed_out_and_a_bounded_search_settles_them() -> None:
+def test_equal_laps_are_ambiguous_unless_the_search_is_bounded() -> None:
     drive = Drive(6, 200)
     time = np.arange(0, 600, 0.01)
     speed, rate = drive.speed(5 + time % 100), drive.yaw_rate(5 + time % 100)
@@ -134,7 +134,7 @@ def test_repeated_laps_are_pointed_out_and_a_bounded_search_settles_them() -> No
 
 
 @pytest.mark.parametrize(("step", "verdict"), [(0.03, "doubtful"), (2.0, "refused"), (-10.0, "refused")])
-def test_a_clock_that_was_set_on_the_way_is_found(step: float, verdict: str) -> None:
+def test_clock_step_during_the_drive_is_found(step: float, verdict: str) -> None:
     result = align(recorded(Drive(7, 600), 600, 1.0, 20e-6, disagreement=0.02, step=step))
     assert result.verdict == verdict
     found = re.match(r"a clock steps by ([+-]\d+) ms about ([+-]\d+) s", result.reasons[0])
@@ -151,7 +151,7 @@ def test_constant_signals_are_refused() -> None:
     assert align([]).reasons == ("the recordings share no signal",)
 
 
-def test_a_clock_set_by_years_is_refused() -> None:
+def test_clock_step_of_years_is_refused() -> None:
     signals = recorded(Drive(9, 100), 100, 0, 0)
     long_ago = np.where(np.arange(len(signals[0].other)) < 50, 10**18, 0)
     broken = [SharedSignal(s.name, s.reference_time_ns, s.reference, s.other_time_ns - long_ago, s.other)
@@ -161,15 +161,15 @@ def test_a_clock_set_by_years_is_refused() -> None:
     assert "a clock was set" in result.reasons[0]
 
 
-def test_gaps_and_standstill_do_no_harm() -> None:
+def test_gaps_do_not_disturb_and_standstill_is_masked() -> None:
     signals = recorded(Drive(10, 300), 300, 0.7, 10e-6)
-    holed = []
+    with_gaps = []
     for s in signals:
         other, reference = s.other.copy(), s.reference.copy()
         other[8000:9500] = np.nan
         reference[15000:15400] = np.nan
-        holed.append(SharedSignal(s.name, s.reference_time_ns, reference, s.other_time_ns, other))
-    result = align(holed)
+        with_gaps.append(SharedSignal(s.name, s.reference_time_ns, reference, s.other_time_ns, other))
+    result = align(with_gaps)
     assert result.offset_ns * 1e-9 == pytest.approx(true_offset(result.at_ns, 0.7, 10e-6), abs=2e-4)
     time = nanoseconds(np.arange(0, 30, 0.1))
     speed = np.where(np.arange(300) < 100, 0.0, 5.0)
@@ -177,21 +177,21 @@ def test_gaps_and_standstill_do_no_harm() -> None:
     assert np.isnan(masked[:80]).all() and np.isfinite(masked[80:]).all()
 
 
-def test_a_coarse_wrapped_angle_with_another_zero_is_enough() -> None:
-    """Yaw at 250 Hz, rounded to 0.01 deg on one side: differences of neighbours would be nothing but rounding."""
+def test_coarse_wrapped_angle_with_another_zero_is_sufficient() -> None:
+    """Yaw at 250 Hz, rounded to 0.01 deg in one recording: differences of successive samples are only rounding."""
     drive = Drive(12, 300)
     yaw = drive.yaw_rate.antiderivative()
     ins, can = np.arange(5, 290, 0.004), np.arange(20, 280, 0.004)
     wrapped = (yaw(can) + 1.0 + np.pi) % (2 * np.pi) - np.pi
     rounded = np.radians(np.round(np.degrees(wrapped), 2))
-    holes = slice(20_000, 22_000)
-    result = align([SharedSignal("yaw", nanoseconds(ins), yaw(ins), np.delete(nanoseconds(can - 0.7), holes),
-                                 np.delete(rounded, holes), angle=True)])
+    gap = slice(20_000, 22_000)
+    result = align([SharedSignal("yaw", nanoseconds(ins), yaw(ins), np.delete(nanoseconds(can - 0.7), gap),
+                                 np.delete(rounded, gap), angle=True)])
     assert result.verdict is Verdict.GOOD, result.reasons
     assert result.offset_ns * 1e-9 == pytest.approx(0.7, abs=2e-4)
 
 
-def test_an_offset_given_by_hand_is_kept_and_commented_on() -> None:
+def test_manual_offset_is_used_and_compared_with_the_signals() -> None:
     signals = recorded(Drive(13, 120), 120, 2.0, 0.0)
     right, wrong = (manual_alignment(offset, EPOCH_NS, signals) for offset in (2_001_000_000, 1_600_000_000))
     assert (right.verdict, right.offset_ns) == (Verdict.GOOD, 2_001_000_000)
@@ -215,13 +215,13 @@ def test_time_frames_give_offset_and_drift() -> None:
     assert result.offset_deviation >= 0.001
 
 
-def test_time_frames_show_a_clock_that_was_set() -> None:
+def test_time_frames_show_a_clock_step() -> None:
     logged = np.arange(0, 600, 0.01)
     jumped = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.5, 0)), nanoseconds(logged))
     assert jumped.verdict is Verdict.REFUSED
     assert re.match(r"a clock steps by -500 ms about \+(9|10)\d s", jumped.reasons[0])
-    little = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.04, 0)), nanoseconds(logged))
-    assert little.verdict is Verdict.DOUBTFUL
-    assert "do not lie on one line" in little.reasons[0]
+    small_step = align_by_time_frame(nanoseconds(logged + np.where(logged > 400, 0.04, 0)), nanoseconds(logged))
+    assert small_step.verdict is Verdict.DOUBTFUL
+    assert "do not lie on one line" in small_step.reasons[0]
     empty = np.zeros(0, dtype=np.int64)
     assert align_by_time_frame(empty, empty).verdict is Verdict.REFUSED

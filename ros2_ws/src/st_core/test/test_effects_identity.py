@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_drive import SILENT, Noise, exact_drive, late
+from exact_drive import SILENT, Noise, delay, exact_drive
 from st_core.augmented import augment
 from st_core.checks import check
 from st_core.effects import EFFECTS, Measured
@@ -55,7 +55,7 @@ def root_mean_square(values: np.ndarray) -> float:
     ("position_lag", ("x", "y"), 0.05, 0.006), ("position_lag", ("x", "y"), -0.1, 0.012)])
 def test_delayed_channels_are_corrected_to_first_order(leaf, effect, channels, seconds, remaining_share):
     true = exact_drive(leaf, 60.0, noise=SILENT)
-    recorded = late(true, seconds, *channels)
+    recorded = delay(true, seconds, *channels)
     _, true_rows, recorded_rows = np.intersect1d(true.ins_time_ns, recorded.ins_time_ns, return_indices=True)
     corrected = correct_log(augment("linear", {effect: {"time": seconds}}), recorded)
     inside = slice(10, -10)  # one-sided derivatives at the ends

@@ -1,4 +1,4 @@
-"""Manoeuvres do what they say, by numbers: sides, speeds, sizes, frequencies, ways."""
+"""Manoeuvres have the stated directions, speeds, lateral accelerations, frequencies and paths."""
 
 import math
 from dataclasses import replace
@@ -16,8 +16,8 @@ def times(manoeuvre: Manoeuvre) -> np.ndarray:
     return DT * np.arange(round(manoeuvre.period / DT))
 
 
-def way(manoeuvre: Manoeuvre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x, y, heading of a car that follows the curvature at the speed of the start for one round."""
+def path(manoeuvre: Manoeuvre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y [m] and heading [rad] at constant initial speed over one period."""
     step = manoeuvre.speed * DT
     heading = np.cumsum(manoeuvre.curvature(times(manoeuvre) + DT / 2)) * step
     middle = heading - np.diff(heading, prepend=0.0) / 2
@@ -25,25 +25,25 @@ def way(manoeuvre: Manoeuvre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("m", CATALOGUE, ids=[m.name for m in CATALOGUE])
-def test_every_one_of_the_catalogue(m):
+def test_manoeuvre_is_periodic_and_consistent(m):
     t = times(m)
     assert np.abs(m.curvature(t)).max() * m.speed**2 == pytest.approx(abs(m.lateral), rel=0.01)
-    # Again and again: the next round is the same, and the speed is what it was.
+    # The next period is equal and starts at the same speed.
     np.testing.assert_allclose(m.curvature(t + m.period), m.curvature(t), atol=0.003)
     assert m.speed_at(m.period - 1e-9) == pytest.approx(m.speed)
-    # Speed and acceleration belong together.
-    gained = m.speed + np.cumsum(m.acceleration_at(t)) * DT
-    np.testing.assert_allclose(gained, m.speed_at(t + DT), atol=0.05)
-    # Long enough for predictions of five seconds, short enough to be driven three times.
+    # Speed is the integral of the acceleration.
+    integrated = m.speed + np.cumsum(m.acceleration_at(t)) * DT
+    np.testing.assert_allclose(integrated, m.speed_at(t + DT), atol=0.05)
+    # Long enough for predictions of 5 s, short enough to be driven three times.
     assert 20.0 <= m.duration <= 70.0 and m.duration == m.repetitions * m.period
     assert m.description
 
 
-def test_names_are_unique():
+def test_names_in_the_catalogue_are_unique():
     assert len(BY_NAME) == len(CATALOGUE)
 
 
-def test_size_is_that_of_any_car():
+def test_lateral_acceleration_does_not_depend_on_the_car():
     """Steady cornering of the linear car: a_y = v^2 delta / (L + K v^2)."""
     m = BY_NAME["step"]
     for wheelbase, understeer in ((2.4, 0.0), (2.7, 0.004), (3.3, 0.008)):
@@ -51,7 +51,7 @@ def test_size_is_that_of_any_car():
         assert m.speed**2 * angle / (wheelbase + understeer * m.speed**2) == pytest.approx(m.lateral)
 
 
-def test_negative_size_is_the_mirrored_manoeuvre():
+def test_negative_lateral_acceleration_mirrors_the_manoeuvre():
     for m in CATALOGUE:
         mirrored = replace(m, lateral=-m.lateral)
         np.testing.assert_array_equal(mirrored.curvature(times(m)), -m.curvature(times(m)))
@@ -61,12 +61,12 @@ def test_negative_size_is_the_mirrored_manoeuvre():
 
 
 @pytest.mark.parametrize("name", ["step", "ramp_to_limit", "slalom", "weave", "circle", "S1"])
-def test_both_sides_are_alike(name):
+def test_manoeuvre_turns_equally_to_both_sides(name):
     m = BY_NAME[name]
     assert m.curvature(times(m)).mean() * m.speed**2 == pytest.approx(0.0, abs=0.06)
 
 
-def test_lines_and_sine():
+def test_piecewise_linear_and_sine_sweep():
     lines = PiecewiseLinear(((1.0, 0.0, 2.0), (0.0, 5.0, 5.0), (2.0, 1.0, 1.0)))
     np.testing.assert_allclose(lines(np.array([0.0, 0.5, 0.999999, 1.0, 2.9, 3.0, 9.0])),
                                [0.0, 1.0, 2.0, 1.0, 1.0, 1.0, 1.0], atol=1e-5)
@@ -79,7 +79,7 @@ def test_lines_and_sine():
     assert 0.2 < 0.5 / np.diff(crossings)[0] < 0.4 and 0.5 / np.diff(crossings)[-2] == pytest.approx(2.8, rel=0.15)
 
 
-def test_braking_ends_at_its_speed_and_power_at_the_first_one():
+def test_braking_ends_at_the_given_speed_and_driving_restores_the_initial_one():
     m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, acceleration=2.0, driving=6.0)
     assert m.period == 10.0
     np.testing.assert_allclose(m.speed_at(np.array([0.0, 2.0, 3.0, 4.0, 5.0, 8.0, 9.9])), [11, 11, 7, 3, 5, 11, 11])
@@ -89,22 +89,22 @@ def test_braking_ends_at_its_speed_and_power_at_the_first_one():
     assert short.speed_at(short.period - 1e-9) == pytest.approx(9.4)
 
 
-def test_lane_change_is_a_lane_wide_and_comes_back():
-    _, y, heading = way(BY_NAME["lane_change"])
+def test_lane_change_is_one_lane_wide_and_returns():
+    _, y, heading = path(BY_NAME["lane_change"])
     assert y.max() == pytest.approx(3.5, rel=0.03)
     assert y[-1] == pytest.approx(0.0, abs=0.01) and heading[-1] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_there_and_back_drives_both_directions_and_closes():
+def test_there_and_back_drives_both_directions_and_is_closed():
     m = BY_NAME["there_and_back"]
-    x, y, heading = way(m)
+    x, y, heading = path(m)
     straight = m.curvature(times(m)) == 0.0
     east, west = straight & (np.cos(heading) > 0.999), straight & (np.cos(heading) < -0.999)
     assert east.sum() * DT == pytest.approx(10.0, abs=0.1) and west.sum() * DT == pytest.approx(10.0, abs=0.1)
     assert math.hypot(x[-1], y[-1]) < 0.5 and heading[-1] == pytest.approx(2 * math.pi, abs=0.01)
 
 
-def test_figure_eight_closes():
-    x, y, heading = way(BY_NAME["S1"])
+def test_figure_eight_is_closed():
+    x, y, heading = path(BY_NAME["S1"])
     assert math.hypot(x[-1], y[-1]) < 0.1 and heading[-1] == pytest.approx(0.0, abs=1e-3)
     assert np.ptp(heading) == pytest.approx(math.radians(240.0), abs=0.01)

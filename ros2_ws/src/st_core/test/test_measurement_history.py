@@ -1,4 +1,4 @@
-"""INS and steering on one axis: the filtered acceleration is that of the sorted log, whatever the order of arrival."""
+"""INS and steering on one time axis: the result does not depend on the order of arrival."""
 
 import math
 
@@ -27,7 +27,7 @@ def speed_at(ms: float) -> float:
 
 
 @given(st.data(), st.lists(st.integers(0, 450), min_size=1, max_size=40, unique=True))
-def test_filtered_acceleration_of_any_arrival_is_that_of_the_sorted_log(data, times):
+def test_filtered_acceleration_does_not_depend_on_the_order_of_arrival(data, times):
     live = history()
     for t in data.draw(st.permutations(times)):
         assert live.add_ins(sample(t, speed_at(t)))
@@ -38,7 +38,7 @@ def test_filtered_acceleration_of_any_arrival_is_that_of_the_sorted_log(data, ti
     np.testing.assert_array_equal(live.ins.rows[:, DERIVATIVE], derivative)
 
 
-def test_forgetting_old_samples_does_not_change_the_filter():
+def test_discarding_old_samples_does_not_change_the_filter():
     live = history()
     for t in range(0, 10_000, 10):
         live.add_ins(sample(t, speed_at(t)))
@@ -48,7 +48,7 @@ def test_forgetting_old_samples_does_not_change_the_filter():
     np.testing.assert_array_equal(live.ins.rows[:, DERIVATIVE], derivative[-201:])
 
 
-def test_inputs_are_known_only_between_samples_of_both():
+def test_inputs_are_known_only_between_samples_of_both_sensors():
     live = history()
     for t in range(0, 500, 10):
         live.add_ins(sample(t, 10.0 + 0.002 * t))
@@ -65,7 +65,7 @@ def test_inputs_are_known_only_between_samples_of_both():
     assert np.isfinite(live.ins.sample(times_ns)[:, DERIVATIVE]).tolist() == [True, True, True, False]
 
 
-def test_yaw_is_interpolated_across_the_seam():
+def test_yaw_is_interpolated_across_plus_minus_pi():
     live = history()
     live.add_ins(sample(0, yaw=3.1))
     live.add_ins(sample(10, yaw=-3.1))
@@ -73,7 +73,7 @@ def test_yaw_is_interpolated_across_the_seam():
     assert live.ins_at(T0 + 20 * MS) is None
 
 
-def test_acceleration_is_not_known_on_the_first_sample_of_a_stretch():
+def test_acceleration_is_unknown_at_the_first_sample_after_a_gap():
     live = history()
     for t in (0, 10, 500):
         live.add_ins(sample(t))
@@ -83,7 +83,7 @@ def test_acceleration_is_not_known_on_the_first_sample_of_a_stretch():
     assert live.inputs_at(T0 + 500 * MS) is None
 
 
-def test_when_ins_time_jumps_back_both_signals_begin_anew():
+def test_both_signals_restart_when_ins_time_jumps_back():
     live = history()
     for t in range(10_000, 11_000, 10):
         live.add_ins(sample(t))
@@ -99,7 +99,7 @@ def test_when_ins_time_jumps_back_both_signals_begin_anew():
     assert live.ins.newest == live.steering.newest == T0 + 190 * MS
 
 
-def test_bad_samples_change_nothing():
+def test_non_finite_samples_are_refused():
     live = history()
     live.add_ins(sample(0))
     assert not live.add_ins(sample(10, speed=math.nan))

@@ -1,4 +1,4 @@
-"""Positions that jump: found, counted, no prediction and no score across them; noise and driving are no jumps."""
+"""Position jumps are found and counted; no prediction or score crosses them; noise and hard driving are no jumps."""
 
 import math
 
@@ -13,15 +13,15 @@ from st_core.types import InsSample
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000
 RADIUS, SPEED, ANGLE = 30.0, 8.0, 0.09
-SIZES = (0.5, 6.4, 640.0)  # m: RTK found again, a receiver without it, another place
+SIZES = (0.5, 6.4, 640.0)  # [m]: RTK restored, receiver without RTK, another place
 
 
-def circle(ms, aside=0.0, noise=(0.0, 0.0)):
-    """A left turn at constant speed; aside: the position is off by this much, to the north-east [m]."""
+def circle(ms, error=0.0, noise=(0.0, 0.0)):
+    """A left turn at constant speed; error: of the position, to the north-east [m]."""
     turn = SPEED / RADIUS * 0.001 * ms
     x, y = RADIUS * math.sin(turn), RADIUS * (1.0 - math.cos(turn))
-    off = aside / math.sqrt(2.0)
-    return InsSample(T0 + round(ms * MS), x + off + noise[0], y + off + noise[1], turn, SPEED, 0.0, SPEED / RADIUS)
+    error /= math.sqrt(2.0)
+    return InsSample(T0 + round(ms * MS), x + error + noise[0], y + error + noise[1], turn, SPEED, 0.0, SPEED / RADIUS)
 
 
 def drive(target, until, jump_at=math.inf, size=0.0, since=0, period=10):
@@ -37,7 +37,7 @@ def history():
 
 @pytest.mark.parametrize("period", [4, 10, 50])
 @pytest.mark.parametrize("size", SIZES)
-def test_a_jump_is_found_where_it_is_and_nothing_is_known_across_it(size, period):
+def test_jump_is_found_at_its_time_and_nothing_is_interpolated_across_it(size, period):
     live = history()
     drive(live, 2000, 1000, size, period=period)
     assert (live.jumps, live.jump.time_ns) == (1, T0 + 1000 * MS)
@@ -50,14 +50,14 @@ def test_a_jump_is_found_where_it_is_and_nothing_is_known_across_it(size, period
     assert live.ins_at(live.jump.time_ns) is not None
 
 
-def test_there_and_back_are_two():
+def test_jump_away_and_back_counts_as_two():
     live = history()
     for ms in range(0, 2000, 10):
         live.add_ins(circle(ms, 6.4 if 800 <= ms < 1200 else 0.0))
     assert (live.jumps, live.jump.time_ns) == (2, T0 + 1200 * MS)
 
 
-def test_jumps_across_a_gap_are_told():
+def test_jump_across_a_gap_is_found():
     live = history()
     drive(live, 1000)
     drive(live, 2000, 0, 640.0, since=1500)
@@ -66,23 +66,23 @@ def test_jumps_across_a_gap_are_told():
 
 @pytest.mark.parametrize("speed", [0.0, 5.0, 40.0])
 def test_hard_driving_is_no_jump(speed):
-    """1 g in any direction, samples 4 to 500 ms apart."""
+    """Accelerations up to 1 g in any direction, sampling intervals of 4 to 500 ms."""
     draw = np.random.default_rng(1)
     live, x, y, v_x, yaw, t = history(), 0.0, 0.0, speed, 0.0, 0
     for _ in range(300):
         live.add_ins(InsSample(T0 + t * MS, x, y, yaw, v_x, 0.0, 0.0))
-        span = int(draw.choice([4, 10, 100, 500]))
-        push, rate = draw.uniform(-9.81, 9.81), draw.uniform(-9.81, 9.81) / max(v_x, 5.0)
-        for _ in range(span):
+        interval = int(draw.choice([4, 10, 100, 500]))
+        acceleration, rate = draw.uniform(-9.81, 9.81), draw.uniform(-9.81, 9.81) / max(v_x, 5.0)
+        for _ in range(interval):
             x, y = x + 0.001 * v_x * math.cos(yaw), y + 0.001 * v_x * math.sin(yaw)
-            v_x, yaw = max(0.0, v_x + 0.001 * push), yaw + 0.001 * rate
-        t += span
+            v_x, yaw = max(0.0, v_x + 0.001 * acceleration), yaw + 0.001 * rate
+        t += interval
     assert live.jumps == 0
 
 
 @pytest.mark.parametrize("deviation", [0.02, 0.2, 0.5])
-def test_noise_is_no_jump_and_a_jump_stands_out_from_it(deviation):
-    """RTK has 2 cm; a receiver without it may have decimetres from sample to sample."""
+def test_noise_is_no_jump_and_a_jump_is_found_in_noise(deviation):
+    """RTK: 0.02 m; a receiver without RTK may scatter by decimetres between samples."""
     draw = np.random.default_rng(2)
     live = history()
     for ms in range(0, 4000, 10):
@@ -90,21 +90,21 @@ def test_noise_is_no_jump_and_a_jump_stands_out_from_it(deviation):
     assert (live.jumps, live.jump.time_ns) == (1, T0 + 3000 * MS)
 
 
-def test_the_order_of_arrival_does_not_matter():
+def test_jumps_do_not_depend_on_the_order_of_arrival():
     samples = [circle(ms, 6.4 if ms >= 500 else 0.0) for ms in range(0, 1000, 10)]
-    plain, mixed = history(), history()
+    ordered, mixed = history(), history()
     for one in samples:
-        plain.add_ins(one)
+        ordered.add_ins(one)
     for k in range(0, len(samples), 2):
         mixed.add_ins(samples[k + 1])
         mixed.add_ins(samples[k])
-    assert mixed.jumps == plain.jumps == 1
-    assert mixed.ins.breaks == plain.ins.breaks
+    assert mixed.jumps == ordered.jumps == 1
+    assert mixed.ins.breaks == ordered.ins.breaks
 
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("model", ["linear", augment("linear", ["speed_scale"])], ids=["plain", "with sensors"])
-def test_no_prediction_starts_before_a_jump_that_is_known(leaf, model, size):
+def test_no_prediction_starts_before_a_known_jump(leaf, model, size):
     predictor = Predictor(leaf, [model])
     drive(predictor, 1000)
     predictor.add_ins(circle(1000, size))

@@ -1,4 +1,4 @@
-"""Relations beyond the library: the curve, where it acts, what is found of a known one, formulas that replace it."""
+"""Empirical relations: the spline curve, the terms it acts on, formulas for its shape, and recovery of a known one."""
 
 import math
 import re
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from discovery_drives import recorded
+from discovery_drives import fit_splines, recorded, relation
 from driven import drive
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
@@ -38,21 +38,12 @@ from st_core.relations.selection import (
     describe_unusable_curve,
     find_equally_good,
 )
-from st_core.vehicle import VehicleParameters
-from support import ROOT
 
 STATE = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3)
 DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
 
 
-def law(candidate: Candidate, wanted) -> dict:
-    """The effect with the coefficients nearest to a formula."""
-    at = np.linspace(candidate.low, candidate.high, 200)
-    heights = np.linalg.lstsq(candidate.compute_splines(at).T, wanted(at), rcond=1e-6)[0]
-    return {candidate.effect: {**{f"c{k}": float(h) for k, h in enumerate(heights)}, **candidate.constants}}
-
-
-def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
+def test_terms_and_quantities_are_complete_and_relations_are_not_library_effects():
     assert set(ADMISSIBLE) == set(ALL_TERMS) == set(TYPICAL_SIZES)
     assert {q for quantities in ADMISSIBLE.values() for q, _ in quantities} == set(QUANTITIES)
     assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_TERMS for by in FACTORS}
@@ -62,7 +53,7 @@ def test_every_place_can_be_asked_and_the_library_does_not_hold_the_law():
 
 
 @pytest.mark.parametrize("parity", [-1.0, 0.0, 1.0])
-def test_curve_of_the_equations_is_that_of_the_splines(parity):
+def test_curve_in_the_equations_of_motion_equals_the_splines(parity):
     c = Candidate("yaw_moment", "yaw_rate", parity, -0.5, 0.5)
     heights = np.random.default_rng(1).normal(size=SPLINES)
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
@@ -71,7 +62,7 @@ def test_curve_of_the_equations_is_that_of_the_splines(parity):
     assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.compute_splines(u), abs=1e-12)
     if parity:
         assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
-    assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant beyond what was driven
+    assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant outside the driven range
 
 
 def rates(model, car, angle=0.05, acceleration=0.5):
@@ -80,39 +71,39 @@ def rates(model, car, angle=0.05, acceleration=0.5):
     return model.rhs(model.start_state(STATE, w, p), w, p)
 
 
-def test_without_heights_it_leaves_no_trace(leaf):
+def test_relation_with_zero_coefficients_changes_nothing(leaf):
     c = Candidate("front_grip", "speed", 0.0, 3.0, 20.0)
-    none = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
-    assert rates(none, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
+    without_effect = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
+    assert rates(without_effect, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
 
 
 @pytest.mark.parametrize(("place", "index", "change"), [
     ("yaw_moment", 5, 0.2), ("side_force", 3, 0.2)])
-def test_a_push_on_the_body_is_the_acceleration_it_says(leaf, place, index, change):
+def test_relation_on_the_body_adds_its_acceleration(leaf, place, index, change):
     c = Candidate(place, "speed", 0.0, 3.0, 20.0)
-    pushed = augment("nonlinear", law(c, lambda u: change + 0.0 * u))
+    pushed = augment("nonlinear", relation(c, lambda u: change + 0.0 * u))
     before, after = rates(MODELS["nonlinear"], leaf), rates(pushed, leaf)
     assert after[index] - before[index] == pytest.approx(change, rel=1e-6)
 
 
-def test_wheels_that_steer_are_a_steering_offset(leaf):
+def test_relation_on_the_front_steer_angle_acts_as_a_steering_offset(leaf):
     c = Candidate("front_steer", "speed", 0.0, 3.0, 20.0)
-    steered = rates(augment("nonlinear", law(c, lambda u: 0.01 + 0.0 * u)), leaf)
+    steered = rates(augment("nonlinear", relation(c, lambda u: 0.01 + 0.0 * u)), leaf)
     turned = rates(MODELS["nonlinear"], leaf, angle=0.06)
     assert steered[5] == pytest.approx(turned[5], rel=0.01)
-    rear = rates(augment("nonlinear", law(Candidate("rear_steer", "speed", 0.0, 3.0, 20.0), lambda u: 0.01 + 0.0 * u)),
-                 leaf)
+    rear_steer = Candidate("rear_steer", "speed", 0.0, 3.0, 20.0)
+    rear = rates(augment("nonlinear", relation(rear_steer, lambda u: 0.01 + 0.0 * u)), leaf)
     assert rear[5] < rates(MODELS["nonlinear"], leaf)[5] < steered[5]  # a rear axle steered to the left turns right
 
 
-def test_forces_of_the_axles(leaf):
+def test_relation_on_an_axle_changes_its_lateral_force(leaf):
     plain = rates(MODELS["nonlinear"], leaf)
     loads = leaf.mass * 9.81 * leaf.cg_to_rear_axle / leaf.wheelbase
-    pushed = rates(augment("nonlinear", law(Candidate("front_force", "slip_front", 0.0, -0.2, 0.2),
+    pushed = rates(augment("nonlinear", relation(Candidate("front_force", "slip_front", 0.0, -0.2, 0.2),
                                             lambda u: 0.05 + 0.0 * u)), leaf)
-    gained = leaf.mass * (pushed[3] - plain[3])
-    assert gained == pytest.approx(0.05 * loads * math.cos(0.05), rel=1e-6)
-    gripped = rates(augment("nonlinear", law(Candidate("rear_grip", "speed", 0.0, 3.0, 20.0),
+    added_force = leaf.mass * (pushed[3] - plain[3])
+    assert added_force == pytest.approx(0.05 * loads * math.cos(0.05), rel=1e-6)
+    gripped = rates(augment("nonlinear", relation(Candidate("rear_grip", "speed", 0.0, 3.0, 20.0),
                                              lambda u: -0.1 + 0.0 * u)), leaf)
     front = (leaf.yaw_inertia * plain[5] + leaf.cg_to_rear_axle * leaf.mass * (plain[3] + STATE[2] * STATE[5])
              ) / leaf.wheelbase
@@ -120,148 +111,146 @@ def test_forces_of_the_axles(leaf):
     assert leaf.mass * (gripped[3] - plain[3]) == pytest.approx(-0.1 * rear, rel=1e-6)
 
 
-def test_sensor_shows_the_law_and_is_corrected_by_it():
+def test_relation_of_a_sensor_is_observed_and_corrected():
     c = Candidate("sensor_yaw_rate", "acceleration_y", -1.0, -6.0, 6.0)
-    model = augment("nonlinear", law(c, lambda u: 0.003 * u))
+    model = augment("nonlinear", relation(c, lambda u: 0.003 * u))
     truth = Measured(0.0, 0.0, 0.0, 10.0, 0.0, 0.3, 0.0, 3.0)
-    shown = model.observe(truth)
-    assert shown.yaw_rate - truth.yaw_rate == pytest.approx(0.009, rel=0.02)
-    assert model.correct(shown).yaw_rate == pytest.approx(truth.yaw_rate, rel=0.005)
+    measured = model.observe(truth)
+    assert measured.yaw_rate - truth.yaw_rate == pytest.approx(0.009, rel=0.02)
+    assert model.correct(measured).yaw_rate == pytest.approx(truth.yaw_rate, rel=0.005)
 
 
 BLOCKS = 12
 
 
-def read(candidate: Candidate, formula, noise=0.0, pinned=False):
-    """A curve in words, where every block drove all its range; noise: deviation of what each block shows at a point.
-    pinned: a parameter of the car follows and does what a constant can do."""
+def find_shapes(candidate: Candidate, formula, noise=0.0, constant_explained=False):
+    """Shapes of a curve whose complete range was driven in every block. noise: standard deviation per block and point.
+    constant_explained: a vehicle parameter can explain the constant part of the curve."""
     at = np.linspace(candidate.low, candidate.high, 60)
     splines = candidate.compute_splines(at)
-    heights = np.linalg.lstsq(splines.T, formula(at), rcond=1e-6)[0]
-    if pinned:
+    if constant_explained:
         splines = splines - splines.mean(axis=1, keepdims=True)
-    beside = np.random.default_rng(6).normal(size=(BLOCKS, len(at))) * noise
+    residual = np.random.default_rng(6).normal(size=(BLOCKS, len(at))) * noise
     hessian = np.broadcast_to(splines @ splines.T, (BLOCKS, SPLINES, SPLINES))
-    seen = Quadratic(np.zeros(BLOCKS), beside @ splines.T, hessian)
-    return fit_shapes(candidate, heights, seen, np.arange(BLOCKS) // 3)
+    quadratic = Quadratic(np.zeros(BLOCKS), residual @ splines.T, hessian)
+    return fit_shapes(candidate, fit_splines(candidate, formula, 60), quadratic, np.arange(BLOCKS) // 3)
 
 
 @pytest.mark.parametrize(("shape", "formula"), [
     ("linear", lambda u: 2.0 * u), ("cubic", lambda u: 5.0 * u**3),
     ("saturating", lambda u: 0.2 * np.tanh(u / 0.3)),
     ("dead zone", lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.6, 0.0))])
-def test_shapes_are_read(shape, formula):
-    law = Candidate("front_force", "slip_front", -1.0, -1.0, 1.0)
-    first, *more = read(law, formula)
+def test_odd_shape_is_recognised(shape, formula):
+    candidate = Candidate("front_force", "slip_front", -1.0, -1.0, 1.0)
+    first, *more = find_shapes(candidate, formula)
     assert first.name == shape and first.explained > 0.99
     assert len(more) <= 2
-    assert not read(law, lambda u: 0.0 * u)
+    assert not find_shapes(candidate, lambda u: 0.0 * u)
 
 
 @pytest.mark.parametrize(("shape", "formula"), [
     ("constant", lambda u: 0.3 + 0.0 * u), ("straight line", lambda u: 2.0 - 0.1 * u),
     ("square", lambda u: 0.4 - 0.002 * u**2), ("inverse", lambda u: 3.0 / u - 0.1), ("linear", lambda u: 0.3 * u)])
-def test_shapes_without_a_mirror_image_are_read(shape, formula):
-    law = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
-    first = read(law, formula)[0]
+def test_shape_without_symmetry_is_recognised(shape, formula):
+    candidate = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
+    first = find_shapes(candidate, formula)[0]
     assert first.name == shape and first.explained > 0.99
 
 
-def test_a_constant_that_a_parameter_of_the_car_can_do_is_no_part_of_the_shape():
-    first = read(Candidate("front_grip", "speed", 0.0, 4.0, 20.0), lambda u: 2.0 - 0.1 * u, pinned=True)[0]
+def test_constant_that_a_vehicle_parameter_explains_is_not_part_of_the_shape():
+    first = find_shapes(Candidate("front_grip", "speed", 0.0, 4.0, 20.0), lambda u: 2.0 - 0.1 * u,
+                        constant_explained=True)[0]
     assert first.name == "linear" and first.parameters == pytest.approx([-0.1], rel=1e-3)
 
 
-def test_a_shape_that_misses_much_of_the_curve_does_not_stand_for_it_however_little_the_drives_tell():
-    """A straight line through nothing explains 56 % of this one, its square nearly all."""
-    law = Candidate("front_grip", "speed", 0.0, 3.2, 14.0)
+def test_shape_must_explain_the_curve_even_with_noisy_drives():
+    """A straight line through the origin explains 56 % of this curve, a square nearly all."""
+    candidate = Candidate("front_grip", "speed", 0.0, 3.2, 14.0)
     for noise in (0.0, 0.01):
-        first, *more = read(law, lambda u: 0.0156 - 8.7e-5 * u**2, noise)
+        first, *more = find_shapes(candidate, lambda u: 0.0156 - 8.7e-5 * u**2, noise)
         assert first.name == "square" and all(r.explained > 0.9 for r in (first, *more))
 
 
-def test_what_the_drives_do_not_tell_apart_is_read_as_the_simplest_shape():
-    law = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
-    names = [read(law, lambda u: u - 0.5 * u**3, noise)[0].name for noise in (0.0, 2.0)]
+def test_simplest_of_indistinguishable_shapes_is_first():
+    candidate = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
+    names = [find_shapes(candidate, lambda u: u - 0.5 * u**3, noise)[0].name for noise in (0.0, 2.0)]
     assert names == ["linear and cubic", "linear"]
 
 
-def test_a_curve_that_one_run_alone_shows_is_read():
-    law = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
-    splines = law.compute_splines(np.linspace(-1.0, 1.0, 60))
-    heights = np.linalg.lstsq(splines.T, np.linspace(-2.0, 2.0, 60), rcond=1e-6)[0]
+def test_shape_is_recognised_from_a_single_run_with_excitation():
+    candidate = Candidate("yaw_moment", "yaw_rate", -1.0, -1.0, 1.0)
+    splines = candidate.compute_splines(np.linspace(-1.0, 1.0, 60))
     hessian = (np.arange(BLOCKS) < 3)[:, None, None] * (splines @ splines.T)
-    seen = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, SPLINES)), hessian)
-    assert fit_shapes(law, heights, seen, np.arange(BLOCKS) // 3)[0].parameters == pytest.approx([2.0])
+    quadratic = Quadratic(np.zeros(BLOCKS), np.zeros((BLOCKS, SPLINES)), hessian)
+    shapes = fit_shapes(candidate, fit_splines(candidate, lambda u: 2.0 * u), quadratic, np.arange(BLOCKS) // 3)
+    assert shapes[0].parameters == pytest.approx([2.0])
 
 
-def test_rivals_are_told_apart_by_all_their_blocks_and_harm_by_one_run():
+def test_equally_good_candidates_and_lower_bound_of_a_gain():
     draw = np.random.default_rng(4).normal(size=(3, 20))
-    near = find_equally_good(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
-    assert near.tolist() == [False, True, True]
+    equally_good = find_equally_good(np.stack([draw[0] + 3.0, draw[1] + 0.1, 5.0 * draw[2]]), 0.05, 0)
+    assert equally_good.tolist() == [False, True, True]
     assert find_equally_good(np.zeros((0, 20)), 0.05, 0).size == 0
     assert compute_lower_bound(np.full(9, 2.0), 0.05) == pytest.approx(18.0)
     assert compute_lower_bound(draw[0], 0.05) < 0.0
 
 
-def test_a_law_that_makes_one_run_surely_worse_is_no_proposal(laws):
-    laws, _ = laws
-    before = np.full(len(laws.windows), 0.5)
+def test_relation_that_significantly_worsens_one_run_is_refused(fits):
+    before = np.full(len(fits.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
-    second = laws.windows.run == 1
-    assert describe_deterioration(laws, "law", before, before - 0.1 + noise, Limits()) == ""
-    slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # by 1 cm
-    assert describe_deterioration(laws, "law", before, slightly, Limits()) == ""
+    second = fits.windows.run == 1
+    assert describe_deterioration(fits, "law", before, before - 0.1 + noise, Limits()) == ""
+    slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # 1 cm
+    assert describe_deterioration(fits, "law", before, slightly, Limits()) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
-    said = [describe_deterioration(laws, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
-    assert f"raises the held-out position error of {laws.windows.names[1]}" in said[0]
-    assert "raises the held-out position error after 5 s from 0.500 to 0.6" in said[1]
+    reasons = [describe_deterioration(fits, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
+    assert f"raises the held-out position error of {fits.windows.names[1]}" in reasons[0]
+    assert "raises the held-out position error after 5 s from 0.500 to 0.6" in reasons[1]
 
 
-def test_a_law_with_which_the_path_is_perhaps_no_better_is_no_proposal(laws):
-    """A tenth of the loss is surely taken away in all three; the path comes closer by 5 cm, by 2 cm on the whole but
-    with blocks against it, not at all."""
-    laws, _ = laws
-    falls = np.full(laws.blocks, 0.1 * laws.loss.residual_count / laws.blocks)
-    share = np.random.default_rng(6).normal(1.0, 0.1, laws.blocks)
-    mixed = np.where(np.arange(laws.blocks) % 2, 0.09, -0.05)
-    moment, gyroscope = (Candidate(place, "yaw_rate", -1.0, -0.5, 0.5) for place in ("yaw_moment", "sensor_yaw_rate"))
+def test_relation_on_the_vehicle_must_significantly_improve_the_predicted_path(fits):
+    """The loss decreases by 10 % in all cases; the position error by 5 cm in all blocks, by 2 cm on average with
+    increases in some blocks, and not at all."""
+    loss_decrease = np.full(fits.blocks, 0.1 * fits.loss.residual_count / fits.blocks)
+    share = np.random.default_rng(6).normal(1.0, 0.1, fits.blocks)
+    mixed = np.where(np.arange(fits.blocks) % 2, 0.09, -0.05)
+    moment, gyroscope = (Candidate(term, "yaw_rate", -1.0, -0.5, 0.5) for term in ("yaw_moment", "sensor_yaw_rate"))
 
-    def said(law: Candidate, closer: np.ndarray) -> str:
-        return describe_small_gain(laws, law, falls, closer[laws.block], Limits())
+    def reason(candidate: Candidate, decrease: np.ndarray) -> str:
+        return describe_small_gain(fits, candidate, loss_decrease, decrease[fits.block], Limits())
 
-    assert said(moment, 0.05 * share) == ""
-    assert all("the gain in the predicted path is not" in said(moment, closer)
-               for closer in (mixed, np.zeros(laws.blocks)))
-    assert said(gyroscope, mixed) == ""
+    assert reason(moment, 0.05 * share) == ""
+    assert all("the gain in the predicted path is not" in reason(moment, decrease)
+               for decrease in (mixed, np.zeros(fits.blocks)))
+    assert reason(gyroscope, mixed) == ""
 
 
 @pytest.mark.slow
-def test_law_that_is_there_is_proposed_with_its_slope(leaf):
+def test_true_relation_is_proposed_with_its_slope(leaf):
     c = Candidate("sensor_yaw_rate", "acceleration_y", -1.0, -7.0, 7.0)
-    logs = recorded(leaf, law(c, lambda u: 0.003 * u), 3, DRIVEN)
+    logs = recorded(leaf, relation(c, lambda u: 0.003 * u), 3, DRIVEN)
     settings = DiscoverySettings(where=False)
-    said = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
-    one = said.relation
-    assert one is not None, said.reason
+    outcome = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    one = outcome.relation
+    assert one is not None, outcome.reason
     assert (one.candidate.term, one.candidate.quantity) == ("sensor_yaw_rate", "acceleration_y")
-    # A scale of the yaw rate, which the library has, takes a part of it.
+    # The yaw rate scale of the library explains a part of it.
     linear = next(r for r in one.formulas if r.shape == "linear")
     assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
     assert one.p_value < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
     assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
 
 
-def test_a_law_with_memory_is_the_rate_and_the_lag_it_says(leaf):
-    """At 0.1 rad/s the wheels are turned by 0.02 s times that, 2 mrad; the lags are behind by 10 and 20 mrad."""
+def test_relations_with_memory_use_the_steering_rate_and_the_lagging_steering(leaf):
+    """At 0.1 rad/s, 0.02 s of steering rate add 2 mrad; the lagging states are 10 and 20 mrad behind."""
     c = Candidate("front_steer", "speed", 0.0, 3.0, 20.0, "steering_rate")
-    early = augment("nonlinear", law(c, lambda u: 0.02 + 0.0 * u))
+    by_rate = augment("nonlinear", relation(c, lambda u: 0.02 + 0.0 * u))
     slow = Candidate("front_steer", "lagging_steering", -1.0, -0.2, 0.2)
-    lagging = augment("nonlinear", law(slow, lambda u: 0.1 * u))
-    p, q = early.parameters(leaf), lagging.parameters(leaf)
+    lagging = augment("nonlinear", relation(slow, lambda u: 0.1 * u))
+    p, q = by_rate.parameters(leaf), lagging.parameters(leaf)
     time = np.arange(201) * 0.01
     ends = []
-    for model, theta in ((early, p), (lagging, q)):
+    for model, theta in ((by_rate, p), (lagging, q)):
         grid = [model.inputs(0.1 * t, 0.0, theta) for t in time]
         start = model.start_state(STATE, grid[0], theta)
         state = rk4(model.rhs, start, grid, theta, 0.02)[-1]
@@ -269,11 +258,11 @@ def test_a_law_with_memory_is_the_rate_and_the_lag_it_says(leaf):
     angle = 0.1 * float(time[-1])
     assert angle - np.array(ends) == pytest.approx([0.01, 0.02], rel=0.01)
     turned = rates(augment("nonlinear", {"steering_offset": {"angle": 0.002}}), leaf)[5]
-    now = early.rhs((*STATE, 0.05 - 0.1 * 0.1), early.inputs(0.05, 0.5, p), p)[5]
-    assert now == pytest.approx(turned, rel=1e-3)
+    yaw_acceleration = by_rate.rhs((*STATE, 0.05 - 0.1 * 0.1), by_rate.inputs(0.05, 0.5, p), p)[5]
+    assert yaw_acceleration == pytest.approx(turned, rel=1e-3)
 
 
-def test_time_in_the_run_is_counted_anew_in_each(leaf):
+def test_run_time_starts_at_zero_in_every_run(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom", "brake_in_turn"))
     windows = RunWindows(logs, leaf, DiscoverySettings(where=False))
     time = compute_run_time(windows, windows.starts_ns)
@@ -285,75 +274,72 @@ def test_time_in_the_run_is_counted_anew_in_each(leaf):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
-def test_nothing_is_proposed_where_nothing_is_left(leaf, seed):
+def test_no_relation_is_proposed_for_a_complete_model(leaf, seed):
     logs = recorded(leaf, {}, seed, DRIVEN)
     settings = DiscoverySettings(where=False)
-    said = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
-    assert said.relation is None and said.reason and said.tried
+    outcome = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    assert outcome.relation is None and outcome.reason and outcome.tried
 
 
-def test_few_blocks_and_one_run_are_said(leaf):
+def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
     settings = DiscoverySettings(where=False, effects=("mass",))
     found = discover(logs, leaf, "nonlinear", (), settings)
-    said = find_relation(found, logs, leaf, settings)
-    assert said.relation is None and "a curve needs 10" in said.reason
-    said = find_relation(found, logs[:1], leaf, settings)
-    assert said.relation is None and said.reason.startswith("only one run: a relation needs a second drive")
+    outcome = find_relation(found, logs, leaf, settings)
+    assert outcome.relation is None and "a curve needs 10" in outcome.reason
+    outcome = find_relation(found, logs[:1], leaf, settings)
+    assert outcome.relation is None and outcome.reason.startswith("only one run: a relation needs a second drive")
 
 
 @pytest.fixture(scope="module")
-def laws():
-    car = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "leaf.yaml").read_text())
+def fits(leaf):
     settings = DiscoverySettings(where=False, block=4.0)
-    windows = RunWindows(recorded(car, {}, 3, ("lane_change", "slalom")), car, settings)
-    return RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings), car
+    windows = RunWindows(recorded(leaf, {}, 3, ("lane_change", "slalom")), leaf, settings)
+    return RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
 
 
-def curved(laws, candidate, heights):
-    """A fit of no law, with a curve put into it."""
-    without = laws.fit_without_relation()
+def fit_with_curve(fits, candidate, coefficients):
+    """The fit without a relation, with the given spline coefficients inserted."""
+    without = fits.fit_without_relation()
     vector = without.vector.copy()
-    vector[laws.relation_indices] = heights
-    indices = np.concatenate([without.indices, laws.relation_indices])
+    vector[fits.relation_indices] = coefficients
+    indices = np.concatenate([without.indices, fits.relation_indices])
     return replace(without, candidate=candidate, vector=vector, indices=indices)
 
 
 @pytest.mark.slow
-def test_a_curve_at_its_bound_is_no_proposal(laws):
-    laws, car = laws
+def test_curve_at_its_bound_is_refused(leaf, fits):
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
-    assert describe_unusable_curve(laws, curved(laws, c, np.full(SPLINES, 1.0)), car) == ""
-    at_bound = curved(laws, c, np.eye(SPLINES)[2] * 100.0)
-    assert "side_force over speed reaches its bound" in describe_unusable_curve(laws, at_bound, car)
+    assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0)), leaf) == ""
+    at_bound = fit_with_curve(fits, c, np.eye(SPLINES)[2] * 100.0)
+    assert "side_force over speed reaches its bound" in describe_unusable_curve(fits, at_bound, leaf)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sign", "words"), [(1.0, "a lateral mode grows at"), (-1.0, "")])
-def test_a_law_that_makes_the_car_unstable_is_no_proposal(laws, sign, words):
-    laws, car = laws
+@pytest.mark.parametrize(("sign", "text"), [(1.0, "a lateral mode grows at"), (-1.0, "")])
+def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text):
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
-    at = np.linspace(-0.15, 0.15, 50)
-    heights = np.linalg.lstsq(c.compute_splines(at).T, sign * 25.0 * at, rcond=1e-6)[0]
-    said = describe_unusable_curve(laws, curved(laws, c, heights), car)
-    assert words in said and bool(words) == said.startswith("with yaw_moment over yaw_rate the simulated car")
+    curve_fit = fit_with_curve(fits, c, fit_splines(c, lambda u: sign * 25.0 * u))
+    reason = describe_unusable_curve(fits, curve_fit, leaf)
+    assert text in reason and bool(text) == reason.startswith("with yaw_moment over yaw_rate the simulated car")
 
 
 @pytest.mark.slow
-def test_what_was_not_driven_is_said(leaf):
-    """Straight on at one speed: nothing excites the axles, so no law there can be sure."""
+def test_terms_without_excitation_are_listed(leaf):
+    """Straight driving at constant speed does not excite the axles."""
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
     settings = DiscoverySettings(where=False)
-    said = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
-    assert said.relation is None and {"front_grip", "rear_grip", "both_grip"} <= set(said.find_unexamined_terms())
-    assert not any("acceleration_y" in name or "steering" in name for name in said.detection_limits)
+    outcome = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
+    assert outcome.relation is None and {"front_grip", "rear_grip",
+                                                "both_grip"} <= set(outcome.find_unexamined_terms())
+    assert not any("acceleration_y" in name or "steering" in name for name in outcome.detection_limits)
 
 
 @pytest.mark.slow
-def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, monkeypatch):
-    """A straight line without its constant has the slope of this curve, but not its effect in the simulation."""
+def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monkeypatch):
+    """A straight line without the constant has the slope of this curve, but not its effect."""
     c = Candidate("yaw_moment", "speed", 0.0, 6.0, 18.0)
-    logs = recorded(leaf, law(c, lambda u: 0.3 - 0.02 * u), 3, DRIVEN)
+    logs = recorded(leaf, relation(c, lambda u: 0.3 - 0.02 * u), 3, DRIVEN)
     settings = DiscoverySettings(where=False, block=4.0)
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
@@ -370,16 +356,16 @@ def test_a_formula_is_reported_only_if_it_keeps_the_gain_when_simulated(leaf, mo
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)
 
 
-def test_a_kinematic_answer_without_tyre_slip_is_refused_in_one_sentence(leaf):
+def test_kinematic_base_without_tyre_slip_is_refused(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
     settings = DiscoverySettings(where=False, effects=("steering_ratio",))
-    said = find_relation(discover(logs, leaf, "kinematic", (), settings), logs, leaf, settings)
-    assert said.relation is None and "use --base linear or --base nonlinear" in said.reason
+    outcome = find_relation(discover(logs, leaf, "kinematic", (), settings), logs, leaf, settings)
+    assert outcome.relation is None and "use --base linear or --base nonlinear" in outcome.reason
 
 
-def test_a_relation_that_imitates_a_reported_sensor_is_recognised():
-    late = [("steering_lag", "road_wheel_angle"), ("yaw_rate_lag", "yaw_rate")]
-    assert _find_imitated_fault(Candidate("front_steer", "steering_rate", -1.0, -1.0, 1.0), late) == "steering_lag"
-    assert _find_imitated_fault(Candidate("sensor_yaw_rate", "speed", 0.0, 2.0, 9.0), late) == "yaw_rate_lag"
-    assert _find_imitated_fault(Candidate("yaw_moment", "speed", 0.0, 2.0, 9.0), late) == ""
-    assert _find_imitated_fault(Candidate("front_steer", "acceleration_y", -1.0, -1.0, 1.0), late) == ""
+def test_relation_that_imitates_a_reported_sensor_fault_is_recognised():
+    faults = [("steering_lag", "road_wheel_angle"), ("yaw_rate_lag", "yaw_rate")]
+    assert _find_imitated_fault(Candidate("front_steer", "steering_rate", -1.0, -1.0, 1.0), faults) == "steering_lag"
+    assert _find_imitated_fault(Candidate("sensor_yaw_rate", "speed", 0.0, 2.0, 9.0), faults) == "yaw_rate_lag"
+    assert _find_imitated_fault(Candidate("yaw_moment", "speed", 0.0, 2.0, 9.0), faults) == ""
+    assert _find_imitated_fault(Candidate("front_steer", "acceleration_y", -1.0, -1.0, 1.0), faults) == ""

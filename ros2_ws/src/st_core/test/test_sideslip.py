@@ -1,4 +1,4 @@
-"""Course over ground in place of the heading: recognised, and replaced by the heading of steady cornering."""
+"""Course over ground instead of heading: recognised, and replaced by the heading of steady-state cornering."""
 
 from dataclasses import replace
 
@@ -12,18 +12,16 @@ from st_core.identification.result import IdentificationError
 from st_core.log import DriveLog
 from st_core.log_evaluation import evaluate_log
 from st_core.sideslip import derive_yaw_rate, has_derived_yaw_rate, steady_velocity_y, with_steady_sideslip
-from st_core.vehicle import VehicleParameters
-from support import ROOT
+from support import read_car
 from winding_road import Truth, winding_road
 
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
-CAR = VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+CAR = read_car("leaf")
 START_NS = 1_756_900_800_000_000_000
 
 
 @pytest.fixture(scope="module")
 def heading() -> DriveLog:
-    """A minute and a half with heading and lateral velocity."""
+    """90 s with heading and lateral velocity."""
     t, x, y, yaw, v_x, v_y, rate, steering = winding_road(CAR, Truth(0.0, CAR.steering_ratio, 1.0), 90.0, 5, 0.3).T
     time_ns = START_NS + np.round(t * 1e9).astype(np.int64)
     return DriveLog("road", time_ns, x, y, np.unwrap(yaw), v_x, v_y, rate, time_ns, steering / CAR.steering_ratio)
@@ -31,13 +29,13 @@ def heading() -> DriveLog:
 
 @pytest.fixture(scope="module")
 def course(heading: DriveLog) -> DriveLog:
-    """The same drive of a GNSS receiver: course as yaw, speed over ground."""
+    """The same drive as a GNSS receiver measures it: course as yaw, speed over ground, no lateral velocity."""
     angle = np.arctan2(heading.velocity_y, heading.velocity_x)
     return replace(heading, yaw=heading.yaw + angle, velocity_x=np.hypot(heading.velocity_x, heading.velocity_y),
                    velocity_y=np.zeros_like(angle))
 
 
-def test_heading_and_lateral_velocity_are_those_of_the_car(heading: DriveLog, course: DriveLog) -> None:
+def test_heading_and_lateral_velocity_are_reconstructed(heading: DriveLog, course: DriveLog) -> None:
     found = with_steady_sideslip(course, CAR)
     assert not found.sideslip_measured and not CHANNELS["velocity_y"].is_measured_in(found)
     assert np.std(course.yaw - heading.yaw) > 0.008
@@ -45,49 +43,49 @@ def test_heading_and_lateral_velocity_are_those_of_the_car(heading: DriveLog, co
     assert np.std(found.velocity_y - steady_velocity_y(heading, CAR)) < 0.05
 
 
-def test_predictions_are_better(course: DriveLog) -> None:
+def test_predictions_improve_with_the_reconstructed_heading(course: DriveLog) -> None:
     errors = [np.nanmean(np.abs(evaluate_log(("linear",), CAR, log).errors["linear", "hindsight"].at_seconds[:, -1, 1]))
               for log in (course, with_steady_sideslip(course, CAR))]
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_a_yaw_rate_derived_from_the_course_is_that_of_the_heading(course: DriveLog) -> None:
+def test_yaw_rate_derived_from_the_course_is_replaced_by_that_of_the_heading(course: DriveLog) -> None:
     time_ns = course.ins_time_ns
-    read = with_steady_sideslip(replace(course, yaw_rate=derive_yaw_rate(time_ns, course.yaw)), CAR)
-    np.testing.assert_allclose(read.yaw_rate, derive_yaw_rate(time_ns, read.yaw), atol=1e-6)
-    assert not [finding for finding in check(read, CAR).findings if finding.name.startswith("yaw")]
+    corrected = with_steady_sideslip(replace(course, yaw_rate=derive_yaw_rate(time_ns, course.yaw)), CAR)
+    np.testing.assert_allclose(corrected.yaw_rate, derive_yaw_rate(time_ns, corrected.yaw), atol=1e-6)
+    assert not [finding for finding in check(corrected, CAR).findings if finding.name.startswith("yaw")]
 
 
-def test_a_heading_stays(heading: DriveLog) -> None:
+def test_measured_heading_is_unchanged(heading: DriveLog) -> None:
     assert with_steady_sideslip(heading, CAR) is heading
-    unknown = replace(heading, velocity_y=np.zeros(len(heading.x)))
-    assert with_steady_sideslip(unknown, CAR) is unknown
+    without_velocity_y = replace(heading, velocity_y=np.zeros(len(heading.x)))
+    assert with_steady_sideslip(without_velocity_y, CAR) is without_velocity_y
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.02, 0.5])
-def test_too_short_a_drive_stays(course: DriveLog, seconds: float) -> None:
+def test_too_short_drive_is_unchanged(course: DriveLog, seconds: float) -> None:
     short = course.slice(START_NS, START_NS + round(seconds * 1e9))
     assert with_steady_sideslip(short, CAR) is short
 
 
-def test_standstill_stays(course: DriveLog) -> None:
-    still = replace(course, velocity_x=np.zeros(len(course.x)))
-    assert with_steady_sideslip(still, CAR) is still
+def test_stationary_drive_is_unchanged(course: DriveLog) -> None:
+    stationary = replace(course, velocity_x=np.zeros(len(course.x)))
+    assert with_steady_sideslip(stationary, CAR) is stationary
 
 
-def test_what_needs_the_sideslip_is_refused(course: DriveLog) -> None:
+def test_identification_that_needs_the_sideslip_is_refused(course: DriveLog) -> None:
     log = with_steady_sideslip(course, CAR)
     for identify in (identify_stiffness, identify_ins_mounting):
         with pytest.raises(IdentificationError, match="road: velocity_y is not measured"):
             identify([log], CAR)
 
 
-def test_no_check_locates_the_ins_from_it(course: DriveLog) -> None:
+def test_checks_do_not_locate_the_ins_from_reconstructed_sideslip(course: DriveLog) -> None:
     found = check(with_steady_sideslip(course, replace(CAR, cg_to_ins_x=CAR.cg_to_ins_x + 0.5)), CAR)
     assert not {"measuring_point", "heading_misaligned", "yaw_lag"} & {finding.name for finding in found.findings}
 
 
-def test_a_straight_road_without_lateral_velocity_locates_nothing() -> None:
+def test_checks_do_not_locate_the_ins_on_a_straight_road() -> None:
     time_ns = START_NS + 10_000_000 * np.arange(3000)
     zero = np.zeros(3000)
     rate = np.random.default_rng(2).normal(0.0, 0.001, 3000)
@@ -95,16 +93,17 @@ def test_a_straight_road_without_lateral_velocity_locates_nothing() -> None:
     assert not {"measuring_point", "heading_misaligned"} & {finding.name for finding in check(log, CAR).findings}
 
 
-def test_a_drive_with_a_long_stop_has_the_yaw_rate_of_its_gyroscope(heading: DriveLog) -> None:
-    """At standstill the derivative of a constant yaw is the yaw rate of zero."""
-    stop, rest = 0.0 * heading.yaw_rate, np.arange(3 * len(heading.x)) >= len(heading.x)
+def test_measured_yaw_rate_is_not_taken_for_a_derived_one_after_a_long_stop(heading: DriveLog) -> None:
+    """At standstill measured and derived yaw rate are both zero."""
+    zero, rest = 0.0 * heading.yaw_rate, np.arange(3 * len(heading.x)) >= len(heading.x)
     time_ns = heading.ins_time_ns[0] + np.arange(len(rest)) * int(np.median(np.diff(heading.ins_time_ns)))
 
-    def stopped(values: np.ndarray, at_rest: np.ndarray) -> np.ndarray:
+    def with_stop(values: np.ndarray, at_rest: np.ndarray) -> np.ndarray:
         return np.where(rest, np.resize(at_rest, len(rest)), np.resize(values, len(rest)))
 
-    still = {name: stopped(getattr(heading, name), getattr(heading, name)[-1:]) for name in ("x", "y", "yaw")}
-    moved = {name: stopped(getattr(heading, name), stop[:1]) for name in ("velocity_x", "velocity_y", "yaw_rate")}
-    log = replace(heading, ins_time_ns=time_ns, **still, **moved, acceleration_x=None, acceleration_y=None)
+    constant = {name: with_stop(getattr(heading, name), getattr(heading, name)[-1:]) for name in ("x", "y", "yaw")}
+    zero_at_rest = {name: with_stop(getattr(heading, name), zero[:1]) for name in ("velocity_x", "velocity_y",
+                                                                                   "yaw_rate")}
+    log = replace(heading, ins_time_ns=time_ns, **constant, **zero_at_rest, acceleration_x=None, acceleration_y=None)
     assert not has_derived_yaw_rate(log)
     assert has_derived_yaw_rate(replace(log, yaw_rate=derive_yaw_rate(time_ns, log.yaw)))

@@ -1,4 +1,4 @@
-"""Time-ordered samples: order, gaps, jumps, NaN, bounds."""
+"""Time-ordered samples: order of arrival, gaps, clock jumps, non-finite values, memory."""
 
 import math
 
@@ -14,8 +14,8 @@ T0 = 1_700_000_000_000_000_000
 
 
 def series(**changes) -> TimeSeries:
-    usual = {"columns": ("value", "angle"), "span": 2.0, "maximum_gap": 0.1, "angles": ("angle",)}
-    return TimeSeries(**(usual | changes))
+    defaults = {"columns": ("value", "angle"), "span": 2.0, "maximum_gap": 0.1, "angles": ("angle",)}
+    return TimeSeries(**(defaults | changes))
 
 
 def filled(times_ms, **changes) -> TimeSeries:
@@ -35,7 +35,7 @@ def test_order_of_arrival_does_not_matter(data, times):
 
 @given(st.lists(st.tuples(st.integers(-(10**13), 10**13) | st.integers(0, 10**9),
                           st.floats(allow_nan=True, allow_infinity=True)), max_size=80))
-def test_anything_may_arrive(samples):
+def test_buffer_stays_ordered_finite_and_bounded_for_any_input(samples):
     result = series(columns=("value",), angles=())
     for time_ns, value in samples:
         result.add(T0 + time_ns, (value,))
@@ -43,7 +43,7 @@ def test_anything_may_arrive(samples):
         assert np.isfinite(result.rows).all()
         if len(result):
             assert result.newest - result.times[0] <= 2_000_000_000
-    # Whatever came before, regular samples afterwards are taken up again.
+    # Regular samples are accepted afterwards, whatever came before.
     start = T0 + 10**13 + 10**12 * (len(samples) % 2)
     for i in range(10):
         result.add(start + i * 10 * MS, (float(i),))
@@ -52,12 +52,12 @@ def test_anything_may_arrive(samples):
 
 @given(st.lists(st.integers(0, 1500), min_size=1, max_size=60, unique=True),
        st.lists(st.floats(-50.0, 1600.0), max_size=30))
-def test_interpolation_between_neighbours_and_never_across_a_gap(times, wanted):
+def test_interpolation_between_neighbours_but_not_across_a_gap(times, instants):
     times = sorted(times)
     samples = filled(times)
-    at = [T0 + round(w * MS) for w in (*wanted, *times)]
-    many = samples.sample(np.array(at))
-    for time_ns, row in zip(at, many, strict=True):
+    at_ns = [T0 + round(w * MS) for w in (*instants, *times)]
+    rows = samples.sample(np.array(at_ns))
+    for time_ns, row in zip(at_ns, rows, strict=True):
         one = samples.row_at(time_ns)
         ms = (time_ns - T0) / MS
         before = max([t for t in times if t <= ms], default=None)
@@ -73,7 +73,7 @@ def test_interpolation_between_neighbours_and_never_across_a_gap(times, wanted):
             assert samples.describe_unknown(time_ns)
 
 
-def test_angles_go_the_short_way_round():
+def test_angles_are_interpolated_along_the_shorter_arc():
     samples = series()
     samples.add(T0, (0.0, math.pi - 0.1))
     samples.add(T0 + 10 * MS, (0.0, -math.pi + 0.1))
@@ -81,7 +81,7 @@ def test_angles_go_the_short_way_round():
     assert samples.sample(np.array([T0 + 5 * MS]))[0, 1] == pytest.approx(math.pi)
 
 
-def test_duplicates_and_nan_are_refused():
+def test_duplicate_and_non_finite_samples_are_refused():
     samples = filled([0, 10, 20])
     assert samples.add(T0 + 10 * MS, (99.0, 0.0)) == (None, False)
     assert samples.add(T0 + 30 * MS, (math.nan, 0.0)) == (None, False)
@@ -90,22 +90,22 @@ def test_duplicates_and_nan_are_refused():
     assert samples.row_at(T0 + 10 * MS)[0] == 10.0
 
 
-def test_single_stray_samples_do_not_disturb():
+def test_single_outlier_time_stamps_are_ignored():
     samples = filled(range(0, 1000, 10))
-    strays = range(-9000, -2000, 1000)  # too far apart to be a clock that stepped back
-    for stray in strays:
-        assert samples.add(T0 + stray * MS, (0.0, 0.0)) == (None, False)
-    assert len(strays) > JUMP_SAMPLES and len(samples) == 100
+    outliers = range(-9000, -2000, 1000)  # too far apart for a clock that stepped back
+    for outlier in outliers:
+        assert samples.add(T0 + outlier * MS, (0.0, 0.0)) == (None, False)
+    assert len(outliers) > JUMP_SAMPLES and len(samples) == 100
 
 
-def test_a_clock_that_steps_back_begins_anew_after_a_few_samples():
+def test_buffer_restarts_after_a_few_samples_of_a_clock_that_stepped_back():
     samples = filled(range(0, 1000, 10))
-    answers = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(JUMP_SAMPLES)]
-    assert answers == [(None, False)] * (JUMP_SAMPLES - 1) + [(0, True)]
+    results = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(JUMP_SAMPLES)]
+    assert results == [(None, False)] * (JUMP_SAMPLES - 1) + [(0, True)]
     assert samples.rows[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
-def test_one_sample_from_the_future_is_outlived():
+def test_single_sample_from_the_future_is_discarded():
     samples = filled(range(0, 1000, 10))
     samples.add(T0 + 10**9 * MS, (0.0, 0.0))
     for t in range(1000, 1100, 10):
@@ -123,14 +123,14 @@ def test_forward_jump_leaves_a_gap():
     assert series().describe_unknown(T0) == "no samples"
 
 
-def test_memory_follows_the_span():
+def test_samples_older_than_the_span_are_discarded():
     samples = filled(range(0, 60_000, 4))
     assert len(samples) == 501
     assert len(samples._times) <= 2048
     assert samples.newest == T0 + 59_996 * MS and samples.times[0] == T0 + 57_996 * MS
 
 
-def test_memory_is_bounded_whatever_the_rate(monkeypatch):
+def test_number_of_samples_is_bounded_at_any_rate(monkeypatch):
     assert MAXIMUM_SAMPLES >= 1000 * 60
     monkeypatch.setattr(timeseries, "MAXIMUM_SAMPLES", 100)
     samples = series(columns=("value",), angles=())

@@ -1,0 +1,104 @@
+"""Apparent lags that are none: periodic motion, steering that compensates another yaw moment, course as yaw."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_drive import Noise, Sines, delay, exact_drive
+from st_core.checks import Severity, check, compare_runs
+from st_core.checks.agreement import compare_series
+from st_core.sideslip import with_steady_sideslip
+
+SLALOM = {  # cornering drag varies the forward acceleration twice in each period of 2 s: 0.06 m/s^2
+    "speed": Sines(10.0, ((0.01, 1.0, 0.3),)), "turning": Sines(0.0, ((0.3, 2.0, 0.0),)),
+    "noise": Noise(velocity=0.005),
+}
+SEEDS = range(8)
+
+
+def lag_findings(log, car=None):
+    return {one.name: one for one in check(log, car).findings if one.name.endswith("_lag")}
+
+
+def test_periodic_motion_gives_no_lag_finding(leaf):
+    checked = [check(exact_drive(leaf, 60.0, **SLALOM, seed=seed), leaf) for seed in SEEDS]
+    assert not [one.name for each in checked for one in each.findings if one.name.endswith("_lag")]
+    # The channel varies by more than its noise: it is compared, and its scale estimated.
+    scales = [each.estimates["acceleration_x_scale"][0] for each in checked]
+    assert scales == pytest.approx(np.ones(len(checked)), abs=0.1)
+
+
+@pytest.mark.parametrize("seconds", [0.3, -0.3])
+def test_lag_in_periodic_motion_is_found_and_the_other_possible_lags_are_named(leaf, seconds):
+    log = delay(exact_drive(leaf, 60.0, **SLALOM), seconds, "acceleration_x")
+    one = lag_findings(log)["acceleration_x_lag"]
+    assert one.interval[0] < seconds < one.interval[1]
+    verb, other = ("lags", "leads by 0.70 s") if seconds > 0.0 else ("leads", "lags by 0.70 s")
+    assert one.text.startswith(f"acceleration_x {verb} velocity by ") and f" (or {other}" in one.text
+    assert one.text.endswith(", which fits equally well: the motion is periodic)")
+
+
+def test_nearly_periodic_signals_have_a_unique_lag():
+    time = np.arange(0.0, 60.0, 0.02)
+
+    def signal(t):
+        return np.sin(2.0 * np.pi * t) * (1.0 + 0.5 * np.sin(t / 3.0)) + 0.5 * np.sin(t / 1.3)
+    measured = signal(time - 0.9) + 0.1 * np.random.default_rng(0).standard_normal(len(time))
+    found = compare_series(time, signal(time), time, measured, 1.5)
+    assert found.lag.value == pytest.approx(0.9, abs=0.01) and found.other_lags == ()
+
+
+@pytest.mark.parametrize("period", [1.03, 0.71])
+def test_lag_does_not_depend_on_how_the_period_fits_the_search_grid(period):
+    time = np.arange(0.0, 60.0, 0.02)
+    for seed in SEEDS:
+        noise = 0.02 * np.random.default_rng(seed).standard_normal(len(time))
+        found = compare_series(time, np.sin(2.0 * np.pi * time / period), time,
+                               np.sin(2.0 * np.pi * (time - 0.023) / period) + noise, 1.5)
+        assert found.lag.value == pytest.approx(0.023, abs=0.005)
+        periods = (np.array(found.other_lags) - 0.023) / period
+        assert len(periods) and np.abs(periods - np.round(periods)).max() < 0.01 and np.abs(periods).min() > 0.5
+
+
+def test_steering_that_compensates_another_yaw_moment_gives_no_lag_finding(leaf):
+    """In a bend, braking turns the car further in, and the driver reduces the steering angle a moment later."""
+    bend = exact_drive(leaf, 60.0, turning=Sines(0.3, ((0.02, 9.0, 0.0), (0.01, 3.1, 1.0))))
+    angle = bend.road_wheel_angle
+    compensated = replace(bend, road_wheel_angle=2.0 * angle.mean() - angle)
+    assert lag_findings(delay(compensated, 0.4, "road_wheel_angle"), leaf) == {}
+    assert "steering_lag" not in check(compensated, leaf).estimates
+    assert lag_findings(delay(bend, 0.4, "road_wheel_angle"), leaf)["steering_lag"].value == pytest.approx(0.4,
+                                                                                                           abs=0.04)
+
+
+@pytest.mark.parametrize(("channel", "name", "seconds"), [
+    ("yaw_rate", "yaw_rate_lag", 0.36), ("road_wheel_angle", "steering_lag", 0.3)])
+def test_equal_lag_in_several_sweeps_gives_one_consistent_finding(leaf, channel, name, seconds):
+    parts = tuple((0.1, period, period) for period in (9.0, 5.0, 3.1, 2.3, 1.7, 1.3))
+    sweep = {"speed": Sines(15.0, ()), "turning": Sines(0.0, parts)}
+    runs = [check(delay(exact_drive(leaf, 60.0, **sweep, seed=seed), seconds, channel), leaf) for seed in range(3)]
+    assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
+    (one,) = compare_runs(runs)
+    assert one.name == name and one.consistent and one.mean == pytest.approx(seconds, abs=0.04)
+
+
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
+    parts = tuple((0.6 / speed, period, period) for period in (9.0, 5.0, 3.1, 2.3))
+    log = exact_drive(leaf, 60.0, speed=Sines(speed, ()), turning=Sines(0.0, parts))
+    course = replace(log, yaw=log.yaw + np.arctan2(log.velocity_y, log.velocity_x), acceleration_y=None,
+                     velocity_x=np.hypot(log.velocity_x, log.velocity_y), velocity_y=np.zeros(len(log.x)))
+    uncertain = lag_findings(course, leaf)["yaw_rate_lag"]  # l/v - K v: positive at low speed, negative at high speed
+    assert uncertain.severity is Severity.NOTE and uncertain.advice.kind == "look"
+    assert (uncertain.value > 0.0) == (speed < 10.0)
+    assert not {"yaw_rate_lag", "steering_lag"} & {*check(course, leaf).estimates}  # discovery does not use it either
+    corrected = with_steady_sideslip(course, leaf)  # as when reading a recording
+    assert not corrected.sideslip_measured
+    found = check(corrected, leaf)
+    assert {one.name for one in found.findings if one.severity is not Severity.NOTE} <= {"steering_lag"}
+    assert found.estimates["yaw_rate_scale"][0] == pytest.approx(1.0, abs=0.01)
+    scaled = {one.name: one for one in check(replace(corrected, yaw_rate=0.9 * corrected.yaw_rate), leaf).findings}
+    assert scaled["yaw_rate_scale"].severity is not Severity.NOTE
+    assert scaled["yaw_rate_scale"].value == pytest.approx(0.9, abs=0.01)
+    delayed = lag_findings(delay(course, 0.8, "yaw_rate"), leaf)["yaw_rate_lag"]
+    assert delayed.severity is Severity.WARNING and delayed.advice.kind == "run.yaml"
