@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from exact_drive import exact_drive
+from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Finding, Severity, check
 from st_core.checks.finding import merge_findings
 
@@ -27,15 +28,15 @@ def with_constant(log, *names, value=0.0):
 @pytest.mark.parametrize("value", [0.0, 0.3])
 @pytest.mark.parametrize("name", CHANNELS)
 def test_constant_channel_is_reported(log, leaf, name, value):
-    found, = (one for one in check(with_constant(log, name, value=value),
-                                   leaf).findings if one.name == "channel_frozen")
-    assert found.severity is (Severity.WARNING if name in OPTIONAL else Severity.ERROR) and found.channels == (name,)
-    assert found.advice.kind == "look"  # leaving out the complete drive is no correction
+    finding = findings_by_name(with_constant(log, name, value=value), leaf)["channel_frozen"]
+    assert finding.severity is (Severity.WARNING if name in OPTIONAL else Severity.ERROR)
+    assert finding.channels == (name,)
+    assert finding.advice.kind == "look"  # leaving out the complete drive is no correction
 
 
 @pytest.mark.parametrize("names", list(combinations(CHANNELS, 2)), ids=" and ".join)
 def test_two_constant_channels_are_an_error_unless_both_are_optional(log, leaf, names):
-    errors = [one for one in check(with_constant(log, *names), leaf).findings if one.severity is Severity.ERROR]
+    errors = check(with_constant(log, *names), leaf).with_severity(Severity.ERROR)
     assert bool(errors) == (not OPTIONAL.issuperset(names))
 
 
@@ -47,17 +48,18 @@ def test_duplicate_time_stamps_are_reported_for_few_samples_too(log, leaf):
 
 def test_gaps_are_measured_in_the_corrected_time_unit(log, leaf):
     slow = replace(log, ins_time_ns=1000 * log.ins_time_ns, steering_time_ns=1000 * log.steering_time_ns)
-    assert [one.name for one in check(slow, leaf).with_severity(Severity.ERROR)] == ["time_unit"]
+    assert [finding.name for finding in check(slow, leaf).with_severity(Severity.ERROR)] == ["time_unit"]
     kept = np.ones(len(log.x), bool)
     kept[100:101] = False
-    assert "time_gaps" not in {one.name for one in check(slow.select_ins(kept), leaf).findings}
+    assert "time_gaps" not in {finding.name for finding in check(slow.select_ins(kept), leaf).findings}
 
 
 def test_only_findings_of_equal_severity_are_merged():
-    one = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is constant", 0.0)
-    other = replace(one, severity=Severity.ERROR, channels=("yaw_rate",), text="yaw_rate is constant")
-    assert merge_findings([one, other]) == [one, other]
-    assert merge_findings([one, replace(other, severity=Severity.WARNING)])[0].channels == ("velocity_y", "yaw_rate")
+    finding = Finding("channel_frozen", Severity.WARNING, ("velocity_y",), "velocity_y is constant", 0.0)
+    other = replace(finding, severity=Severity.ERROR, channels=("yaw_rate",), text="yaw_rate is constant")
+    assert merge_findings([finding, other]) == [finding, other]
+    (merged,) = merge_findings([finding, replace(other, severity=Severity.WARNING)])
+    assert merged.channels == ("velocity_y", "yaw_rate")
 
 
 def test_long_standstill_gives_no_finding_about_velocity_axes(log, leaf):
@@ -69,4 +71,4 @@ def test_long_standstill_gives_no_finding_about_velocity_axes(log, leaf):
     times = log.ins_time_ns[0] + 10_000_000 * np.arange(3 * rows)
     long = replace(log, ins_time_ns=times, steering_time_ns=times + 5_000_000, **constant, **moving)
     found = check(long, leaf).findings
-    assert "velocity_axes" not in [one.name for one in found]
+    assert "velocity_axes" not in [finding.name for finding in found]

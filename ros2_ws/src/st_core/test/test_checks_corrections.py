@@ -85,8 +85,8 @@ GROSS_SCALES = {"yaw_scale", "yaw_rate_scale", "steering_scale", "velocity_scale
 """Scale errors by a factor of 2 or more in these channels are errors: no parameter is fitted to them."""
 # Faults of units, axes and conventions, without an estimate other than the factor.
 CONVENTION_FAULTS = [
-    ("time_unit", time_unit_misread(10**3)), ("position_axes", axes_exchanged()), ("position_axes",
-                                                                                   axes_exchanged(-1.0)),
+    ("time_unit", time_unit_misread(10**3)), ("position_axes", axes_exchanged()),
+    ("position_axes", axes_exchanged(-1.0)),
     ("position_axes", scaled(-1.0, "x")), ("position_axes", scaled(-1.0, "y")),
     ("velocity_x_scale", scaled(-1.0, "velocity_x")), ("velocity_y_scale", scaled(-1.0, "velocity_y")),
     ("yaw_convention", yaw_from_north(DEG_PER_RAD)), ("yaw_convention", scaled(-1.0, "yaw")),
@@ -101,7 +101,7 @@ def log(leaf):
 
 
 def errors(log, car):
-    return {one.name: one for one in check(log, car).with_severity(Severity.ERROR)}
+    return {finding.name: finding for finding in check(log, car).with_severity(Severity.ERROR)}
 
 
 def equal_as_printed(line, entry):
@@ -222,10 +222,10 @@ def test_wheel_speeds_decide_between_wrong_positions_and_wrong_velocity(log, lea
 @pytest.mark.parametrize("angle", [0.5, -0.7])
 def test_steering_wheel_offset_is_corrected_in_the_vehicle_file(log, leaf, angle):
     wrong = steering_wheel_turned(angle)(log).with_steering(leaf)
-    one = findings_by_name(wrong, leaf)["steering_offset"]
-    low, high = one.interval
-    assert one.advice.kind == "vehicle" and low <= angle / RATIO <= high
-    corrected = replace(leaf, **one.advice.entry)
+    finding = findings_by_name(wrong, leaf)["steering_offset"]
+    low, high = finding.interval
+    assert finding.advice.kind == "vehicle" and low <= angle / RATIO <= high
+    corrected = replace(leaf, **finding.advice.entry)
     assert findings_by_name(wrong.with_steering(corrected), corrected) == {}
 
 
@@ -236,9 +236,10 @@ def test_road_wheel_offset_is_corrected_in_run_yaml(log, leaf, factor, angle):
     found = findings_by_name(wrong, leaf)
     assert "steering_offset" in found
     entry = {}
-    for one in found.values():
-        assert one.advice.kind == "run.yaml" and equal_as_printed(yaml.safe_load(one.advice.line), one.advice.entry)
-        entry |= one.advice.entry["correct"]["road_wheel_angle"]
+    for finding in found.values():
+        advice = finding.advice
+        assert advice.kind == "run.yaml" and equal_as_printed(yaml.safe_load(advice.line), advice.entry)
+        entry |= finding.advice.entry["correct"]["road_wheel_angle"]
     assert entry["add"] == pytest.approx(-angle, abs=0.002)
     assert findings_by_name(corrected_drive(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
 
@@ -246,17 +247,17 @@ def test_road_wheel_offset_is_corrected_in_run_yaml(log, leaf, factor, angle):
 @pytest.mark.parametrize("ahead", [1.5, -0.8])
 def test_displaced_measuring_point_is_corrected_in_the_vehicle_file(log, leaf, ahead):
     wrong = ins_moved(ahead)(log)
-    one = findings_by_name(wrong, leaf)["measuring_point"]
-    low, high = one.interval
-    assert one.advice.kind == "vehicle" and low <= ahead <= high
-    assert f"value: {one.advice.entry['cg_to_ins_x']:.2f}" in one.advice.line
-    assert findings_by_name(wrong, replace(leaf, **one.advice.entry)) == {}
+    finding = findings_by_name(wrong, leaf)["measuring_point"]
+    low, high = finding.interval
+    assert finding.advice.kind == "vehicle" and low <= ahead <= high
+    assert f"value: {finding.advice.entry['cg_to_ins_x']:.2f}" in finding.advice.line
+    assert findings_by_name(wrong, replace(leaf, **finding.advice.entry)) == {}
 
 
 @pytest.mark.parametrize(("first", "second"), [
     (scaled(1.05, "yaw_rate"), biased(0.05, "yaw_rate")), (scaled(DEG_PER_RAD, "yaw_rate"), delayed(0.3, "yaw_rate")),
-    (scaled(DEG_PER_RAD, "yaw"), scaled(DEG_PER_RAD, "yaw_rate")), (yaw_from_north(DEG_PER_RAD),
-                                                                    scaled(DEG_PER_RAD, "yaw_rate")),
+    (scaled(DEG_PER_RAD, "yaw"), scaled(DEG_PER_RAD, "yaw_rate")),
+    (yaw_from_north(DEG_PER_RAD), scaled(DEG_PER_RAD, "yaw_rate")),
     (scaled(1.01 * 3.28084, *POSITION), biased(0.05, "yaw")),
     (biased(0.02, "yaw"), delayed(0.1, *POSITION)), (steering_scaled(-1.0), scaled(-1.0, "acceleration_y")),
 ])
@@ -265,8 +266,8 @@ def test_two_faults_give_two_findings_whose_corrections_combine(log, leaf, first
     found = findings_by_name(wrong, leaf)
     assert len(found) >= 2
     entry = {}
-    for one in found.values():
-        for channel, fields in one.advice.entry["correct"].items():
+    for finding in found.values():
+        for channel, fields in finding.advice.entry["correct"].items():
             entry.setdefault(channel, {}).update(fields)
     assert findings_by_name(corrected_drive(wrong, {"correct": entry}, leaf), leaf) == {}
 
@@ -277,12 +278,12 @@ def test_two_faults_give_two_findings_whose_corrections_combine(log, leaf, first
     ("velocity_scale", scaled(3.6, *VELOCITY), "error"),
 ])
 def test_severity_depends_on_the_effect_on_the_predicted_position(log, leaf, name, fault, severity):
-    one = findings_by_name(fault(log), leaf)[name]
-    assert one.severity == severity
+    finding = findings_by_name(fault(log), leaf)[name]
+    assert finding.severity == severity
     if name == "x_scale":
-        error = abs(one.value - 1.0)
+        error = abs(finding.value - 1.0)
         # 5 s at 12 m/s are 60 m; only the part along x is affected.
-        assert 0.4 * error * 60.0 < one.effect < error * 60.0
+        assert 0.4 * error * 60.0 < finding.effect < error * 60.0
 
 
 @pytest.mark.parametrize("shear", [0.03, -0.03])
@@ -294,7 +295,7 @@ def test_map_shear_is_estimated(leaf, shear):
 
 def test_findings_that_affect_predictions_come_first(log, leaf):
     found = check(biased(0.6, "acceleration_y")(scaled(0.97, "x")(log)), leaf).findings
-    assert [one.name for one in found if one.severity == "warning"] == ["x_scale", "acceleration_y_bias"]
+    assert [finding.name for finding in found if finding.severity == "warning"] == ["x_scale", "acceleration_y_bias"]
 
 
 def test_steering_sign_is_found_in_bends_too_wide_for_a_scale(leaf):

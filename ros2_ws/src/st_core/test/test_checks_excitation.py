@@ -43,15 +43,15 @@ def test_run_at_standstill_has_no_findings_and_does_not_change_those_of_other_ru
 
 @pytest.mark.parametrize("noise", [0.0005, 0.004, 0.01])
 def test_delayed_sensor_gives_one_finding_in_every_kind_of_driving(leaf, noise):
-    runs = [check(delay(exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise)), 0.36,
-                        "yaw_rate"), leaf) for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP),
-                                                                  (Sines(15.0, ()), SWEEP))]
+    drives = [exact_drive(leaf, 60.0, speed=speed, turning=turning, noise=Noise(yaw=noise))
+              for speed, turning in ((SPEED, SLALOM), (SPEED, SWEEP), (Sines(15.0, ()), SWEEP))]
+    runs = [check(delay(log, 0.36, "yaw_rate"), leaf) for log in drives]
     for run in runs:
         assert not run.with_severity(Severity.ERROR)
-        lags = [one for one in run.findings if one.name.endswith("_lag")]
-        assert [one.name for one in lags] == ["yaw_rate_lag"]
+        lags = [finding for finding in run.findings if finding.name.endswith("_lag")]
+        assert [finding.name for finding in lags] == ["yaw_rate_lag"]
         assert lags[0].value == pytest.approx(0.36, abs=0.015)
-    assert [one.name for one in compare_runs(runs) if one.consistent] == ["yaw_rate_lag"]
+    assert [finding.name for finding in compare_runs(runs) if finding.consistent] == ["yaw_rate_lag"]
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.97, 1.1, 1.18])
@@ -60,25 +60,25 @@ def test_wrong_nominal_sampling_rate_gives_one_finding(leaf, factor):
     start = log.ins_time_ns[0]
     wrong = replace(log, **{name: start + np.round((getattr(log, name) - start) * factor).astype(np.int64)
                             for name in ("ins_time_ns", "steering_time_ns")})
-    (one,) = [one for one in check(wrong).findings if one.severity is not Severity.NOTE]
-    assert one.name == "time_rate" and one.interval[0] < factor < one.interval[1]
+    (finding,) = [finding for finding in check(wrong).findings if finding.severity is not Severity.NOTE]
+    assert finding.name == "time_rate" and finding.interval[0] < factor < finding.interval[1]
 
 
 def test_no_lag_is_reported_for_slow_changes(leaf):
     for seed in range(4):
         log = exact_drive(leaf, 60.0, speed=Sines(14.0, ((9.0, 17.0, 0.0),)), turning=Sines(0.0, ((0.05, 40.0, 0.0),)),
                           seed=seed)
-        assert not [one for one in check(log, leaf).findings if one.name.endswith("_lag")]
+        assert not [finding for finding in check(log, leaf).findings if finding.name.endswith("_lag")]
 
 
 @pytest.mark.parametrize(("back", "share"), [(30.0, 0.5), (5.0, 0.083), (59.0, 0.5)])
 def test_clock_set_back_gives_a_warning_with_the_number_of_lost_rows(leaf, back, share):
     stamps = STAMPS.copy()
     stamps[1500:] -= round(back * 1e9)
-    (one,) = [one for one in check(exact_drive(leaf), leaf, AuxiliaryData({"INS": stamps})).findings
-              if one.name == "time_order"]
-    assert one.severity is Severity.WARNING and one.value == pytest.approx(share, abs=0.002)
-    assert f"{round(one.value * (len(stamps) - 1))} of 3000 rows" in one.text
+    (finding,) = [finding for finding in check(exact_drive(leaf), leaf, AuxiliaryData({"INS": stamps})).findings
+                  if finding.name == "time_order"]
+    assert finding.severity is Severity.WARNING and finding.value == pytest.approx(share, abs=0.002)
+    assert f"{round(finding.value * (len(stamps) - 1))} of 3000 rows" in finding.text
 
 
 @pytest.mark.parametrize("slip", [-0.03, -0.1])
@@ -93,6 +93,6 @@ def test_finding_on_a_steady_circle_names_the_opposite_sign_of_velocity_y_as_alt
     scatter = {"x": 0.005, "y": 0.005, "yaw": 0.0005, "v_x": 0.01, "v_y": 0.01, "rate": 0.001}
     x, y, yaw, v_x, v_y, rate = (value + rng.normal(0.0, scatter[name], len(time)) for name, value in values.items())
     log = DriveLog("circle", STAMPS, x, y, yaw, v_x, v_y, rate, STAMPS, 2.7 / radius * ones, None)
-    found = [one for one in check(log).findings if one.name in ("position_reference", "yaw_offset")]
-    assert found and {one.advice.kind for one in found} == {"look"}
-    assert all("or velocity_y has the opposite sign" in one.text for one in found)
+    found = [finding for finding in check(log).findings if finding.name in ("position_reference", "yaw_offset")]
+    assert found and {finding.advice.kind for finding in found} == {"look"}
+    assert all("or velocity_y has the opposite sign" in finding.text for finding in found)

@@ -20,12 +20,12 @@ def correlated_noise(generator, count, step, correlation):
 
 def assert_coverage(estimates, truth, min_coverage, runs):
     """Minimum share of intervals that contain the truth; mean half width between 1.5 and 5.9 times the scatter."""
-    covered = sum(one.interval[0] <= truth <= one.interval[1] for one in estimates)
-    half_width = np.mean([0.5 * (one.interval[1] - one.interval[0]) for one in estimates])
-    scatter = float(np.std([one.value for one in estimates]))
+    covered = sum(estimate.interval[0] <= truth <= estimate.interval[1] for estimate in estimates)
+    half_width = np.mean([0.5 * (estimate.interval[1] - estimate.interval[0]) for estimate in estimates])
+    scatter = float(np.std([estimate.value for estimate in estimates]))
     assert covered >= min_coverage * runs
     assert 1.5 * scatter < half_width < 3.0 * 1.96 * scatter
-    assert abs(np.mean([one.value for one in estimates]) - truth) < 4.0 * scatter / np.sqrt(runs)
+    assert abs(np.mean([estimate.value for estimate in estimates]) - truth) < 4.0 * scatter / np.sqrt(runs)
 
 
 @pytest.mark.parametrize("correlation", [0.3, 2.0])
@@ -38,8 +38,8 @@ def test_coverage_of_regression_coefficients(correlation):
         noise = np.stack([correlated_noise(draw, len(time), 1.0, correlation) for _ in range(2)], axis=1)
         found.append(Regression(time, 0.7 * columns["a"] - 0.3 * columns["b"] + noise, columns)
                      .estimates(("a", "b")))
-    assert_coverage([one["a"] for one in found], 0.7, 0.85, RUNS)
-    assert_coverage([one["b"] for one in found], -0.3, 0.85, RUNS)
+    assert_coverage([estimate["a"] for estimate in found], 0.7, 0.85, RUNS)
+    assert_coverage([estimate["b"] for estimate in found], -0.3, 0.85, RUNS)
 
 
 @pytest.mark.parametrize(("lag", "correlation"), [(0.2, 0.3), (-0.3, 2.0)])
@@ -53,7 +53,7 @@ def test_coverage_of_lag_scale_and_bias(lag, correlation):
         noise = 0.03 * correlated_noise(np.random.default_rng(seed), len(time), 0.02, correlation)
         found.append(compare_series(time, turning(time), time, 1.1 * turning(time - lag) + 0.01 + noise, 4.0))
     for quantity, truth in (("lag", lag), ("scale", 1.1), ("bias", 0.01)):
-        assert_coverage([getattr(one, quantity) for one in found], truth, 0.8, FEW_RUNS)
+        assert_coverage([getattr(estimate, quantity) for estimate in found], truth, 0.8, FEW_RUNS)
 
 
 def test_interval_is_wider_for_more_noise_and_for_less_driving():
@@ -68,9 +68,9 @@ def test_interval_is_wider_for_more_noise_and_for_less_driving():
 
 
 def test_systematic_uncertainty_is_added_in_quadrature():
-    one = with_systematic("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
+    estimate = with_systematic("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
     half_width = np.hypot(0.012, SYSTEMATIC["lag"])
-    assert one.interval == pytest.approx((0.3 - half_width, 0.3 + half_width))
+    assert estimate.interval == pytest.approx((0.3 - half_width, 0.3 + half_width))
     in_degrees = with_systematic("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
     assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC["scale"])
     unknown = Estimate(1.0, 0.1, (0.8, 1.2))

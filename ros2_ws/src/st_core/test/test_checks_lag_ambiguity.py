@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import Noise, Sines, delay, exact_drive
+from exact_faults import findings_by_name
 from st_core.checks import Severity, check, compare_runs
 from st_core.checks.agreement import compare_series
 from st_core.sideslip import with_steady_sideslip
@@ -17,12 +18,12 @@ SEEDS = range(8)
 
 
 def lag_findings(log, car=None):
-    return {one.name: one for one in check(log, car).findings if one.name.endswith("_lag")}
+    return {name: finding for name, finding in findings_by_name(log, car).items() if name.endswith("_lag")}
 
 
 def test_periodic_motion_gives_no_lag_finding(leaf):
     checked = [check(exact_drive(leaf, 60.0, **SLALOM, seed=seed), leaf) for seed in SEEDS]
-    assert not [one.name for each in checked for one in each.findings if one.name.endswith("_lag")]
+    assert not [finding.name for each in checked for finding in each.findings if finding.name.endswith("_lag")]
     # The channel varies by more than its noise: it is compared, and its scale estimated.
     scales = [each.estimates["acceleration_x_scale"][0] for each in checked]
     assert scales == pytest.approx(np.ones(len(checked)), abs=0.1)
@@ -31,11 +32,11 @@ def test_periodic_motion_gives_no_lag_finding(leaf):
 @pytest.mark.parametrize("seconds", [0.3, -0.3])
 def test_lag_in_periodic_motion_is_found_and_the_other_possible_lags_are_named(leaf, seconds):
     log = delay(exact_drive(leaf, 60.0, **SLALOM), seconds, "acceleration_x")
-    one = lag_findings(log)["acceleration_x_lag"]
-    assert one.interval[0] < seconds < one.interval[1]
+    finding = lag_findings(log)["acceleration_x_lag"]
+    assert finding.interval[0] < seconds < finding.interval[1]
     verb, other = ("lags", "leads by 0.70 s") if seconds > 0.0 else ("leads", "lags by 0.70 s")
-    assert one.text.startswith(f"acceleration_x {verb} velocity by ") and f" (or {other}" in one.text
-    assert one.text.endswith(", which fits equally well: the motion is periodic)")
+    assert finding.text.startswith(f"acceleration_x {verb} velocity by ") and f" (or {other}" in finding.text
+    assert finding.text.endswith(", which fits equally well: the motion is periodic)")
 
 
 def test_nearly_periodic_signals_have_a_unique_lag():
@@ -67,8 +68,8 @@ def test_steering_that_compensates_another_yaw_moment_gives_no_lag_finding(leaf)
     compensated = replace(bend, road_wheel_angle=2.0 * angle.mean() - angle)
     assert lag_findings(delay(compensated, 0.4, "road_wheel_angle"), leaf) == {}
     assert "steering_lag" not in check(compensated, leaf).estimates
-    assert lag_findings(delay(bend, 0.4, "road_wheel_angle"), leaf)["steering_lag"].value == pytest.approx(0.4,
-                                                                                                           abs=0.04)
+    found = lag_findings(delay(bend, 0.4, "road_wheel_angle"), leaf)
+    assert found["steering_lag"].value == pytest.approx(0.4, abs=0.04)
 
 
 @pytest.mark.parametrize(("channel", "name", "seconds"), [
@@ -77,9 +78,9 @@ def test_equal_lag_in_several_sweeps_gives_one_consistent_finding(leaf, channel,
     parts = tuple((0.1, period, period) for period in (9.0, 5.0, 3.1, 2.3, 1.7, 1.3))
     sweep = {"speed": Sines(15.0, ()), "turning": Sines(0.0, parts)}
     runs = [check(delay(exact_drive(leaf, 60.0, **sweep, seed=seed), seconds, channel), leaf) for seed in range(3)]
-    assert [[one.name for one in run.findings] for run in runs] == [[name]] * 3
-    (one,) = compare_runs(runs)
-    assert one.name == name and one.consistent and one.mean == pytest.approx(seconds, abs=0.04)
+    assert [[finding.name for finding in run.findings] for run in runs] == [[name]] * 3
+    (finding,) = compare_runs(runs)
+    assert finding.name == name and finding.consistent and finding.mean == pytest.approx(seconds, abs=0.04)
 
 
 @pytest.mark.parametrize("speed", [5.0, 20.0])
@@ -95,10 +96,10 @@ def test_course_as_yaw_gives_no_yaw_rate_lag(leaf, speed):
     corrected = with_steady_sideslip(course, leaf)  # as when reading a recording
     assert not corrected.sideslip_measured
     found = check(corrected, leaf)
-    assert {one.name for one in found.findings if one.severity is not Severity.NOTE} <= {"steering_lag"}
+    assert {finding.name for finding in found.findings if finding.severity is not Severity.NOTE} <= {"steering_lag"}
     assert found.estimates["yaw_rate_scale"][0] == pytest.approx(1.0, abs=0.01)
-    scaled = {one.name: one for one in check(replace(corrected, yaw_rate=0.9 * corrected.yaw_rate), leaf).findings}
-    assert scaled["yaw_rate_scale"].severity is not Severity.NOTE
-    assert scaled["yaw_rate_scale"].value == pytest.approx(0.9, abs=0.01)
+    scaled = findings_by_name(replace(corrected, yaw_rate=0.9 * corrected.yaw_rate), leaf)["yaw_rate_scale"]
+    assert scaled.severity is not Severity.NOTE
+    assert scaled.value == pytest.approx(0.9, abs=0.01)
     delayed = lag_findings(delay(course, 0.8, "yaw_rate"), leaf)["yaw_rate_lag"]
     assert delayed.severity is Severity.WARNING and delayed.advice.kind == "run.yaml"

@@ -37,8 +37,8 @@ def _garbage(values, step):
 
 
 FAULTS = {
-    "one small spike": _spikes(0.0, 3.0), "one large spike": _fixed(-500.0, MIDDLE, 1), "first sample": _fixed(777.0, 0,
-                                                                                                               1),
+    "one small spike": _spikes(0.0, 3.0), "one large spike": _fixed(-500.0, MIDDLE, 1),
+    "first sample": _fixed(777.0, 0, 1),
     "last sample": _fixed(-777.0, -1, 1), "+-487 in 0.2 %": _spikes(0.002, 487.0), "spikes in 10 %": _spikes(0.1, 6.0),
     "-9999": _fixed(-9999.0, MIDDLE, 120), "int16": _fixed(327.67, MIDDLE, 200), "all ones": _fixed(655.35, MIDDLE, 50),
     "float": _fixed(1e10, MIDDLE, 500), "at the start": _fixed(-9999.0, 0, 120),
@@ -50,7 +50,7 @@ FAULTS = {
 @pytest.fixture(scope="module")
 def clean(leaf):
     log = exact_drive(leaf, seconds=60.0)
-    return log, {one.name for one in check(log, leaf).findings}
+    return log, {finding.name for finding in check(log, leaf).findings}
 
 
 def with_implausible_samples(log, car, channel, edit):
@@ -70,9 +70,9 @@ def test_implausible_samples_are_reported_and_left_out_without_other_findings(cl
     log, before = clean
     broken, places = with_implausible_samples(log, leaf, channel, FAULTS[kind])
     findings = check(broken, leaf).findings
-    named = [one for one in findings if one.name in NAMES]
-    assert named and {one for f in named for one in f.channels} == {channel}
-    assert {one.name for one in findings} - before <= {*NAMES}
+    named = [finding for finding in findings if finding.name in NAMES]
+    assert named and {each for finding in named for each in finding.channels} == {channel}
+    assert {finding.name for finding in findings} - before <= {*NAMES}
     usable, _ = drop_implausible(broken)
     values = getattr(usable, channel)
     truth = getattr(log, channel)
@@ -95,8 +95,8 @@ def test_zeros_in_a_moving_car_are_reported_as_sentinel_values(clean, leaf, chan
     peak = int(np.argmax(np.abs(getattr(log, "road_wheel_angle" if "wheel" in channel else channel))[500:-500]))
     broken, _ = with_implausible_samples(log, leaf, channel, _fixed(0.0, 500 + peak - 40, 80))
     findings = check(broken, leaf).findings
-    assert [one.channels for one in findings if one.name == "sentinel_values"] == [(channel,)]
-    assert {one.name for one in findings} - before == {"sentinel_values"}
+    assert [finding.channels for finding in findings if finding.name == "sentinel_values"] == [(channel,)]
+    assert {finding.name for finding in findings} - before == {"sentinel_values"}
 
 
 @pytest.mark.parametrize("share", [0.7, 0.85])
@@ -110,18 +110,18 @@ def test_wrapped_channel_is_the_only_error(clean, leaf, channel, share):
         return np.zeros(0, int)
     broken, _ = with_implausible_samples(log, leaf, channel, wrap)
     found = check(broken, leaf)
-    assert [(one.name, one.channels) for one in found.findings].count(("channel_wraps", (channel,))) == 1
+    assert [(finding.name, finding.channels) for finding in found.findings].count(("channel_wraps", (channel,))) == 1
     _, implausible = drop_implausible(broken)
     rechecked = check(broken, leaf, AuxiliaryData(implausible=tuple(implausible))).findings
-    assert [one.name for one in rechecked].count("channel_wraps") == 1
-    assert not [one for one in found.with_severity(Severity.ERROR) if one.name != "channel_wraps"]
+    assert [finding.name for finding in rechecked].count("channel_wraps") == 1
+    assert not [finding for finding in found.with_severity(Severity.ERROR) if finding.name != "channel_wraps"]
 
 
 def test_channel_with_a_sign_change_is_not_compared_with_others(clean, leaf):
     log, _ = clean
     broken = replace(log, velocity_x=log.velocity_x * np.where(np.arange(len(log.x)) < MIDDLE, 1.0, -1.0))
     found = check(broken, leaf)
-    assert "channel_jumps" in {one.name for one in found.findings} and not found.comparisons
+    assert "channel_jumps" in {finding.name for finding in found.findings} and not found.comparisons
 
 
 def test_channel_with_more_than_half_implausible_is_an_error_and_not_removed(clean, leaf):

@@ -41,56 +41,57 @@ def test_healthy_or_unknown_ins_status_gives_no_findings(log):
 @pytest.mark.parametrize(("field", "good", "bad", "text"), [
     ("position_mode", RTK_INTEGER, DIFFERENTIAL, "without RTK"), ("navigation_status", LOCKED, LOCKING, "not locked")])
 def test_bad_ins_mode_is_reported_with_its_share_and_time(log, field, good, bad, text):
-    one, = quality_findings(log, **{field: with_section(good, bad, slice(50, 95))})
-    assert (one.name, one.severity, one.value) == ("ins_mode", Severity.WARNING, pytest.approx(0.15))
-    assert text in one.text and one.where == (pytest.approx((5.0, 9.4)),)
+    finding, = quality_findings(log, **{field: with_section(good, bad, slice(50, 95))})
+    assert (finding.name, finding.severity, finding.value) == ("ins_mode", Severity.WARNING, pytest.approx(0.15))
+    assert text in finding.text and finding.where == (pytest.approx((5.0, 9.4)),)
     short, = quality_findings(log, **{field: with_section(good, bad, slice(50, 52))})
     assert short.severity is Severity.NOTE
 
 
 @pytest.mark.parametrize(("metres", "severity"), [(0.3, Severity.WARNING), (8.0, Severity.ERROR)])
 def test_poor_position_accuracy_is_reported_with_its_value_and_time(log, metres, severity):
-    one, = quality_findings(log, position_accuracy=with_section(0.01, metres, slice(100, 300)))
-    assert (one.name, one.severity, one.value) == ("ins_accuracy", severity, metres)
-    assert one.where == (pytest.approx((10.0, 29.9)),)
+    finding, = quality_findings(log, position_accuracy=with_section(0.01, metres, slice(100, 300)))
+    assert (finding.name, finding.severity, finding.value) == ("ins_accuracy", severity, metres)
+    assert finding.where == (pytest.approx((10.0, 29.9)),)
     assert quality_findings(log, position_accuracy=with_section(0.01, metres, slice(0, 100))) == ()
 
 
 def run_with_estimate(value, half_width, name="yaw_rate_bias", reported=True, unit="rad/s"):
     """A checked run with this estimate only."""
     interval = (value - half_width, value + half_width)
-    one = Finding(name, Severity.NOTE, ("yaw_rate",), "", value, unit, interval)
-    return DriveCheck((one,) if reported else (), {}, (), {name: (value, *interval)})
+    finding = Finding(name, Severity.NOTE, ("yaw_rate",), "", value, unit, interval)
+    return DriveCheck((finding,) if reported else (), {}, (), {name: (value, *interval)})
 
 
 def test_consistent_runs_have_a_mean_with_a_narrower_interval():
     draw = np.random.default_rng(0).standard_normal(8)
-    one, = compare_runs([run_with_estimate(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
-    assert one.consistent and (one.runs, one.reported) == (8, 8)
-    assert one.mean == pytest.approx(0.004, abs=0.0005) and one.interval[0] < 0.004 < one.interval[1]
-    assert one.interval[1] - one.interval[0] < 0.002
-    assert "consistent across all 8 runs" in one.text and "rad/s" in one.text
+    comparison, = compare_runs([run_with_estimate(0.004 + 0.0005 * d, 1.96 * 0.0005) for d in draw])
+    assert comparison.consistent and (comparison.runs, comparison.reported) == (8, 8)
+    assert comparison.mean == pytest.approx(0.004,
+                                            abs=0.0005) and comparison.interval[0] < 0.004 < comparison.interval[1]
+    assert comparison.interval[1] - comparison.interval[0] < 0.002
+    assert "consistent across all 8 runs" in comparison.text and "rad/s" in comparison.text
 
 
 def test_differing_runs_are_reported_with_their_range_and_scatter():
     values = (-0.01, 0.0, 0.01, 0.02)
-    one, = compare_runs([run_with_estimate(value, 0.0002) for value in values])
-    assert not one.consistent and (one.lowest, one.highest) == (-0.01, 0.02)
-    assert one.between == pytest.approx(np.std(values, ddof=1), rel=0.02)
-    assert one.interval[0] < 0.0 < one.interval[1] and "differs" in one.text
+    comparison, = compare_runs([run_with_estimate(value, 0.0002) for value in values])
+    assert not comparison.consistent and (comparison.lowest, comparison.highest) == (-0.01, 0.02)
+    assert comparison.between == pytest.approx(np.std(values, ddof=1), rel=0.02)
+    assert comparison.interval[0] < 0.0 < comparison.interval[1] and "differs" in comparison.text
 
 
 @pytest.mark.parametrize(("half_width", "consistent"), [(0.005, True), (1e-5, False)])
 def test_runs_are_consistent_if_their_intervals_contain_the_mean(half_width, consistent):
-    one, = compare_runs([run_with_estimate(v, half_width, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
-    assert one.consistent is consistent and one.mean == pytest.approx(0.964, abs=1e-4)
+    comparison, = compare_runs([run_with_estimate(v, half_width, "x_scale", unit="1") for v in (0.960, 0.964, 0.968)])
+    assert comparison.consistent is consistent and comparison.mean == pytest.approx(0.964, abs=1e-4)
 
 
 def test_runs_are_inconsistent_if_two_of_four_intervals_miss_the_mean():
     values = ((-1.0, 0.1), (-1.4, 0.1), (-1.2, 0.3), (-1.2, 0.3))
     found = compare_runs([run_with_estimate(value, half_width, "measuring_point", unit="m") for value,
                           half_width in values])
-    assert [one.consistent for one in found] == [False]
+    assert [comparison.consistent for comparison in found] == [False]
 
 
 def test_mean_with_an_interval_that_contains_zero_is_not_listed():
@@ -98,16 +99,15 @@ def test_mean_with_an_interval_that_contains_zero_is_not_listed():
 
 
 def test_runs_are_weighted_by_their_precision():
-    one, = compare_runs([run_with_estimate(0.004, 0.0001), run_with_estimate(0.004, 0.0001),
+    comparison, = compare_runs([run_with_estimate(0.004, 0.0001), run_with_estimate(0.004, 0.0001),
                          run_with_estimate(0.02, 0.05)])
-    assert one.mean == pytest.approx(0.004, abs=1e-5)
+    assert comparison.mean == pytest.approx(0.004, abs=1e-5)
 
 
 def test_estimates_of_runs_without_the_finding_count_too():
-    one, = compare_runs([run_with_estimate(0.004, 0.002),
-                         run_with_estimate(0.003, 0.002, reported=False), run_with_estimate(0.005, 0.002,
-                                                                                            reported=False)])
-    assert (one.runs, one.reported) == (3, 1)
+    others = [run_with_estimate(value, 0.002, reported=False) for value in (0.003, 0.005)]
+    comparison, = compare_runs([run_with_estimate(0.004, 0.002), *others])
+    assert (comparison.runs, comparison.reported) == (3, 1)
     assert compare_runs([run_with_estimate(0.004, 0.002, reported=False)] * 3) == []
     assert compare_runs([run_with_estimate(0.004, 0.002)] * 2) == []
 
@@ -117,15 +117,16 @@ def test_findings_are_sorted_by_frequency():
                 *run_with_estimate(1.0, 0.1, "b", unit="m").findings)
     both = DriveCheck(findings, {}, (), {"a": (1.0, 0.9, 1.1), "b": (1.0, 0.9, 1.1)})
     only_b = replace(both, findings=both.findings[1:])
-    assert [(one.name, one.reported) for one in compare_runs([both, only_b, only_b])] == [("b", 3), ("a", 1)]
+    comparisons = compare_runs([both, only_b, only_b])
+    assert [(comparison.name, comparison.reported) for comparison in comparisons] == [("b", 3), ("a", 1)]
 
 
 def test_bias_of_one_sensor_is_consistent_over_its_drives(leaf):
     with_bias = biased(0.005, "yaw_rate")
     runs = [check(with_bias(exact_drive(leaf, 30.0, seed=seed)), leaf) for seed in range(3)]
-    one, = compare_runs(runs)
-    assert one.name == "yaw_rate_bias" and one.consistent
-    assert one.interval[0] < 0.005 < one.interval[1] and one.as_dict()["text"] == one.text
+    comparison, = compare_runs(runs)
+    assert comparison.name == "yaw_rate_bias" and comparison.consistent
+    assert comparison.interval[0] < 0.005 < comparison.interval[1] and comparison.as_dict()["text"] == comparison.text
 
 
 def estimate(value: float, deviation: float) -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import SILENT, SPEED, TURNING, Noise, Sines, exact_drive
-from exact_faults import time_unit_misread
+from exact_faults import findings_by_name, time_unit_misread
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from st_core.checks import AuxiliaryData, InsQuality, Series, Severity, check
@@ -17,7 +17,7 @@ STRAIGHT = Sines(0.0, ())
 
 
 def errors(log, car=None, auxiliary=None):
-    return [one.text for one in check(log, car, auxiliary).findings if one.severity is Severity.ERROR]
+    return [finding.text for finding in check(log, car, auxiliary).findings if finding.severity is Severity.ERROR]
 
 
 def with_rotated_map(log, angle):
@@ -96,22 +96,22 @@ def test_driving_in_reverse_or_a_reversed_ins_is_no_error(leaf):
 @pytest.mark.parametrize("noise", [SILENT, Noise()])
 def test_stationary_car_has_no_findings(leaf, noise):
     stationary = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT, noise=noise)
-    assert [one.text for one in check(stationary, leaf).findings] == []
+    assert [finding.text for finding in check(stationary, leaf).findings] == []
 
 
 def test_motion_reported_at_standstill_is_found(leaf):
     stationary = exact_drive(leaf, speed=Sines(1e-9, ()), turning=STRAIGHT)
-    findings = {one.channels: one for one in check(replace(
-        stationary, velocity_x=stationary.velocity_x + 0.3, yaw_rate=stationary.yaw_rate - 0.02), leaf).findings
-                if one.name == "standstill_motion"}
+    biased = replace(stationary, velocity_x=stationary.velocity_x + 0.3, yaw_rate=stationary.yaw_rate - 0.02)
+    findings = {finding.channels: finding for finding in check(biased, leaf).findings
+                if finding.name == "standstill_motion"}
     assert findings["velocity_x",].value == pytest.approx(0.3, abs=0.01)
     assert findings["yaw_rate",].value == pytest.approx(-0.02, abs=0.001)
 
 
 def test_lateral_acceleration_beyond_tyre_limits_is_an_error(leaf):
-    one, = (one for one in check(exact_drive(leaf, turning=Sines(0.0, ((1.5, 23.0, 0.0),))), leaf).findings
-            if one.name == "lateral_acceleration_impossible")
-    assert one.severity is Severity.ERROR and one.value == pytest.approx(1.5 * SPEED.mean, rel=0.4)
+    fast_turns = exact_drive(leaf, turning=Sines(0.0, ((1.5, 23.0, 0.0),)))
+    finding = findings_by_name(fast_turns, leaf)["lateral_acceleration_impossible"]
+    assert finding.severity is Severity.ERROR and finding.value == pytest.approx(1.5 * SPEED.mean, rel=0.4)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 49, 50, 60])
@@ -163,12 +163,12 @@ def auxiliary_data(time, rows):
 
 def assert_valid(checked):
     """Values are finite, intervals contain them, and the result is JSON-serialisable."""
-    for one in checked.findings:
-        assert one.value is None or np.isfinite(one.value), one
-        assert one.interval is None or one.interval[0] <= one.value <= one.interval[1], one
-        assert one.effect is None or one.effect >= 0.0, one
-        assert one.text and "nan" not in one.text and one.advice and one.advice.line
-        assert all(first <= last for first, last in one.where)
+    for finding in checked.findings:
+        assert finding.value is None or np.isfinite(finding.value), finding
+        assert finding.interval is None or finding.interval[0] <= finding.value <= finding.interval[1], finding
+        assert finding.effect is None or finding.effect >= 0.0, finding
+        assert finding.text and "nan" not in finding.text and finding.advice and finding.advice.line
+        assert all(first <= last for first, last in finding.where)
     json.dumps(checked.as_dict(), allow_nan=False)
 
 

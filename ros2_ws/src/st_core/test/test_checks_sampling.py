@@ -27,8 +27,8 @@ def test_resolution_of_rounded_values(step):
 
 @pytest.mark.parametrize(("rate", "expected"), [(1.0, True), (5.0, True), (10.0, False), (20.0, False)])
 def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, expected):
-    texts = [one.text for one in check(exact_drive(leaf, seconds=120.0, rate=rate), leaf).findings
-             if one.name == "time_gaps"]
+    texts = [finding.text for finding in check(exact_drive(leaf, seconds=120.0, rate=rate), leaf).findings
+             if finding.name == "time_gaps"]
     assert bool(texts) == expected and all("predictions need one in 0.1 s: nothing is scored" in t for t in texts)
 
 
@@ -56,18 +56,18 @@ def test_channel_statistics(leaf):
 def test_coarse_resolution_is_reported(log, channel, coarse, fine):
     def rounded(step):
         return replace(log, **{channel: np.round(getattr(log, channel) / step) * step})
-    one = findings_by_name(rounded(coarse))["resolution_coarse"]
-    assert one.channels == (channel,) and one.value == pytest.approx(coarse, rel=1e-6)
+    finding = findings_by_name(rounded(coarse))["resolution_coarse"]
+    assert finding.channels == (channel,) and finding.value == pytest.approx(coarse, rel=1e-6)
     assert "resolution_coarse" not in findings_by_name(rounded(fine))
 
 
 @pytest.mark.parametrize(("every", "severity"), [(4, Severity.NOTE), (10, Severity.WARNING)])
 def test_values_repeated_at_a_lower_rate_are_reported(log, every, severity):
     rows = np.arange(len(log.x)) // every * every
-    one = findings_by_name(replace(log, acceleration_y=log.acceleration_y[rows]))["samples_repeated"]
-    assert one.channels == ("acceleration_y",) and one.severity is severity
-    assert one.value == pytest.approx(1.0 - 1.0 / every, abs=0.01)
-    assert f"{100.0 / every:.3g} Hz" in one.text
+    finding = findings_by_name(replace(log, acceleration_y=log.acceleration_y[rows]))["samples_repeated"]
+    assert finding.channels == ("acceleration_y",) and finding.severity is severity
+    assert finding.value == pytest.approx(1.0 - 1.0 / every, abs=0.01)
+    assert f"{100.0 / every:.3g} Hz" in finding.text
 
 
 def freeze(log, channel, begin, end):
@@ -83,11 +83,11 @@ def freeze(log, channel, begin, end):
 
 @pytest.mark.parametrize("channel", ["x", "yaw", "velocity_x", "yaw_rate", "acceleration_y", "road_wheel_angle"])
 def test_frozen_channel_is_found_while_the_car_moves(log, leaf, channel):
-    one = findings_by_name(freeze(log, channel, 10.0, 16.0), leaf)["channel_frozen"]
-    assert one.channels == (channel,) and one.value == pytest.approx(6.0, abs=0.05)
-    assert one.where == (pytest.approx((10.0, 16.0), abs=0.05),)
+    finding = findings_by_name(freeze(log, channel, 10.0, 16.0), leaf)["channel_frozen"]
+    assert finding.channels == (channel,) and finding.value == pytest.approx(6.0, abs=0.05)
+    assert finding.where == (pytest.approx((10.0, 16.0), abs=0.05),)
     if channel != "road_wheel_angle":
-        assert one.advice.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
+        assert finding.advice.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
 
 
 def test_constant_channel_is_not_frozen_in_constant_motion(leaf):
@@ -105,10 +105,10 @@ def test_decreasing_and_duplicate_time_stamps_are_counted(log):
     findings = findings_by_name(log, auxiliary=AuxiliaryData(stamps={"INS": stamps}))
     assert findings["time_duplicates"].value == pytest.approx(10 / len(stamps))
     assert findings["time_order"].value == pytest.approx(1 / len(stamps))
-    assert {one.severity for one in findings.values()} == {Severity.NOTE}
+    assert {finding.severity for finding in findings.values()} == {Severity.NOTE}
     assert findings["time_order"].where == (pytest.approx((9.99, 9.99)),)  # the newest earlier stamp
-    assert findings_by_name(log, auxiliary=AuxiliaryData(stamps={"INS": log.ins_time_ns,
-                                                                 "steering": log.steering_time_ns})) == {}
+    healthy = AuxiliaryData(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})
+    assert findings_by_name(log, auxiliary=healthy) == {}
 
 
 @pytest.mark.parametrize(("seconds", "severity"), [(1.0, Severity.NOTE), (4.0, Severity.WARNING)])
@@ -125,9 +125,10 @@ def test_gaps_are_reported_with_length_and_time(log, leaf, seconds, severity):
 def test_missing_values_are_reported_with_their_share(log, rows, severity):
     kept = np.ones(len(log.x), bool)
     kept[np.random.default_rng(1).choice(len(kept), rows, replace=False)] = False
-    one = findings_by_name(log.select_ins(kept), auxiliary=AuxiliaryData(missing={"yaw_rate": rows}))["values_missing"]
-    assert one.channels == ("yaw_rate",) and one.severity is severity
-    assert one.value == pytest.approx(rows / len(log.x))
+    finding = findings_by_name(log.select_ins(kept),
+                               auxiliary=AuxiliaryData(missing={"yaw_rate": rows}))["values_missing"]
+    assert finding.channels == ("yaw_rate",) and finding.severity is severity
+    assert finding.value == pytest.approx(rows / len(log.x))
 
 
 def missing_steering_finding(log, kept):
@@ -140,16 +141,16 @@ def missing_steering_finding(log, kept):
 
 
 def test_slower_sensor_in_common_rows_is_a_note_with_its_rate(log):
-    one = missing_steering_finding(log, np.arange(len(log.steering_time_ns)) % 4 == 0)
-    assert one.severity is Severity.NOTE and "25 Hz" in one.text
-    assert one.value == pytest.approx(0.75, abs=0.01)
+    finding = missing_steering_finding(log, np.arange(len(log.steering_time_ns)) % 4 == 0)
+    assert finding.severity is Severity.NOTE and "25 Hz" in finding.text
+    assert finding.value == pytest.approx(0.75, abs=0.01)
 
 
 @pytest.mark.parametrize("gap", [(0.0, 0.4), (0.0, 0.5), (0.3, 0.7)])
 def test_gap_is_not_taken_for_a_slower_sensor(log, gap):
     position = np.linspace(0.0, 1.0, len(log.steering_time_ns))
-    one = missing_steering_finding(log, (position < gap[0]) | (position > gap[1]))
-    assert one.severity is Severity.WARNING and "have no usable value" in one.text
+    finding = missing_steering_finding(log, (position < gap[0]) | (position > gap[1]))
+    assert finding.severity is Severity.WARNING and "have no usable value" in finding.text
 
 
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])
@@ -171,19 +172,19 @@ def test_position_jumps_are_found_and_left_out(log, size, end, stretches):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
     away = size * ((since >= 12.345) & (since < end - 0.001))
     wrong = replace(log, x=log.x + 0.6 * away, y=log.y - 0.8 * away)
-    one = findings_by_name(wrong)["position_jumps"]
-    assert one.value == 2.0
-    assert float(re.search(r"largest ([\d.]+) m", one.text)[1]) == pytest.approx(size, abs=0.02)
-    assert one.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
-    left_out = one.advice.entry["leave_out"]
+    finding = findings_by_name(wrong)["position_jumps"]
+    assert finding.value == 2.0
+    assert float(re.search(r"largest ([\d.]+) m", finding.text)[1]) == pytest.approx(size, abs=0.02)
+    assert finding.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
+    left_out = finding.advice.entry["leave_out"]
     assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)
     assert "position_jumps" not in findings_by_name(apply_corrections(wrong, {}, None, left_out))
 
 
 def test_frequent_position_jumps_have_no_automatic_correction(log):
     since = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
-    one = findings_by_name(replace(log, x=log.x + 0.5 * (np.floor(2.0 * since) % 2)))["position_jumps"]
-    assert one.value > 50 and one.advice.kind == "look"
+    finding = findings_by_name(replace(log, x=log.x + 0.5 * (np.floor(2.0 * since) % 2)))["position_jumps"]
+    assert finding.value > 50 and finding.advice.kind == "look"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7])
@@ -191,19 +192,20 @@ def test_positions_delayed_by_one_sample_at_random_are_found(log, share):
     delayed = np.random.default_rng(3).random(len(log.x)) < share
     delayed[0] = False
     rows = np.arange(len(delayed)) - delayed
-    one = findings_by_name(replace(log, x=log.x[rows], y=log.y[rows]))["position_stale"]
+    finding = findings_by_name(replace(log, x=log.x[rows], y=log.y[rows]))["position_stale"]
     share_of_steps = np.mean(delayed[1:] & ~delayed[:-1])
-    assert one.interval[0] <= share_of_steps <= one.interval[1] and one.severity is Severity.WARNING
+    assert finding.interval[0] <= share_of_steps <= finding.interval[1] and finding.severity is Severity.WARNING
     # The distance travelled in one sampling interval of 10 ms.
-    assert one.effect == pytest.approx(0.01 * np.median(log.velocity_x), rel=0.3)
+    assert finding.effect == pytest.approx(0.01 * np.median(log.velocity_x), rel=0.3)
 
 
 @pytest.mark.parametrize("deviation", [0.003, 0.01])
 def test_time_stamp_jitter_is_estimated_from_the_motion(leaf, deviation):
     drive = exact_drive(leaf, 40.0, rate=20.0)
     jitter_ns = np.round(1e9 * np.clip(deviation * np.random.default_rng(5).standard_normal(len(drive.x)), -0.02, 0.02))
-    one = findings_by_name(replace(drive, ins_time_ns=drive.ins_time_ns + jitter_ns.astype(np.int64)))["time_jitter"]
-    assert one.value == pytest.approx(float(np.std(np.diff(jitter_ns))) * 1e-9, rel=0.1)
+    finding = findings_by_name(replace(drive,
+                                       ins_time_ns=drive.ins_time_ns + jitter_ns.astype(np.int64)))["time_jitter"]
+    assert finding.value == pytest.approx(float(np.std(np.diff(jitter_ns))) * 1e-9, rel=0.1)
     assert "time_jitter" not in findings_by_name(drive)
 
 

@@ -54,7 +54,7 @@ def offset_result(leaf, offset_runs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_exact_base_model_has_no_missing_effect(leaf, seed):
     found = discover(recorded(leaf, {}, seed), leaf, settings=SETTINGS)
     assert (found.outcome, found.effects, found.minor, found.varying, found.steps) == ("none", (), (), (), ())
@@ -109,8 +109,7 @@ def test_hidden_effect_is_named_with_its_value(leaf, name, parameter, value, dri
 @pytest.mark.slow
 def test_tyre_saturation_is_found_for_a_linear_base_at_the_handling_limit(leaf):
     # Few effects: compiling the kernel of the complete library for this base would serve only this test.
-    settings = replace(SETTINGS, effects=("tyre_saturation", "front_stiffness", "rear_stiffness", "steering_ratio",
-                                          "steering_offset", "steering_lag", "mass", "yaw_rate_scale"))
+    settings = replace(SETTINGS, effects=("tyre_saturation", "front_stiffness", "steering_ratio", "mass"))
     found = discover(recorded(leaf, {}, 6, ("circle", "ramp_to_limit")), leaf, "linear", settings=settings)
     assert effect_names(found)[:1] == ["tyre_saturation"]
     assert found.errors["position"].augmented < 0.6 * found.errors["position"].base
@@ -119,16 +118,16 @@ def test_tyre_saturation_is_found_for_a_linear_base_at_the_handling_limit(leaf):
 # Two faults
 
 
-TWO = {"steering_offset": {"angle": 0.006}, "rear_stiffness": {"factor": 0.85}}
+TWO_EFFECTS = {"steering_offset": {"angle": 0.006}, "rear_stiffness": {"factor": 0.85}}
 
 
 @pytest.mark.slow
 def test_two_effects_are_both_found(leaf):
-    found = discover(recorded(leaf, TWO, 4), leaf, settings=SETTINGS)
+    found = discover(recorded(leaf, TWO_EFFECTS, 4), leaf, settings=SETTINGS)
     assert found.outcome == "several"
-    assert set(effect_names(found)) == set(TWO) == {s.effect for s in found.steps}
+    assert set(effect_names(found)) == set(TWO_EFFECTS) == {s.effect for s in found.steps}
     for effect in found.effects:
-        (parameter, value), = TWO[effect.name].items()
+        (parameter, value), = TWO_EFFECTS[effect.name].items()
         assert interval_covers(effect.parameters[parameter], value)
 
 
@@ -148,8 +147,8 @@ def test_forward_only_effects_are_excluded_when_the_search_starts_from_the_whole
 @pytest.mark.parametrize(("heading", "expected"), [(1.0, ("road_bank",)), (-1.0, ("heading_misalignment", PAIR[0]))])
 def test_one_effect_replaces_two_only_if_it_explains_as_much(heading, expected):
     problem = linear_problem([*PAIR, "road_bank"], {PAIR[0]: 1.0, PAIR[1]: heading}, seed=1)
-    signatures, of = problem.errors.signatures, problem.space.indices
-    signatures[of("road_bank")] = signatures[of(PAIR[0])] + signatures[of(PAIR[1])]
+    signatures, index = problem.errors.signatures, problem.space.indices
+    signatures[index("road_bank")] = signatures[index(PAIR[0])] + signatures[index(PAIR[1])]
     problem.update_design_effect(problem.start)
     fit = problem.fit(PAIR, problem.all_sensitivities(problem.start))
     found = Search(problem, Limits(), {}, {})._exchange_until_accepted(SearchState(fit, list(PAIR)))
@@ -158,8 +157,8 @@ def test_one_effect_replaces_two_only_if_it_explains_as_much(heading, expected):
 
 def test_residual_scale_is_unchanged_when_all_effects_are_refused():
     problem = linear_problem([PAIR[0], "road_bank"], {PAIR[0]: 3.0}, seed=1)
-    signatures, of = problem.errors.signatures, problem.space.indices
-    signatures[of("road_bank")] = signatures[of(PAIR[0])]  # two contenders, compared at the scale of the better one
+    signatures, index = problem.errors.signatures, problem.space.indices
+    signatures[index("road_bank")] = signatures[index(PAIR[0])]  # two equal candidates
     scales, rescale = [problem.loss.scale], problem.loss.rescale
     problem.loss.rescale = lambda vector: (rescale(vector), scales.append(problem.loss.scale))
     search = Search(problem, Limits(), {}, {}, judge=lambda e, limits: Reason("refused", e.name, {}, ""))
@@ -185,10 +184,10 @@ def test_load_is_not_refuted_by_the_axle_forces_of_the_laden_car(leaf):
     assert load.verdict != "refuted by the axle forces"
 
 
-@pytest.mark.slow
 def test_number_of_effects_is_limited(leaf):
-    found = discover(recorded(leaf, TWO, 4), leaf, settings=replace(SETTINGS, limits=Limits(max_effects=1)))
-    assert len(found.steps) <= 1
+    runs, settings = recorded(leaf, TWO_EFFECTS, 4), replace(FEW, effects=tuple(TWO_EFFECTS))
+    assert len(discover(runs, leaf, settings=settings).steps) == 2
+    assert len(discover(runs, leaf, settings=replace(settings, limits=Limits(max_effects=1))).steps) == 1
 
 
 # Effects that are not named
@@ -254,8 +253,8 @@ def test_effects_that_the_reference_drives_also_have_are_not_reported(leaf):
 @pytest.mark.slow
 def test_change_since_the_reference_is_reported(leaf):
     """The value is the difference from the reference, not from the vehicle file."""
-    late = {**HEALTHY, "steering_lag": {"time_constant": 0.09}}
-    found = discover(recorded(leaf, late, 13), leaf, reference=recorded(leaf, HEALTHY, 11), settings=SETTINGS)
+    slower = {**HEALTHY, "steering_lag": {"time_constant": 0.09}}
+    found = discover(recorded(leaf, slower, 13), leaf, reference=recorded(leaf, HEALTHY, 11), settings=SETTINGS)
     assert effect_names(found) == ["steering_lag"]
     value = found.effects[0].parameters["time_constant"]
     assert interval_covers(value, 0.06) and value.value == pytest.approx(0.06, abs=0.012)
@@ -320,8 +319,7 @@ def flywheel(tmp_path):
 @pytest.mark.slow
 def test_user_defined_effect_from_a_folder_is_found(leaf, flywheel):
     # Few other effects: the kernel is compiled for this test only.
-    settings = replace(SETTINGS, effects=("flywheel", "front_stiffness", "rear_stiffness", "steering_ratio",
-                                          "steering_offset", "steering_lag", "yaw_inertia", "yaw_rate_scale"))
+    settings = replace(SETTINGS, effects=("flywheel", "rear_stiffness", "yaw_inertia", "yaw_rate_scale"))
     found = discover(recorded(leaf, {"flywheel": {"gain": 5.0}}, 10), leaf, settings=settings)
     assert effect_names(found) == ["flywheel"]
     assert interval_covers(found.effects[0].parameters["gain"], 5.0)

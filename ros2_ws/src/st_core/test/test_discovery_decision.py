@@ -276,46 +276,44 @@ def test_outcome(answer, outcome, figures):
     assert {k: why.figures[k] for k in figures} == figures
 
 
+def judge_low_peak_force(evidence, limits):
+    return judge_naming(evidence, limits, NamingChecks(peak_force_share=0.5))
+
+
+def decide_outcome(result, limits):
+    return decide(result, limits)[1]
+
+
 LIMIT_CASES = [
-    ("false_alarm", 1.0, lambda limits: judge(INSIGNIFICANT, limits).rule, GAIN_INSIGNIFICANT, ACCEPTED),
-    ("false_alarm", 1e-9, lambda limits: judge(replace(VARYING, p_value=0.0), limits).rule, VARIES, ACCEPTED),
-    ("false_alarm", 1.0, lambda limits: varies_relevantly(INSIGNIFICANT, limits), False, True),
-    ("undecided_p", 1e-9, lambda limits: judge(SENSORS_DISAGREE, limits).rule, SENSORS, ACCEPTED),
-    ("undecided_p", 0.9, lambda limits: judge(VARYING, limits).rule, VARIES, ACCEPTED),
-    ("undecided_p", 0.9, lambda limits: judge(NULL_POSSIBLE, limits).rule, NULL, ACCEPTED),
-    ("undecided_p", 1e-9, lambda limits: judge_alternative(WORSE_RIVAL, limits).rule, EXPLAINS_LESS, ALTERNATIVE),
-    ("undecided_p", 1e-9, lambda limits: judge_naming(
-        replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), limits).rule, MINOR, NAMED),
-    ("relevant", 1e-9, lambda limits: judge(SMALL_EFFECT, limits).rule, IRRELEVANT, ACCEPTED),
-    ("relevant", 1e-9, lambda limits: judge_naming(replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), limits).rule,
-     MINOR,
+    ("false_alarm", 1.0, judge, INSIGNIFICANT, GAIN_INSIGNIFICANT, ACCEPTED),
+    ("false_alarm", 1e-9, judge, replace(VARYING, p_value=0.0), VARIES, ACCEPTED),
+    ("false_alarm", 1.0, varies_relevantly, INSIGNIFICANT, False, True),
+    ("undecided_p", 1e-9, judge, SENSORS_DISAGREE, SENSORS, ACCEPTED),
+    ("undecided_p", 0.9, judge, VARYING, VARIES, ACCEPTED),
+    ("undecided_p", 0.9, judge, NULL_POSSIBLE, NULL, ACCEPTED),
+    ("undecided_p", 1e-9, judge_alternative, WORSE_RIVAL, EXPLAINS_LESS, ALTERNATIVE),
+    ("undecided_p", 1e-9, judge_naming, replace(CONFIRMED, gain=0.1, noise_ratio=5.0, sensors_p_value=0.01), MINOR,
      NAMED),
-    ("relevant", 1e-9, lambda limits: varies_relevantly(SMALL_GAIN, limits), False, True),
-    ("relevant_position", 1e-9, lambda limits: judge(SMALL_EFFECT, limits).rule, IRRELEVANT, ACCEPTED),
-    ("relevant_position", 1e-9, lambda limits: judge_naming(NO_POSITION_GAIN, limits).rule, MINOR, NAMED),
-    ("min_relative_size", 1e-9, lambda limits: judge(replace(SENSOR, size=0.4), limits).rule, IRRELEVANT, ACCEPTED),
-    ("negligible", 1e-9, lambda limits: judge(NEGLIGIBLE_GAIN, limits).rule, NEGLIGIBLE, ACCEPTED),
-    ("min_rival_gain", 1e-9, lambda limits: judge_alternative(replace(EQUAL_RIVAL, share=0.4), limits).rule,
-     EXPLAINS_LESS,
-     ALTERNATIVE),
-    ("min_peak_force", 1e-9, lambda limits: judge_naming(GOOD, limits, NamingChecks(peak_force_share=0.5)).rule, MINOR,
-     NAMED),
-    ("max_file_deviation", 1e9, lambda limits: judge(FILE_DISAGREES, limits).rule, FILE, ACCEPTED),
-    ("at_bound", 1e-9, lambda limits: judge(replace(AT_BOUND, bound_distance=0.001), limits).rule, BOUND, ACCEPTED),
-    ("unexplained_share", 1e-9, lambda limits: judge_alternative(CLOSE_RIVAL, limits).rule, ALTERNATIVE, EXPLAINS_LESS),
-    ("unexplained_share", 1e-9, lambda limits: judge_naming(replace(LOW_GAIN, noise_ratio=5.0), limits).rule, MINOR,
-     NAMED),
-    ("max_noise_ratio", 1e9, lambda limits: decide(replace(NOTHING, noise_ratio=9.0), limits)[0], "unknown", "none"),
-    ("max_noise_ratio", 1e9, lambda limits: judge_naming(replace(LOW_GAIN, noise_ratio=5.0), limits).rule, MINOR,
-     NAMED),
-    ("max_noise_ratio", 1e9, lambda limits: judge_naming(replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}),
-                                                         limits).rule,
-     NAMED, MINOR),
-    ("max_noise_ratio", 1e9, lambda limits: judge_alternative(CLOSE_RIVAL, limits).rule, ALTERNATIVE, EXPLAINS_LESS),
-    ("detection_power", 1e-9, lambda limits: decide(replace(NOTHING, detectable_share=0.1), limits)[0], "not_testable",
-     "none"),
+    ("relevant", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
+    ("relevant", 1e-9, judge_naming, replace(NO_POSITION_GAIN, shares={"yaw": (0.01, 5.0)}), MINOR, NAMED),
+    ("relevant", 1e-9, varies_relevantly, SMALL_GAIN, False, True),
+    ("relevant_position", 1e-9, judge, SMALL_EFFECT, IRRELEVANT, ACCEPTED),
+    ("relevant_position", 1e-9, judge_naming, NO_POSITION_GAIN, MINOR, NAMED),
+    ("min_relative_size", 1e-9, judge, replace(SENSOR, size=0.4), IRRELEVANT, ACCEPTED),
+    ("negligible", 1e-9, judge, NEGLIGIBLE_GAIN, NEGLIGIBLE, ACCEPTED),
+    ("min_rival_gain", 1e-9, judge_alternative, replace(EQUAL_RIVAL, share=0.4), EXPLAINS_LESS, ALTERNATIVE),
+    ("min_peak_force", 1e-9, judge_low_peak_force, GOOD, MINOR, NAMED),
+    ("max_file_deviation", 1e9, judge, FILE_DISAGREES, FILE, ACCEPTED),
+    ("at_bound", 1e-9, judge, replace(AT_BOUND, bound_distance=0.001), BOUND, ACCEPTED),
+    ("unexplained_share", 1e-9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
+    ("unexplained_share", 1e-9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
+    ("max_noise_ratio", 1e9, decide_outcome, replace(NOTHING, noise_ratio=9.0), "unknown", "none"),
+    ("max_noise_ratio", 1e9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
+    ("max_noise_ratio", 1e9, judge_naming, replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, MINOR),
+    ("max_noise_ratio", 1e9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
+    ("detection_power", 1e-9, decide_outcome, replace(NOTHING, detectable_share=0.1), "not_testable", "none"),
 ]
-"""(limit, value at which it is inactive, decision, answer with the default limits, answer with the inactive limit)."""
+"""(limit, its inactive value, decision, subject, answer with the default limits, answer with the inactive limit)."""
 TESTED_ELSEWHERE = {"max_effects"}
 """Limits of the search itself: test_discovery.py."""
 
@@ -324,10 +322,11 @@ def test_every_limit_has_a_case():
     assert {field.name for field in fields(Limits)} == {case[0] for case in LIMIT_CASES} | TESTED_ELSEWHERE
 
 
-@pytest.mark.parametrize(("limit", "inactive", "decision_of", "default", "without"), LIMIT_CASES)
-def test_limit_changes_the_decision(limit, inactive, decision_of, default, without):
-    assert decision_of(LIMITS) == default
-    assert decision_of(replace(LIMITS, **{limit: inactive})) == without
+@pytest.mark.parametrize(("limit", "inactive", "decision_on", "subject", "default", "without"), LIMIT_CASES)
+def test_limit_changes_the_decision(limit, inactive, decision_on, subject, default, without):
+    for limits, expected in ((LIMITS, default), (replace(LIMITS, **{limit: inactive}), without)):
+        decided = decision_on(subject, limits)
+        assert getattr(decided, "rule", decided) == expected
 
 
 def test_limits_are_few_and_positive():

@@ -115,8 +115,8 @@ def test_null_p_value_is_that_of_hotellings_test():
     problem = linear_problem(FEW, {"mass": 1.0}, 3)
     fit = fit_problem(problem, "mass", "yaw_inertia")
     assert null_p_value(problem, fit, "mass") < 1e-3 and null_p_value(problem, fit, "yaw_inertia") > 0.01
-    own = problem.space.indices("mass")
-    z = (fit.vector - problem.start)[own] / standard_deviations(problem, fit, "mass")
+    index = problem.space.indices("mass")
+    z = (fit.vector - problem.start)[index] / standard_deviations(problem, fit, "mass")
     expected = 2.0 * stats.t.sf(abs(z[0]), problem.blocks - 1)
     assert null_p_value(problem, fit, "mass") == pytest.approx(expected, rel=1e-6)
 
@@ -234,15 +234,15 @@ def test_fewer_than_two_parts_have_no_evidence_of_disagreement():
 def test_ratios_of_parts_are_recovered():
     """The effect has 3, 2, 2 and 1 typical sizes in the four runs."""
     problem = linear_problem(FEW, {"mass": 2.0}, 9, count=320, common=0.0)
-    run, own = problem.errors.windows.run, problem.space.indices("mass")[0]
-    signature = problem.errors.signatures[own]
+    run, index = problem.errors.windows.run, problem.space.indices("mass")[0]
+    signature = problem.errors.signatures[index]
     problem.errors.noise = 0.5 * problem.errors.noise
     problem.errors.noise[run == 0] += 1.0 * signature[run == 0]
     problem.errors.noise[run == 3] -= 1.0 * signature[run == 3]
     problem.loss.rescale(problem.errors.truth)
     fit = fit_problem(problem, "mass")
     result = compare_parts(problem, fit, "mass", run, ["a", "b", "c", "d"])
-    estimate = (fit.vector - problem.start)[own] / problem.space.scale[own]
+    estimate = (fit.vector - problem.start)[index] / problem.space.scale[index]
     assert estimate == pytest.approx(2.0, abs=0.2)
     assert [ratio * estimate for ratio, _ in result.ratios.values()] == pytest.approx([3.0, 2.0, 2.0, 1.0], abs=0.25)
     assert result.p_equal < 1e-6 and result.p_absent < 0.05

@@ -180,9 +180,9 @@ def test_sensitivity_to_the_steering_offset_has_the_right_sign_and_size(leaf):
     space = Space("nonlinear", settings)
     runs = recorded(leaf, {"steering_offset": {"angle": 0.005}}, 1, ("slalom",), noise=0.0)
     loss = Loss(Errors(Windows(runs, leaf, settings), space), space.null)
-    own = space.indices("steering_offset")
+    index = space.indices("steering_offset")
     lateral = loss.errors.windows.columns.index("position_lateral") - len(loss.errors.windows.columns)
-    errors, decrease = loss.errors.at(space.null), loss.sensitivities(space.null, own)[0]
+    errors, decrease = loss.errors.at(space.null), loss.sensitivities(space.null, index)[0]
     np.testing.assert_allclose(decrease[:, lateral], errors[:, lateral], rtol=0.1)  # the offset is one typical size
 
 
@@ -232,8 +232,8 @@ def test_fit_reaches_the_minimum_that_scipy_finds():
 def test_outlier_windows_hardly_change_a_fit():
     problem = reduce_noise(linear_problem(FEW, {"mass": 1.0}, 9), 0.1)
     problem.errors.noise[::10] += 5.0  # a tenth of the windows
-    own = problem.space.indices("mass")
-    error = (fit_problem(problem, *FEW).vector - problem.errors.truth)[own] / problem.space.scale[own]
+    index = problem.space.indices("mass")
+    error = (fit_problem(problem, *FEW).vector - problem.errors.truth)[index] / problem.space.scale[index]
     assert np.abs(error).max() < 0.05
 
 
@@ -293,9 +293,9 @@ def test_prior_adds_to_the_held_out_loss_and_folds_refit_only_the_free_effects()
     expected = problem.loss.total(without.vector) + deviation @ prior @ deviation
     assert without.held_out.sum() == pytest.approx(expected, rel=1e-6)
     assert not any(step.any() for step in problem.leave_out_groups(without, problem.fold)[0].values())
-    own = problem.space.indices("mass")
+    index = problem.space.indices("mass")
     for step in problem.leave_out_groups(fit, problem.fold)[0].values():
-        assert step[own].any() and not np.delete(step, own).any()
+        assert step[index].any() and not np.delete(step, index).any()
 
 
 def test_held_out_loss_agrees_with_separate_fits_without_each_fold():

@@ -45,6 +45,6 @@ def test_healthy_car_fit_recovers_the_true_values_within_its_uncertainty(leaf):
     healthy = fit_healthy_car(recorded(leaf, effects, 3), leaf, space, settings, 1, lambda: None)
     deviation = np.sqrt(0.5 * np.diag(np.linalg.inv(healthy.prior))) * space.scale
     for name, values in effects.items():
-        (truth,), own = values.values(), int(space.indices(name)[0])
-        assert abs(healthy.vector[own] - truth) < 4.0 * deviation[own] < 0.2 * truth
+        (truth,), index = values.values(), int(space.indices(name)[0])
+        assert abs(healthy.vector[index] - truth) < 4.0 * deviation[index] < 0.2 * truth
     assert (healthy.residual > 0.0).all() and healthy.gain < 0.05

@@ -100,7 +100,7 @@ def test_budget_divides_the_error_reduction_by_kind_of_effect(explained):
     error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
     assert lines["unexplained"].last == lines["unexplained"].first == pytest.approx(error.augmented, rel=0.01)
     assert lines["unexplained"].share_last == pytest.approx(error.augmented / error.base, rel=0.01)
-    # RMS error, in units of the noise: sqrt(3^2 + 2^2 + 1); without the mass 2^2 + 1, without the bias 3^2 + 1.
+    # Mean position error proportional to sqrt(3^2 + 2^2 + 1): without the mass 2^2 + 1, without the bias 3^2 + 1.
     unit = error.augmented
     assert lines["vehicle parameters"].last == pytest.approx(unit * (np.sqrt(10.0) - 1.0), rel=0.15)
     assert lines["vehicle parameters"].first == pytest.approx(unit * (np.sqrt(14.0) - np.sqrt(5.0)), rel=0.15)
@@ -140,10 +140,10 @@ def test_interval_includes_the_variation_between_runs_but_not_between_places():
     """Ratios 0.5, 1, 1, 1.5 to the estimate: standard deviation 0.41, of the mean of four 0.2; t of 3 degrees of
     freedom 3.18."""
     problem = linear_problem(FEW, {"mass": 2.0}, 3, count=640, common=0.0)
-    run, own = problem.errors.windows.run, problem.space.indices("mass")[0]
+    run, index = problem.errors.windows.run, problem.space.indices("mass")[0]
     problem.errors.noise = 0.2 * problem.errors.noise
     for k, change in ((0, -1.0), (3, 1.0)):
-        problem.errors.noise[run == k] += change * problem.errors.signatures[own][run == k]
+        problem.errors.noise[run == k] += change * problem.errors.signatures[index][run == k]
     problem.loss.rescale(problem.errors.truth)
     fit = fit_problem(problem, "mass")
     by_run, by_place = {"run": (run, list("abcd"))}, {"place": (run, list("abcd"))}
@@ -156,13 +156,13 @@ def test_interval_includes_the_variation_between_runs_but_not_between_places():
 
 def test_interval_includes_the_values_of_equally_good_sets_of_effects(explained):
     problem, final, *_ = explained
-    own = problem.space.indices("mass")
+    index = problem.space.indices("mass")
     other = final.vector.copy()
-    other[own] += 0.5 * problem.space.scale[own]
+    other[index] += 0.5 * problem.space.scale[index]
     single = waterfall.estimate_parameters(problem, final, "mass", {})["factor"]
     wide = waterfall.estimate_parameters(problem, final, "mass", {}, [(("mass", "road_bank"), other)])["factor"]
     assert (wide.value, wide.interval[0]) == (single.value, single.interval[0])
-    assert wide.interval[1] - single.interval[1] == pytest.approx(0.5 * problem.space.scale[own][0])
+    assert wide.interval[1] - single.interval[1] == pytest.approx(0.5 * problem.space.scale[index][0])
     assert waterfall.estimate_parameters(problem, final, "mass", {}, [(("road_bank",), other)])["factor"] == single
 
 

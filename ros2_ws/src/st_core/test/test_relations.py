@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from discovery_drives import fit_splines, recorded, relation
 from driven import drive
+from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
@@ -276,18 +277,16 @@ def test_run_time_starts_at_zero_in_every_run(leaf):
 @pytest.mark.parametrize("seed", [3, 4])
 def test_no_relation_is_proposed_for_a_complete_model(leaf, seed):
     logs = recorded(leaf, {}, seed, DRIVEN)
-    settings = DiscoverySettings(where=False)
-    outcome = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
+    outcome = find_relation(discovery(logs, (), 1.0), logs, leaf, DiscoverySettings(where=False))
     assert outcome.relation is None and outcome.reason and outcome.tried
 
 
 def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
-    settings = DiscoverySettings(where=False, effects=("mass",))
-    found = discover(logs, leaf, "nonlinear", (), settings)
-    outcome = find_relation(found, logs, leaf, settings)
+    no_effects, settings = discovery(logs, (), 1.0), DiscoverySettings(where=False)
+    outcome = find_relation(no_effects, logs, leaf, settings)
     assert outcome.relation is None and "a curve needs 10" in outcome.reason
-    outcome = find_relation(found, logs[:1], leaf, settings)
+    outcome = find_relation(no_effects, logs[:1], leaf, settings)
     assert outcome.relation is None and outcome.reason.startswith("only one run: a relation needs a second drive")
 
 
@@ -328,8 +327,7 @@ def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text)
 def test_terms_without_excitation_are_listed(leaf):
     """Straight driving at constant speed does not excite the axles."""
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
-    settings = DiscoverySettings(where=False)
-    outcome = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
+    outcome = find_relation(discovery(straight, (), 1.0), straight, leaf, DiscoverySettings(where=False))
     assert outcome.relation is None and {"front_grip", "rear_grip",
                                                 "both_grip"} <= set(outcome.find_unexamined_terms())
     assert not any("acceleration_y" in name or "steering" in name for name in outcome.detection_limits)

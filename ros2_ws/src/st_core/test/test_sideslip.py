@@ -102,8 +102,8 @@ def test_measured_yaw_rate_is_not_taken_for_a_derived_one_after_a_long_stop(head
         return np.where(rest, np.resize(at_rest, len(rest)), np.resize(values, len(rest)))
 
     constant = {name: with_stop(getattr(heading, name), getattr(heading, name)[-1:]) for name in ("x", "y", "yaw")}
-    zero_at_rest = {name: with_stop(getattr(heading, name), zero[:1]) for name in ("velocity_x", "velocity_y",
-                                                                                   "yaw_rate")}
+    zero_at_rest = {name: with_stop(getattr(heading, name), zero[:1])
+                    for name in ("velocity_x", "velocity_y", "yaw_rate")}
     log = replace(heading, ins_time_ns=time_ns, **constant, **zero_at_rest, acceleration_x=None, acceleration_y=None)
     assert not has_derived_yaw_rate(log)
     assert has_derived_yaw_rate(replace(log, yaw_rate=derive_yaw_rate(time_ns, log.yaw)))
