@@ -269,7 +269,7 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
     (replace(NOTHING, effects=3, base_noise_ratio=1.9), "none", {}),
     (replace(NOTHING, base_noise_ratio=15.0), "none", {}),  # nothing reduces it significantly
 ])
-def test_outcome(answer, outcome, figures):
+def test_outcome_of_a_search_result(answer, outcome, figures):
     decided, why = decide(answer, LIMITS)
     assert decided == outcome and decided in OUTCOMES
     assert (why.rule, why.subject) == (outcome, "outcome")
