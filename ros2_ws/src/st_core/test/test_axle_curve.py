@@ -93,8 +93,8 @@ def test_force_error_distinguishes_models(leaf, limit_drives):
     for regression in (front, rear):
         assert compute_force_error("nonlinear", leaf, regression.samples) < 0.01
         assert compute_force_error("linear", leaf, regression.samples) > 0.03
-    wrong, right = (compute_force_error("nonlinear", car, front.samples) for car in (stiff, leaf))
-    assert wrong > 10 * right
+    stiff_error, true_error = (compute_force_error("nonlinear", car, front.samples) for car in (stiff, leaf))
+    assert stiff_error > 10 * true_error
 
 
 def test_steering_offset_does_not_bias_the_forces(leaf, limit_drives):
@@ -105,10 +105,11 @@ def test_steering_offset_does_not_bias_the_forces(leaf, limit_drives):
 
 
 def test_slope_of_the_wrong_sign_is_a_failed_fit(leaf, limit_drives):
-    wrong = [replace(log, steering_wheel_angle=None, road_wheel_angle=-log.road_wheel_angle) for log in limit_drives]
-    front = fit_axle_regressions(wrong, leaf)[0]
+    reversed_steering = [
+        replace(log, steering_wheel_angle=None, road_wheel_angle=-log.road_wheel_angle) for log in limit_drives]
+    front = fit_axle_regressions(reversed_steering, leaf)[0]
     assert np.isnan(front.stiffness) and not front.usable and "the fit failed" in front.reasons[-1]
-    estimate = identify_stiffness(wrong, leaf)["cornering_stiffness_front"]
+    estimate = identify_stiffness(reversed_steering, leaf)["cornering_stiffness_front"]
     assert estimate.status == "unidentifiable" and np.isnan(estimate.value) and "The fit failed" in estimate.verdict
 
 

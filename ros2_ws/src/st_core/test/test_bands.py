@@ -83,7 +83,7 @@ def test_bands_cover_held_out_runs_at_their_level():
     band = calibrate([draw_run(k, spread=0.1) for k in range(24)], PAIR, TIME)
     scores = [(np.abs(r.errors[PAIR]) / band.scale(r.conditions)).max(axis=(1, 2))
               for r in (draw_run(100 + k, spread=0.1) for k in range(60))]
-    shares = {level: np.mean([(one <= band.factors[level]).mean() for one in scores]) for level in (0.5, 0.9)}
+    shares = {level: np.mean([(of_run <= band.factors[level]).mean() for of_run in scores]) for level in (0.5, 0.9)}
     assert shares[0.9] == pytest.approx(0.9, abs=0.04) and shares[0.5] == pytest.approx(0.5, abs=0.06)
     factors = list(band.factors.values())
     assert factors == sorted(factors) and max(band.factors) <= compute_highest_level(24)
@@ -101,13 +101,12 @@ def test_too_few_runs_and_non_finite_errors_are_rejected():
 
 
 def test_runs_with_unshared_conditions_are_not_counted():
-    runs = [draw_run(k) for k in range(9)]
-    isolated = draw_run(9)
-    isolated.conditions[:, 0] += 30.0
+    runs = [draw_run(k) for k in range(8)]
+    fast, hard = draw_run(9), draw_run(8)  # more speed, more lateral acceleration
+    fast.conditions[:, 0] += 30.0
+    hard.conditions[:, 1] += 8.0
     with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs support"):
-        calibrate([*runs[:8], isolated, ErrorSamples("far", draw_run(8).conditions + np.array([0, 8, 0, 0]),
-                                                   draw_run(8).errors)],
-                  PAIR, TIME)
+        calibrate([*runs, fast, hard], PAIR, TIME)
 
 
 def test_errors_are_rotated_into_the_predicted_frame():

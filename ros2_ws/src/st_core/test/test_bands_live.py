@@ -36,11 +36,11 @@ SECOND = 1_000_000_000
 def logs(leaf):
     """Ten drives for calibration and one for the comparison, all with the same car."""
     truth = Truth(0.0, leaf.steering_ratio, 0.95)
-    rows = [winding_road(leaf, truth, 25.0, seed) for seed in range(11)]
-    return [DriveLog(f"road {k}", *_columns(one, leaf)) for k, one in enumerate(rows)]
+    drives = [winding_road(leaf, truth, 25.0, seed) for seed in range(11)]
+    return [DriveLog(f"road {k}", *make_columns(drive, leaf)) for k, drive in enumerate(drives)]
 
 
-def _columns(rows, car):
+def make_columns(rows, car):
     time_ns = 1_700_000_000 * SECOND + np.round(rows[:, 0] * 1e9).astype(np.int64)
     return time_ns, *rows[:, 1:7].T, time_ns, car.road_wheel_angle(rows[:, 7]), rows[:, 7]
 

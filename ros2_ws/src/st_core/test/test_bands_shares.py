@@ -59,7 +59,7 @@ def test_parameter_error_of_one_standard_deviation_explains_the_whole_error(leaf
     total, parts = shares("kinematic", stated, log)
     assert set(cause for cause in parts if cause[0] == PARAMETERS) == {(PARAMETERS, "wheelbase")}
     assert parts[PARAMETERS, "wheelbase"][4, 1] == pytest.approx(total[4, 1], rel=0.15)
-    assert sum(one[4, 1] for cause, one in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
+    assert sum(squares[4, 1] for cause, squares in parts.items() if cause[0] == SENSORS) < 0.01 * total[4, 1]
 
 
 def test_interval_of_a_model_file_counts_as_a_standard_deviation(leaf):

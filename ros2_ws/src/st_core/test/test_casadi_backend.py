@@ -38,15 +38,15 @@ def assert_equal_to_rounding(values, reference):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_thousand_predictions_of_five_seconds_equal_floats(leaf, name):
-    model, (states, held) = MODELS[name], random_cases(1000)
+    model, (states, inputs) = MODELS[name], random_cases(1000)
     p = model.parameters(leaf)
     expected = []
-    for state, (angle, acceleration) in zip(states.tolist(), held.tolist(), strict=True):
+    for state, (angle, acceleration) in zip(states.tolist(), inputs.tolist(), strict=True):
         w = model.inputs(angle, acceleration, p)
         expected.append(rk4(model.rhs, tuple(state), [w] * (2 * STEPS + 1), p, STEP)[-1])
     many = build(name, leaf).step.mapaccum(STEPS)
     final_states = [many(state, np.tile(u[:, None], STEPS), STEP)[:, -1].full().ravel()
-            for state, u in zip(states, held, strict=True)]
+            for state, u in zip(states, inputs, strict=True)]
     assert_equal_to_rounding(final_states, expected)
 
 
@@ -88,23 +88,23 @@ def test_jacobians_equal_central_differences(leaf, base):
         w = model.inputs(*u, p)
         return np.array(rk4_step(model.rhs, tuple(x), w, w, w, p, h), float)
 
-    for of, (a, b) in ((rates, functions.dynamics_jacobian(x, u)), (advance, functions.step_jacobian(x, u, h))):
-        for matrix, which in ((a.full(), 0), (b.full(), 1)):
+    for function, (a, b) in ((rates, functions.dynamics_jacobian(x, u)), (advance, functions.step_jacobian(x, u, h))):
+        for matrix, argument in ((a.full(), 0), (b.full(), 1)):
             for column in range(matrix.shape[1]):
-                increment = np.zeros(len((x, u)[which]))
+                increment = np.zeros(len((x, u)[argument]))
                 increment[column] = 1e-6
-                ends = [of(*(v + sign * increment if k == which else v for k, v in enumerate((x, u))))
+                ends = [function(*(v + sign * increment if k == argument else v for k, v in enumerate((x, u))))
                         for sign in (1, -1)]
                 np.testing.assert_allclose(matrix[:, column], (ends[0] - ends[1]) / 2e-6, rtol=2e-5, atol=2e-5)
 
 
 def test_substeps_equal_shorter_steps(leaf):
-    one, three = build("nonlinear", leaf), build("nonlinear", leaf, substeps=3)
+    single, divided = build("nonlinear", leaf), build("nonlinear", leaf, substeps=3)
     x, u = [0.0, 0.0, 12.0, 0.1, 0.2, 0.3], [0.05, -1.0]
     expected = x
     for _ in range(3):
-        expected = one.step(expected, u, 0.02)
-    assert_equal_to_rounding(three.step(x, u, 0.06).full(), expected.full())
+        expected = single.step(expected, u, 0.02)
+    assert_equal_to_rounding(divided.step(x, u, 0.06).full(), expected.full())
 
 
 def test_free_parameter_is_an_argument(leaf):

@@ -1,5 +1,6 @@
 """Courses from earlier drives: construction, file, tracking, deviation, and rejection of unusable courses."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from st_core.log_evaluation import EvaluationSettings, evaluate_log
 T0 = 1_700_000_000_000_000_000
 
 
+@functools.cache
 def lap(seconds=60.0, pace=1.0, shift=0.0, reverse=False, name="lap", origin=0.0) -> DriveLog:
     """Closed winding road, 1.2 km, driven at pace times 8 to 16 m/s by a kinematic car with 2.7 m wheelbase."""
     dt, length = 0.01, 1200.0
@@ -36,7 +38,7 @@ def lap(seconds=60.0, pace=1.0, shift=0.0, reverse=False, name="lap", origin=0.0
 
 
 def make_course(*logs: DriveLog) -> Course:
-    return Course(tuple(one for log in logs for one in split_into_passes(log, [log.name])))
+    return Course(tuple(course_pass for log in logs for course_pass in split_into_passes(log, [log.name])))
 
 
 def mean_errors(leaf, log: DriveLog, course: Course) -> tuple[float, float]:
@@ -83,11 +85,11 @@ def test_unusable_course_keeps_inputs_constant(leaf, logs, reason):
 def test_other_speed_profile_returns_to_constant_inputs(leaf):
     """First with the recorded speed profile, then at a constant 12 m/s through the same bends."""
     log, course = lap(60.0, name="new"), make_course(lap(150.0))
-    same_speed = [one.speed_share for one in track(course, log, leaf) if one.inputs is not None]
+    same_speed = [update.speed_share for update in track(course, log, leaf) if update.inputs is not None]
     time_ns = T0 + np.round(np.cumsum(log.velocity_x / 12.0 * 0.01) * 1e9).astype(np.int64)
     steady = replace(log, ins_time_ns=time_ns, velocity_x=np.full_like(log.velocity_x, 12.0),
                      yaw_rate=log.yaw_rate / log.velocity_x * 12.0, steering_time_ns=time_ns)
-    other_speed = [one.speed_share for one in track(course, steady, leaf) if one.inputs is not None]
+    other_speed = [update.speed_share for update in track(course, steady, leaf) if update.inputs is not None]
     assert np.mean(same_speed[200:]) > 0.8 and np.mean(other_speed[200:]) < 0.2
     assert max(abs(np.diff(other_speed))) < 0.2  # smooth transition
 
@@ -98,7 +100,7 @@ def test_position_jump_restarts_the_tracker(leaf):
     x[2000:] += 30.0
     updates = track(course, replace(log, x=x), leaf)
     assert updates[199].inputs is not None and updates[200].inputs is None
-    assert all(np.isfinite(one.inputs.road_wheel_angle).all() for one in updates if one.inputs is not None)
+    assert all(np.isfinite(update.inputs.road_wheel_angle).all() for update in updates if update.inputs is not None)
     unknown = CourseTracker(course, leaf).update(EgoMotion(T0, *[math.nan] * 8))
     assert unknown.inputs is None and "unknown" in unknown.reason
 
@@ -107,10 +109,10 @@ def test_file_round_trip_and_exclusion_of_a_recording():
     course = make_course(lap(60.0, name="a"), lap(60.0, shift=1.0, name="b"))
     text = course.to_yaml()
     reloaded = Course.from_yaml(text)
-    for one, other in zip(reloaded.passes, course.passes, strict=True):
-        assert (one.recording, one.digests) == (other.recording, other.digests)
-        np.testing.assert_allclose(one.points, other.points, atol=0.006)
-    assert [one.recording for one in reloaded.exclude(["a"]).passes] == ["b"]
+    for result, original in zip(reloaded.passes, course.passes, strict=True):
+        assert (result.recording, result.digests) == (original.recording, original.digests)
+        np.testing.assert_allclose(result.points, original.points, atol=0.006)
+    assert [course_pass.recording for course_pass in reloaded.exclude(["a"]).passes] == ["b"]
 
 
 @pytest.mark.parametrize(("change", "message"), [

@@ -79,8 +79,8 @@ def test_swapped_axles_are_detected_from_the_vehicle_file(leaf):
     found = identify_mass_and_cg(replace(data, readings=data.readings[:, [2, 3, 0, 1]]), leaf.wheelbase)
     message = describe_swapped_axles(found, leaf.wheelbase, leaf.cg_to_front_axle)
     assert "the vehicle file has 1.176 m; with front and rear columns exchanged it would be 1.17" in message
-    right = identify_mass_and_cg(data, leaf.wheelbase)
-    assert describe_swapped_axles(right, leaf.wheelbase, leaf.cg_to_front_axle) == ""
+    unswapped = identify_mass_and_cg(data, leaf.wheelbase)
+    assert describe_swapped_axles(unswapped, leaf.wheelbase, leaf.cg_to_front_axle) == ""
 
 
 def test_axle_lift_intervals_contain_cg_height(leaf, lifted):

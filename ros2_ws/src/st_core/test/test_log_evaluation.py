@@ -1,5 +1,7 @@
 """Evaluation of a log against the live classes sample by sample, and against the circle of the paper."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drives import T0, wavy_drive
@@ -20,10 +22,9 @@ SHORT = PredictionSettings(horizon=1.0)
 def remove_spans(log: DriveLog, ins=(0.0, 0.0), steering=(0.0, 0.0)) -> DriveLog:
     """The drive without the INS and steering samples of two spans (from, to) [s]."""
     ins, steering = (T0 + np.round(np.array(span) * 1e9).astype(np.int64) for span in (ins, steering))
-    keep = (log.ins_time_ns < ins[0]) | (log.ins_time_ns >= ins[1])
-    kept = (log.steering_time_ns < steering[0]) | (log.steering_time_ns >= steering[1])
-    columns = (getattr(log, name)[keep] for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"))
-    return DriveLog(log.name, log.ins_time_ns[keep], *columns, log.steering_time_ns[kept], log.road_wheel_angle[kept])
+    rows = (log.steering_time_ns < steering[0]) | (log.steering_time_ns >= steering[1])
+    log = log.select_ins((log.ins_time_ns < ins[0]) | (log.ins_time_ns >= ins[1]))
+    return replace(log, steering_time_ns=log.steering_time_ns[rows], road_wheel_angle=log.road_wheel_angle[rows])
 
 
 def score_live(log: DriveLog, car, settings):
@@ -72,10 +73,11 @@ def test_errors_equal_the_live_classes_start_by_start(live_and_log):
 
 def test_step_need_not_be_a_whole_number_of_nanoseconds(leaf):
     settings = EvaluationSettings(PredictionSettings(step=1.0 / 30.0))
-    one, three = (evaluate_log(["linear"], leaf, wavy_drive(), settings, T0 + 10**9 * (1 + np.arange(count)))
-                  for count in (1, 3))
+    starts_ns = T0 + 10**9 * np.arange(1, 4)
+    single, several = (evaluate_log(["linear"], leaf, wavy_drive(), settings, starts_ns[:count]) for count in (1, 3))
     for mode in MODES:
-        np.testing.assert_allclose(one.errors["linear", mode].mean, three.errors["linear", mode].mean[:1], atol=1e-9)
+        means = [result.errors["linear", mode].mean[:1] for result in (single, several)]
+        np.testing.assert_allclose(*means, atol=1e-9)
 
 
 def test_statistics_equal_those_of_the_live_evaluator(live_and_log):

@@ -76,14 +76,14 @@ def test_model_with_the_effect_predicts_the_car_with_the_effect(leaf, base, name
         if elapsed > 2_500_000_000 and elapsed % 500_000_000 == 0:
             start = predictor.find_start(time_ns)
             assert isinstance(start, Start)
-            for which in predictor.models:
-                path = predictor.run(start, which)
-                readings = predict_readings(evaluator.view(which).model, leaf, tuple(path.states.T))
+            for model_name in predictor.models:
+                path = predictor.run(start, model_name)
+                readings = predict_readings(evaluator.view(model_name).model, leaf, tuple(path.states.T))
                 measured = predictor.history.ins_at(start.time_ns)
                 # The first predicted readings are the measured ones, with any sensor effect.
                 for field in ("x", "y", "velocity_x", "velocity_y", "yaw_rate"):
                     assert getattr(readings, field)[0] == pytest.approx(getattr(measured, field), abs=1e-9), field
-                evaluator.add_prediction(which, start.time_ns, path)
+                evaluator.add_prediction(model_name, start.time_ns, path)
         scores += evaluator.poll()
     hindsight = [s for s in scores if s.mode == "hindsight" and s.complete]
     assert len(hindsight) >= 18
@@ -101,9 +101,9 @@ def test_base_model_misses_the_effect_that_the_augmented_model_predicts(leaf):
     for time_ns in Drive(model, leaf).feed(predictor, evaluator):
         if time_ns == START_NS + 4_000_000_000:
             start = predictor.find_start(time_ns)
-            for which in predictor.models:
-                path = predictor.run(start, which)
-                evaluator.add_prediction(which, start.time_ns, path)
+            for model_name in predictor.models:
+                path = predictor.run(start, model_name)
+                evaluator.add_prediction(model_name, start.time_ns, path)
     largest = {s.model: np.abs(s.lateral).max() for s in evaluator.poll() if s.mode == "hindsight"}
     assert largest["augmented"] < 0.01 and largest["linear"] > 0.3
 
