@@ -156,7 +156,7 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter, None: as before. NaN
+    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter, None: unchanged. NaN
     until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
     the first of them.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).

@@ -22,8 +22,7 @@ from .runs.ins_log import yaw_from_quaternion
 MODES = ("forecast", "hindsight")
 DRAWN_STARTS = 6  # number of start times at which predictions are drawn on the map
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
-BAND_LABELS = {"forecast": "forecast", "hindsight": "model", "course": "course", "plan": "plan"}
-"""Mode of a score -> its label, in the order of the report."""
+BAND_MODES = ("forecast", "hindsight", "course", "plan")  # in the order of the report
 
 
 @dataclass(frozen=True)
@@ -192,10 +191,11 @@ def format_band_lines(rows: Sequence[Any]) -> list[str]:
     rows: statistics of st_msgs/ErrorSummary.
     """
     lines = []
-    for mode, label in BAND_LABELS.items():
-        of_mode = [row for row in rows if row.mode == mode and row.n_bands]
-        if of_mode:
+    for mode in BAND_MODES:
+        rows_of_mode = [row for row in rows if row.mode == mode and row.n_bands]
+        if rows_of_mode:
             coverage = ", ".join(f"{row.model} {100 * row.coverage_90:.0f} % | {100 * row.coverage_50:.0f} %"
-                                 for row in of_mode)
-            lines.append(f"inside the 90 | 50 % band, {label}: {coverage} of {max(row.n_bands for row in of_mode)}")
+                                 for row in rows_of_mode)
+            count = max(row.n_bands for row in rows_of_mode)
+            lines.append(f"inside the 90 | 50 % band, {mode}: {coverage} of {count}")
     return lines
