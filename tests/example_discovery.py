@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from st_core.augmented import AugmentedModel, augment
+from st_core.discovery import decision
 from st_core.discovery.result import (
     BudgetLine,
     CandidateEffect,
@@ -75,22 +76,22 @@ def discovery(runs: Sequence[DriveLog], steps: Sequence[tuple[str, Mapping[str, 
                    for k, found in ((1, low), (2, min(1.0, 1.6 * low)), (4, min(1.0, 2.5 * low))))
     candidates = [CandidateEffect(e.name, e.kind, {k: p.value for k, p in e.parameters.items()}, 0.3, "named", "p = 0")
                   for e in effects]
-    candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, "worth",
-                                      "reduces the errors by 0.6 %, at least 2.5 % is required"))
+    candidates.append(CandidateEffect("mass", "vehicle parameters", {"factor": 1.02}, 0.006, decision.IRRELEVANT,
+                                      "it is significant, but reduces the errors by 0.6%; 2.5% is required"))
     return Discovery(
         outcome=outcome, effects=tuple(effects), minor=(), varying=tuple(varying), steps=tuple(waterfall),
         errors=errors, budget=budget,
         reasons=(Reason("significant", "outcome", {"score": 44.0, "threshold": 12.0},
-                        "the gain is 44; chance gives 12 at most"),
-                 *(Reason("worth", e.name, {"share": 0.2}, "reduces the errors by 20 %")
+                        "the gain is 44; by chance it is at most 12"),
+                 *(Reason(decision.ACCEPTED, e.name, {"share": 0.2}, "it reduces the errors by 20.0%")
                    for e in effects)),
         candidates=tuple(candidates),
         where=(LargeErrorRegion("yaw_rate", "lateral acceleration above 3 m/s^2", 4.2, (3.1, 5.5)),),
-        not_testable=(UntestableEffect("friction", "no drive comes near the limit", "ramp_to_limit"),),
+        not_testable=(UntestableEffect("friction", "no drive reaches the friction limit", "ramp_to_limit"),),
         next_manoeuvre=NextManoeuvre("sweep", ("steering_ratio", "front_stiffness"), 5.5, {"sweep": 5.5, "step": 2.0},
-                                     3, 30.0, 14.0, "they differ most there"),
+                                     3, 30.0, 14.0, "their effects differ most in it"),
         separability=(Separability("steering_ratio", "front_stiffness", 0.97, 2.2),),
-        certificate=Certificate(powers, 0, 0, False), signature=("it grows with speed",) * (outcome == "unknown"),
+        certificate=Certificate(powers, 0, 0, False), signature=("it increases with speed",) * (outcome == "unknown"),
         runs=tuple(Run(log.name, "suspect", log.duration, k % 2, 40) for k, log in enumerate(runs))
         + tuple(Run(log.name, "reference", log.duration, 0, 40) for log in reference),
         start="reference" if reference else "vehicle file", base=start, model=model,

@@ -262,7 +262,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     write_page(page, found, corrected, content, [draw_waterfall(make_figure_data(found, logs))])
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
-    assert "at least 2.5 % is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
+    assert "2.5% is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
     print_result(found, corrected, [], {"report.html": page}, True, Console(width=300))
     message = capsys.readouterr().out
     order = [message.index(text) for text in ("suspect: 2 runs", "5 s position error 1.72 m", "effect", "to do")]
