@@ -195,19 +195,19 @@ def test_steering_delayed_by_seconds_is_found(log, leaf, seconds):
 
 
 def test_geographic_positions_show_that_yaw_and_yaw_rate_are_clockwise(log, leaf):
-    known = AuxiliaryData(geographic=True)
+    geographic = AuxiliaryData(geographic=True)
     wrong = replace(yaw_from_north()(log), yaw_rate=-log.yaw_rate)
-    (found,) = check(wrong, leaf, known).findings
+    (found,) = check(wrong, leaf, geographic).findings
     assert found.name == "yaw_convention" and equal_as_printed(yaml.safe_load(found.advice.line), found.advice.entry)
-    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, known).findings == ()
+    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, geographic).findings == ()
 
 
 def test_longitude_positive_to_the_west_is_not_taken_for_a_compass_heading(log, leaf):
-    known = AuxiliaryData(geographic=True)
+    geographic = AuxiliaryData(geographic=True)
     wrong = replace(log, x=-log.x)
-    (found,) = check(wrong, leaf, known).findings
+    (found,) = check(wrong, leaf, geographic).findings
     assert found.name == "position_axes" and found.advice.entry == {"correct": {"x": {"scale": -1.0}}}
-    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, known).findings == ()
+    assert check(corrected_drive(wrong, found.advice.entry, leaf), leaf, geographic).findings == ()
 
 
 @pytest.mark.parametrize(("channels", "name"), [(POSITION, "position_scale"), (VELOCITY, "velocity_scale")])
@@ -239,7 +239,7 @@ def test_road_wheel_offset_is_corrected_in_run_yaml(log, leaf, factor, angle):
     for finding in found.values():
         advice = finding.advice
         assert advice.kind == "run.yaml" and equal_as_printed(yaml.safe_load(advice.line), advice.entry)
-        entry |= finding.advice.entry["correct"]["road_wheel_angle"]
+        entry |= advice.entry["correct"]["road_wheel_angle"]
     assert entry["add"] == pytest.approx(-angle, abs=0.002)
     assert findings_by_name(corrected_drive(wrong, {"correct": {"road_wheel_angle": entry}}, leaf), leaf) == {}
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact_drive import SILENT, SPEED, TURNING, Noise, Sines, exact_drive
-from exact_faults import findings_by_name, time_unit_misread
+from exact_faults import findings_by_name
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from st_core.checks import AuxiliaryData, InsQuality, Series, Severity, check
@@ -170,10 +170,6 @@ def assert_valid(checked):
         assert finding.text and "nan" not in finding.text and finding.advice and finding.advice.line
         assert all(first <= last for first, last in finding.where)
     json.dumps(checked.as_dict(), allow_nan=False)
-
-
-def test_wrong_time_unit_is_the_first_finding(leaf):
-    assert check(time_unit_misread(10**3)(exact_drive(leaf)), leaf).findings[0].name == "time_unit"
 
 
 def test_wrong_yaw_rate_unit_is_found_at_constant_yaw_rate(leaf):

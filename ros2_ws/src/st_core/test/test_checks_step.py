@@ -48,7 +48,7 @@ def models(name):
 @pytest.mark.parametrize("inertia_factor", [0.5, 0.35, 0.25])
 def test_proposed_value_removes_the_finding(car, log, name, inertia_factor):
     stiff = replace(car, yaw_inertia=inertia_factor * car.yaw_inertia)
-    findings = 0
+    vehicle_findings = 0
     for model in models(name):
         finding = step_too_long([model], stiff, log, STEP)
         if finding is None:
@@ -58,11 +58,11 @@ def test_proposed_value_removes_the_finding(car, log, name, inertia_factor):
             assert ("rerun st discover" in finding.advice.line) is not isinstance(model, str)
             corrected = replace(stiff, minimum_slip_speed=printed_value(finding))
             assert step_too_long([model], corrected, log, STEP) is None
-            findings += 1
+            vehicle_findings += 1
         else:
             assert finding.advice.line == f"--step {finding.value:.9g}"
             assert step_too_long([model], stiff, log, finding.value) is None
-    assert findings >= 4
+    assert vehicle_findings >= 4
 
 
 def test_value_below_the_proposed_one_is_not_enough(car, log):
@@ -97,7 +97,7 @@ def test_finding_names_models_and_times(leaf, log):
     finding = step_too_long(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
     assert finding.severity is Severity.WARNING and "linear and nonlinear model of Nissan Leaf ZE0" in finding.text
     first, second = finding.where
-    # The speed is below the limit of 2.66 m/s at the start, and again around 45 s.
+    # The speed is below the limit of 2.66 m/s at the start, and again from 39 to 50 s.
     assert first == (0.0, pytest.approx(2.2, abs=0.5)) and second == pytest.approx((39.2, 50.2), abs=0.7)
     assert "at 0.5 to 2." in finding.text
 

@@ -327,7 +327,8 @@ def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text)
 def test_terms_without_excitation_are_listed(leaf):
     """Straight driving at constant speed does not excite the axles."""
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
-    outcome = find_relation(discovery(straight, (), 1.0), straight, leaf, DiscoverySettings(where=False))
+    settings = DiscoverySettings(where=False)
+    outcome = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
     assert outcome.relation is None and {"front_grip", "rear_grip",
                                                 "both_grip"} <= set(outcome.find_unexamined_terms())
     assert not any("acceleration_y" in name or "steering" in name for name in outcome.detection_limits)
