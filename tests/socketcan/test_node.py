@@ -3,26 +3,25 @@
 import os
 import signal
 import time
-from collections import defaultdict
 from contextlib import suppress
 
 import can
 import pytest
 
-rclpy = pytest.importorskip("rclpy", reason="no ROS here")
+pytest.importorskip("rclpy", reason="no ROS here")
 pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
 
-from canedge_bridge.transport import open_bus  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from ros_processes import Processes  # noqa: E402
-from st_msgs.msg import CanFrames, Steering, WheelSpeeds  # noqa: E402
-from support import ROOT  # noqa: E402
-from vcan import REMOTE_FLAG  # noqa: E402
+from canedge_bridge.transport import open_bus
+from node_rig import NodeRig
+from st_msgs.msg import CanFrames, Steering, WheelSpeeds
+from support import ROOT
+from vcan import REMOTE_FLAG
 
 pytestmark = [pytest.mark.socketcan, pytest.mark.ros]
 
 OK, WARN, ERROR = 0, 1, 2
+TOPICS = {"vehicle/steering": (Steering, 1000), "vehicle/wheel_speeds": (WheelSpeeds, 1000),
+          "can/frames": (CanFrames, 1000)}
 
 
 def stamp(message):
@@ -30,72 +29,46 @@ def stamp(message):
     return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
-class Rig:
-    """The node as a process, and everything it has published so far."""
+class Rig(NodeRig):
+    """The node on a SocketCAN interface, with the vehicle file of the Leaf."""
 
-    def __init__(self, processes, interface, can_files, **parameters):
+    def __init__(self, interface, can_files, log_folder, **parameters):
         dbc, signals = can_files
-        given = {"interface": "socketcan", "channel": interface.name, "dbc_file": dbc, "signals_file": signals,
-                 "vehicle_file": ROOT / "config" / "vehicle" / "leaf.yaml", "silence_after": 0.5, **parameters}
-        self.processes = processes
-        self.process = processes.node("canedge_bridge", "canedge_bridge", *(f"{k}:={v}" for k, v in given.items()))
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=int(processes.environment["ROS_DOMAIN_ID"]))
-        self.node = rclpy.create_node("rig", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.seen = defaultdict(list)
-        for topic, kind in (("vehicle/steering", Steering), ("vehicle/wheel_speeds", WheelSpeeds),
-                            ("can/frames", CanFrames), ("/diagnostics", DiagnosticArray)):
-            self.node.create_subscription(kind, topic, self.seen[topic].append, 1000)
+        super().__init__("canedge_bridge", TOPICS, {
+            "interface": "socketcan", "channel": interface.name, "dbc_file": dbc, "signals_file": signals,
+            "vehicle_file": ROOT / "config" / "vehicle" / "leaf.yaml", "silence_after": 0.5, **parameters}, log_folder)
 
     def wait_for(self, condition, seconds=150.0):
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, f"{self.check('bus')}; {self.processes.log('canedge_bridge')}"
-            self.executor.spin_once(timeout_sec=0.02)
+        if not self.spin(condition, seconds):
+            pytest.fail(f"{self.check('bus')}; {self.stop()}")
 
     def more(self, topic, count=5):
         """Waits for that many further messages and returns them."""
-        seen = self.seen[topic]
-        start = len(seen)
-        self.wait_for(lambda: len(seen) >= start + count)
-        return seen[start:]
+        received = self.received[topic]
+        start = len(received)
+        self.wait_for(lambda: len(received) >= start + count)
+        return received[start:]
 
     def wait_for_newer(self, topic, since, count):
         """The messages stamped later than `since` [s since 1970], at least `count`."""
-        seen = self.seen[topic]
-        self.wait_for(lambda: len(seen) >= count and stamp(seen[-count]) > since)
-        return [m for m in seen if stamp(m) > since]
+        received = self.received[topic]
+        self.wait_for(lambda: len(received) >= count and stamp(received[-count]) > since)
+        return [m for m in received if stamp(m) > since]
 
-    def check(self, name):
-        """(level, message) of the newest check of that name; (None, "") before the first."""
-        for array in reversed(self.seen["/diagnostics"]):
-            for status in array.status:
-                if status.name == f"canedge_bridge: {name}":
-                    return status.level[0], status.message
-        return None, ""
-
-    def wait_for_check(self, name, level, words=""):
-        self.wait_for(lambda: self.check(name)[0] == level and words in self.check(name)[1])
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+    def wait_for_check(self, name, level, text=""):
+        self.wait_for(lambda: self.check(name)[0] == level and text in self.check(name)[1])
 
 
 @pytest.fixture
 def start(interface, can_files, tmp_path):
     """start(parameter=value, ...) -> Rig"""
-    processes, rigs = Processes(tmp_path), []
+    rigs = []
 
     def begin(**parameters) -> Rig:
-        rigs.append(Rig(processes, interface, can_files, **parameters))
+        rigs.append(Rig(interface, can_files, tmp_path, **parameters))
         return rigs[-1]
 
     yield begin
-    processes.close()
     for rig in rigs:
         rig.close()
 
@@ -135,7 +108,7 @@ def test_steering_is_published_with_current_stamps_after_the_process_was_stopped
     time.sleep(4.0)
     os.kill(rig.process.pid, signal.SIGCONT)
     assert rig.wait_for_newer("vehicle/steering", stopped + 5, 20)[-1].valid
-    assert rig.processes.stop(rig.process, signal.SIGTERM) == 0
+    assert rig.stop(signal.SIGTERM)[0] == 0
 
 
 def test_check_of_the_bus_reports_error_frames_and_an_interface_that_is_down_or_deleted(start, steer, interface):
@@ -164,8 +137,6 @@ def test_check_of_the_bus_reports_error_frames_and_an_interface_that_is_down_or_
     assert all(m.valid for m in recent[1:]), [(stamp(m) - created, m.valid) for m in recent]
     rig.wait_for_check("bus", OK)
     assert rig.process.poll() is None
-    assert rig.processes.stop(rig.process) == 0
-    assert "Traceback" not in rig.processes.log("canedge_bridge")
 
 
 def test_frames_are_published_unchanged_by_a_node_started_before_the_interface(start, steer, interface):
@@ -179,12 +150,11 @@ def test_frames_are_published_unchanged_by_a_node_started_before_the_interface(s
     interface.send(REMOTE_FLAG | 0x124)
     interface.send_error(0x040)
     interface.send(0x80000000 | 0x18FEF100, bytes(8))
-    rig.wait_for(lambda: sum(len(m.frames) for m in rig.seen["can/frames"]) >= 4)
-    frames = [f for m in rig.seen["can/frames"] for f in m.frames]
+    rig.wait_for(lambda: sum(len(m.frames) for m in rig.received["can/frames"]) >= 4)
+    frames = [f for m in rig.received["can/frames"] for f in m.frames]
     assert [(f.id, f.is_extended, f.is_remote, f.is_error, bytes(f.data)) for f in frames] == [
         (0x123, False, False, False, b"\1\2\3"), (0x124, False, True, False, b""),
         (0x040, False, False, True, bytes(8)), (0x18FEF100, True, False, False, bytes(8))]
     steer()
     rig.more("vehicle/steering")
     rig.wait_for_check("bus", OK)
-    assert rig.processes.stop(rig.process) == 0
