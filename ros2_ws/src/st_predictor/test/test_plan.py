@@ -117,8 +117,10 @@ def test_plan_of_speed_and_curvature_reduces_the_error_of_held_inputs(path_folde
 
 
 @pytest.mark.parametrize(("changes", "reason"), [
-    ({"speed": [1.0, 1.0]}, "value of one pair"), ({"velocity_x_dot": [0.0]}, "value of one pair"),
-    ({"time": []}, "value of one pair"), ({"time": [0.0, float("nan")]}, "time is not finite"),
+    ({"speed": [1.0, 1.0]}, "one value per time for one pair"),
+    ({"velocity_x_dot": [0.0]}, "one value per time for one pair"),
+    ({"time": []}, "one value per time for one pair"),
+    ({"time": [0.0, float("nan")]}, "time is not finite"),
 ])
 def test_malformed_plan_is_refused(changes: dict[str, list[float]], reason: str) -> None:
     car = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
