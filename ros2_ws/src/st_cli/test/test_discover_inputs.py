@@ -198,7 +198,7 @@ def discover_in_noisy_drives(tmp_path, *rows, change=str):
 
 @pytest.mark.slow
 def test_straight_driving_is_reported_as_insufficient(tmp_path):
-    content, message = discover_in_noisy_drives(tmp_path, weave(30.0, curvature=1e-9), weave(30.0, 10.0, 1e-9))
+    content, message = discover_in_noisy_drives(tmp_path, weave(15.0, curvature=1e-9), weave(15.0, 10.0, 1e-9))
     assert content["outcome"] in ("not_testable", "none") and not content["effects"]
     assert {"friction", "mass", "front_stiffness"} <= {n["name"] for n in content["not_testable"]}
     assert "driving is straight" in message and "2 runs only" in message
