@@ -6,7 +6,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -71,6 +71,13 @@ class Processes:
             if process.poll() is None:
                 process.kill()
                 process.wait()
+
+
+def run_processes(tmp_path: Path) -> Iterator[Processes]:
+    """A fixture, once `pytest.fixture` is applied to it."""
+    processes = Processes(tmp_path)
+    yield processes
+    processes.close()
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 20.0, what: str = "") -> None:

@@ -4,13 +4,12 @@ import signal
 import sys
 import textwrap
 import time
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
-from ros_processes import Processes, wait_for
+from ros_processes import Processes, run_processes, wait_for
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing("timers of real time")]
 
@@ -122,11 +121,7 @@ def start_script(processes: Processes, text: str, name: str, *arguments: str):
     return processes.start([sys.executable, str(file), *arguments], name)
 
 
-@pytest.fixture
-def processes(tmp_path: Path):
-    running = Processes(tmp_path)
-    yield running
-    running.close()
+processes = pytest.fixture(run_processes)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
