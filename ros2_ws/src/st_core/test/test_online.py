@@ -1,6 +1,7 @@
 """Online identification of steering and stiffness: accuracy, required driving, plausibility, reset."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -113,9 +114,10 @@ def test_implausible_values_are_not_estimated(leaf, road):
 def test_reset_and_backward_time_jump_discard_everything(leaf, tracked):
     other = replace(leaf, steering_ratio=15.0)
     fresh = OnlineIdentifier(other)
-    tracked.reset(other)
-    assert tracked.make_estimates() == fresh.make_estimates() and tracked.driving_time == fresh.driving_time
-    assert dict(zip(NAMES, tracked.make_estimates(), strict=True))["steering_ratio"].value == 15.0
+    reset = deepcopy(tracked)
+    reset.reset(other)
+    assert reset.make_estimates() == fresh.make_estimates() and reset.driving_time == fresh.driving_time
+    assert dict(zip(NAMES, reset.make_estimates(), strict=True))["steering_ratio"].value == 15.0
     tracker = track(leaf, [[10.0 + 0.01 * k, 0.1 * k, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0] for k in range(100)])
     assert tracker.driving_time.used == pytest.approx(0.99, abs=0.02)
     assert not tracker.add_ins(InsSample(1, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)) and tracker.driving_time.used == 0.0
