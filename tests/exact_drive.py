@@ -9,7 +9,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from st_core.checks.vehicle_relations import response_time
+from st_core.checks.vehicle_relations import compute_response_time
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -74,7 +74,7 @@ def exact_drive(car: VehicleParameters, seconds: float = 60.0, *, rate: float = 
     lateral_slope = (ahead - slip * v**2) * turning.slope(time) - 2.0 * slip * v * speed.slope(time) * r
     draw = np.random.default_rng(seed).standard_normal((9, len(time)))
     later = time + half
-    response = later + response_time(car, float(np.median(np.abs(v))))
+    response = later + compute_response_time(car, float(np.median(np.abs(v))))
     road = np.arctan(car.wheelbase * turning.at(response) / speed.at(response)) + noise.steering * draw[8]
     wheel = car.steering_wheel_angle(road)
     ns, later_ns = (T0 + np.round(t * 1e9).astype(np.int64) for t in (time, later))

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import EFFECTS, find_applicable_effects
 from st_sim.settings import Settings
 
 from . import programmes as m
@@ -230,6 +230,6 @@ def _outside_library(case: Case, number: int, draw: np.random.Generator) -> Case
         return _add_effect(case, OUTSIDE_LIBRARY[number // 2 % len(OUTSIDE_LIBRARY)], 1.0, draw)
     pool = [h for h in _list_usable(LEAF) if not h.with_]
     hidden = pool[draw.integers(len(pool))]
-    names = tuple(n for n in applicable("nonlinear") if not is_similar(n, hidden.library))
+    names = tuple(n for n in find_applicable_effects("nonlinear") if not is_similar(n, hidden.library))
     return _add_effect(case, hidden, 1.0, draw, effects=names, hidden=(hidden.library,))
 

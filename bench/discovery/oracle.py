@@ -14,7 +14,7 @@ import numpy as np
 from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.windows import Windows
-from st_core.effects import Parameter, applicable, get_effect
+from st_core.effects import Parameter, find_applicable_effects, get_effect
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -34,7 +34,7 @@ Values = Mapping[str, Mapping[str, float]]
 @cache
 def null_model() -> AugmentedModel:
     """The model with every effect of the library at null, so that all fits use the same compiled functions."""
-    return set_effects_to_null(augment(BASE, [n for n in applicable(BASE) if not get_effect(n).signals]))
+    return set_effects_to_null(augment(BASE, [n for n in find_applicable_effects(BASE) if not get_effect(n).signals]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from st_core.discovery.settings import DiscoverySettings
-from st_core.effects import applicable
+from st_core.effects import find_applicable_effects
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
@@ -44,7 +44,7 @@ class RelationCase:
         """Settings of the discovery, without the removed effect and similar ones."""
         effects = None
         if self.hidden and self.hidden.removed:
-            effects = tuple(n for n in applicable("nonlinear") if not is_similar(n, self.hidden.removed))
+            effects = tuple(n for n in find_applicable_effects("nonlinear") if not is_similar(n, self.hidden.removed))
         return DiscoverySettings(effects=effects, where=False)
 
 

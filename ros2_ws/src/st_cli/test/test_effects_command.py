@@ -8,7 +8,7 @@ from command_line import st
 from drives import weave, write_drive
 from effect_registry import restored
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, load_folder, source_file
+from st_core.effects import EFFECTS, find_source_file, load_folder
 from st_core.model_file import ModelFile
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.vehicle import VehicleParameters
@@ -52,7 +52,7 @@ def test_proposed_file_meets_all_requirements(proposal):
 
 
 def test_library_file_can_be_checked():
-    result = st("effects", "check", source_file(EFFECTS["yaw_rate_bias"]))
+    result = st("effects", "check", find_source_file(EFFECTS["yaw_rate_bias"]))
     assert result.exit_code == 0 and "yaw_rate_bias: all requirements met" in result.output, result.output
 
 

@@ -173,7 +173,8 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
     for pair, spline in zip(pairs, splines, strict=True):
-        time, mapped, other = _select_common_samples(pair, parameters, middle)
+        rows, mapped = select_common_samples(pair, parameters, middle)
+        time, other = pair.other.time[rows], pair.other.values[rows]
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s are known in both recordings")
         reference, slope = spline(mapped), spline(mapped, 1)
@@ -212,15 +213,15 @@ def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[fl
     return gain, mean_y - gain * mean_x
 
 
-def _select_common_samples(pair: Pair, parameters: np.ndarray,
-                           middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(time on the other clock [s], on the reference clock [s], value of `other`) where both sides are known."""
+def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
+                          middle: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """(rows of `other` where both sides are known, their times on the reference clock [s]) at (offset [s], drift)."""
     known, time = pair.reference.known, pair.other.time
     mapped = time + parameters[0] + parameters[1] * (time - middle)
     index = np.floor((mapped - pair.reference.origin) / STEP).astype(np.int64)
     inside = pair.other.known & (index >= 0) & (index < len(known) - 1)
     inside[inside] = known[index[inside]] & known[index[inside] + 1]
-    return time[inside], mapped[inside], pair.other.values[inside]
+    return np.flatnonzero(inside), mapped[inside]
 
 
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,

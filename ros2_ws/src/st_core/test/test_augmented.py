@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.augmented import AugmentedModel, augment, set_effects_to_null
 from st_core.composition import AugmentedParameters
-from st_core.effects import applicable
+from st_core.effects import find_applicable_effects
 from st_core.errors import ConfigurationError
 from st_core.models import MODELS, get_model
 from st_core.prediction import predict
@@ -108,7 +108,7 @@ def test_parameters_contain_only_floats_and_can_be_pickled(car):
         return [x for part in p for x in leaves(part)] if isinstance(p, tuple) else [p]
 
     for base in MODELS:
-        p = augment(base, applicable(base)).parameters(car)
+        p = augment(base, find_applicable_effects(base)).parameters(car)
         assert all(type(x) is float for x in leaves(p))
         assert pickle.loads(pickle.dumps(p)) == p
         assert all(type(a) is type(b) for a, b in zip(pickle.loads(pickle.dumps(p)).effects, p.effects, strict=True))
@@ -116,12 +116,12 @@ def test_parameters_contain_only_floats_and_can_be_pickled(car):
 
 @pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])
 def test_model_with_all_effects_at_null_serves_every_single_effect(leaf, base):
-    all_at_null = set_effects_to_null(augment(base, applicable(base)))
+    all_at_null = set_effects_to_null(augment(base, find_applicable_effects(base)))
     plain = predict(base, leaf, STATE, INPUTS)
     np.testing.assert_array_equal(predict(all_at_null, leaf, STATE, INPUTS).states, plain.states)
     assert not all_at_null.has_steering_dynamics and not all_at_null.has_sensor_effects
     assert all_at_null.effective_vehicle(leaf) is leaf
-    for name in applicable(base):
+    for name in find_applicable_effects(base):
         single = augment(base, [name])
         model = all_at_null.with_values({name: single.values[name]})
         assert model.rhs is all_at_null.rhs
@@ -132,7 +132,7 @@ def test_model_with_all_effects_at_null_serves_every_single_effect(leaf, base):
 
 
 def test_removing_costly_null_effects_keeps_the_prediction(leaf):
-    all_at_null = set_effects_to_null(augment("nonlinear", applicable("nonlinear")))
+    all_at_null = set_effects_to_null(augment("nonlinear", find_applicable_effects("nonlinear")))
     model = all_at_null.with_values({"mass": {"factor": 1.1}, "steering_compliance": {"compliance": 1e-6}})
     reduced = model.without_null_effects()
     removed = {e.name for e in model.effects} - {e.name for e in reduced.effects}
@@ -142,7 +142,8 @@ def test_removing_costly_null_effects_keeps_the_prediction(leaf):
 
 
 def test_linear_model_drops_tyre_saturation_at_null(leaf):
-    all_at_null = set_effects_to_null(augment("linear", applicable("linear"))).with_values({"mass": {"factor": 1.1}})
+    all_at_null = set_effects_to_null(augment("linear", find_applicable_effects("linear")))
+    all_at_null = all_at_null.with_values({"mass": {"factor": 1.1}})
     reduced = all_at_null.without_null_effects()
     assert {e.name for e in all_at_null.effects} - {e.name for e in reduced.effects} >= {"tyre_saturation"}
     states = [predict(model, leaf, STATE, INPUTS).states for model in (reduced, all_at_null)]

@@ -15,7 +15,7 @@ from effect_values import values_towards_bound
 from st_core import backends, ops
 from st_core.augmented import augment, set_effects_to_null
 from st_core.backends import numpy_batch
-from st_core.effects import applicable
+from st_core.effects import find_applicable_effects
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS, get_model
@@ -25,7 +25,7 @@ LAST_POINT = np.array([STEPS])
 HALF_STEPS = np.arange(2 * STEPS + 1)
 needs_numba = pytest.mark.skipif(not backends.has_numba(), reason="numba is not installed")
 BACKENDS = ["numpy", pytest.param("lanes", marks=needs_numba)]
-EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in applicable(base)]
+EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in find_applicable_effects(base)]
 # One effect for each kind of hook, for the fast run.
 QUICK = [("nonlinear", "friction"), ("nonlinear", "steering_offset"), ("linear", "tyre_relaxation"),
          ("linear", "road_bank"), ("kinematic", "tyre_slip")]
@@ -117,14 +117,14 @@ def test_effects_in_lanes_equal_floats(leaf, base, name):
 @pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)
 def test_every_effect_in_lanes_equals_floats(leaf, base, name):
     """All in one kernel per base: compiling one kernel per effect takes minutes."""
-    assert_lanes_equal_floats(leaf, base, name, set_effects_to_null(augment(base, applicable(base))))
+    assert_lanes_equal_floats(leaf, base, name, set_effects_to_null(augment(base, find_applicable_effects(base))))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("base", MODELS)
 def test_all_effects_together_equal_floats_and_at_null_the_base(leaf, backend, base):
-    model, inputs = augment(base, applicable(base)), random_cases(16, seed=3)
+    model, inputs = augment(base, find_applicable_effects(base)), random_cases(16, seed=3)
     p = model.parameters(leaf)
     assert_equal_to_rounding(run_backend(backend, model, p, *inputs)[0], predict_on_floats(model, p, *inputs))
     at_null = set_effects_to_null(model)

@@ -7,7 +7,7 @@ import pytest
 from effect_values import values_towards_bound
 from st_core import ops
 from st_core.augmented import augment
-from st_core.effects import applicable
+from st_core.effects import find_applicable_effects
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4, rk4_step
 from st_core.models import MODELS
@@ -17,7 +17,7 @@ from st_core.backends.casadi_backend import build, list_free_parameters  # noqa:
 
 STEPS, STEP = 100, 0.05
 SHARES = (-1.0, -0.3, 0.4, 1.0)  # of the distance from null to a bound
-EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in applicable(base)]
+EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in find_applicable_effects(base)]
 
 
 def random_cases(count, seed=1):
@@ -70,12 +70,12 @@ def test_every_effect_equals_floats_at_several_values(leaf, base, name):
 
 @pytest.mark.parametrize("base", MODELS)
 def test_all_effects_together_equal_floats(car, base):
-    assert_functions_equal_floats(augment(base, applicable(base)), car)
+    assert_functions_equal_floats(augment(base, find_applicable_effects(base)), car)
 
 
 @pytest.mark.parametrize("base", MODELS)
 def test_jacobians_equal_central_differences(leaf, base):
-    model = augment(base, applicable(base))
+    model = augment(base, find_applicable_effects(base))
     functions, p = build(model, leaf), model.parameters(leaf)
     (six,), ((angle, acceleration),) = (c.tolist() for c in random_cases(1))
     w = model.inputs(angle, acceleration, p)

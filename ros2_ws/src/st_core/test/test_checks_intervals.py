@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from st_core.checks.agreement import compare_series
-from st_core.checks.finding import SYSTEMATIC
-from st_core.checks.regression import Estimate, Regression, with_systematic
+from st_core.checks.finding import SYSTEMATIC_UNCERTAINTY
+from st_core.checks.regression import Estimate, Regression, add_systematic_uncertainty
 
 RUNS, FEW_RUNS = 200, 50
 
@@ -37,7 +37,7 @@ def test_coverage_of_regression_coefficients(correlation):
         draw = np.random.default_rng(seed)
         noise = np.stack([correlated_noise(draw, len(time), 1.0, correlation) for _ in range(2)], axis=1)
         found.append(Regression(time, 0.7 * columns["a"] - 0.3 * columns["b"] + noise, columns)
-                     .estimates(("a", "b")))
+                     .estimate(("a", "b")))
     assert_coverage([estimate["a"] for estimate in found], 0.7, 0.85, RUNS)
     assert_coverage([estimate["b"] for estimate in found], -0.3, 0.85, RUNS)
 
@@ -61,20 +61,20 @@ def test_interval_is_wider_for_more_noise_and_for_less_driving():
         time = np.arange(0.0, seconds)
         column = np.sin(time / 2.7)[:, None]
         draw = np.random.default_rng(1).standard_normal((len(time), 1))
-        low, high = Regression(time, column + noise * draw, {"a": column}).estimates(("a",))["a"].interval
+        low, high = Regression(time, column + noise * draw, {"a": column}).estimate(("a",))["a"].interval
         return 0.5 * (high - low)
     assert half_width(300.0, 0.2) == pytest.approx(2.0 * half_width(300.0, 0.1), rel=0.1)
     assert half_width(600.0, 0.1) < 0.85 * half_width(150.0, 0.1)
 
 
 def test_systematic_uncertainty_is_added_in_quadrature():
-    estimate = with_systematic("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
-    half_width = np.hypot(0.012, SYSTEMATIC["lag"])
+    estimate = add_systematic_uncertainty("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
+    half_width = np.hypot(0.012, SYSTEMATIC_UNCERTAINTY["lag"])
     assert estimate.interval == pytest.approx((0.3 - half_width, 0.3 + half_width))
-    in_degrees = with_systematic("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
-    assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC["scale"])
+    in_degrees = add_systematic_uncertainty("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
+    assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC_UNCERTAINTY["scale"])
     unknown = Estimate(1.0, 0.1, (0.8, 1.2))
-    assert with_systematic("something_else", unknown).interval == pytest.approx(unknown.interval)
+    assert add_systematic_uncertainty("something_else", unknown).interval == pytest.approx(unknown.interval)
 
 
 def test_significance_requires_more_than_an_interval_without_zero():

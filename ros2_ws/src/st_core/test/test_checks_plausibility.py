@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exact_drive import exact_drive
 from st_core.checks import AuxiliaryData, Severity, check
-from st_core.checks.plausibility import CHANNELS, drop_implausible
+from st_core.checks.plausibility import CHANNEL_LIMITS, drop_implausible
 
 NAMES = ("sample_spikes", "sentinel_values", "out_of_range", "channel_wraps")
 MIDDLE = 2000
@@ -58,12 +58,12 @@ def with_implausible_samples(log, car, channel, edit):
     if not wheel:
         log = replace(log, steering_wheel_angle=None)
     values = getattr(log, channel).copy()
-    places = edit(values, CHANNELS[channel].step)
+    places = edit(values, CHANNEL_LIMITS[channel].step)
     log = replace(log, **{channel: np.unwrap(values) if channel == "yaw" else values})
     return (log.with_steering(car) if wheel else log), places
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("channel", CHANNEL_LIMITS)
 @pytest.mark.parametrize("kind", FAULTS)
 def test_implausible_samples_are_reported_and_left_out_without_other_findings(log, leaf, kind, channel):
     broken, places = with_implausible_samples(log, leaf, channel, FAULTS[kind])
@@ -83,11 +83,11 @@ def test_implausible_samples_are_reported_and_left_out_without_other_findings(lo
         kept = np.isin(time, remaining)
         error = values - truth[kept]
         error -= 2.0 * np.pi * np.round(error / (2.0 * np.pi)) if channel == "yaw" else 0.0
-        assert np.abs(error).max() < CHANNELS[channel].step
+        assert np.abs(error).max() < CHANNEL_LIMITS[channel].step
         assert kept.sum() >= len(time) - 1.2 * len(places) - 10
 
 
-@pytest.mark.parametrize("channel", [name for name in CHANNELS if name not in ("x", "y", "yaw")])
+@pytest.mark.parametrize("channel", [name for name in CHANNEL_LIMITS if name not in ("x", "y", "yaw")])
 def test_zeros_in_a_moving_car_are_reported_as_sentinel_values(log, leaf, channel):
     peak = int(np.argmax(np.abs(getattr(log, "road_wheel_angle" if "wheel" in channel else channel))[500:-500]))
     broken, _ = with_implausible_samples(log, leaf, channel, _fixed(0.0, 500 + peak - 40, 80))

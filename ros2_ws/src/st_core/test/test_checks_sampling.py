@@ -8,7 +8,7 @@ import pytest
 from exact_drive import SPEED, Noise, Sines, exact_drive
 from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Severity, check
-from st_core.checks.sampling import resolution
+from st_core.checks.sampling import estimate_resolution
 from st_core.corrections import apply_corrections
 
 
@@ -21,8 +21,8 @@ def log(leaf):
 def test_resolution_of_rounded_values(step):
     time = np.arange(0.0, 20.0, 0.01)
     values = 30.0 * step * np.sin(time) + step * np.random.default_rng(0).standard_normal(len(time))
-    assert resolution(time, np.round(values / step) * step) == pytest.approx(step, rel=1e-6)
-    assert resolution(time, values) == 0.0
+    assert estimate_resolution(time, np.round(values / step) * step) == pytest.approx(step, rel=1e-6)
+    assert estimate_resolution(time, values) == 0.0
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(1.0, True), (5.0, True), (10.0, False), (20.0, False)])
@@ -34,12 +34,12 @@ def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, expected)
 
 def test_unrounded_values_have_no_resolution():
     time = np.arange(0.0, 20.0, 0.01)
-    assert resolution(time, 12.3 * time) == 0.0
-    assert resolution(time, np.sin(time)) == 0.0
-    assert resolution(time, np.zeros(len(time))) == 0.0
+    assert estimate_resolution(time, 12.3 * time) == 0.0
+    assert estimate_resolution(time, np.sin(time)) == 0.0
+    assert estimate_resolution(time, np.zeros(len(time))) == 0.0
     noise = np.random.default_rng(0).normal(0.0, 1e-3, len(time))
     lost = np.delete(np.arange(len(time)), np.arange(5, len(time), 11))  # as lost UDP packets
-    assert resolution(time[lost], (12.3 * time + noise)[lost]) == 0.0
+    assert estimate_resolution(time[lost], (12.3 * time + noise)[lost]) == 0.0
 
 
 def test_channel_statistics(leaf):

@@ -10,7 +10,7 @@ from batched import predict_log
 from st_core import stability
 from st_core.augmented import augment
 from st_core.checks.finding import Severity
-from st_core.checks.trial import step_too_long
+from st_core.checks.trial import check_step_length
 from st_core.log import DriveLog
 from st_core.stability import StepTooLongWarning, are_stable, slip_speed_needed
 
@@ -50,25 +50,25 @@ def test_proposed_value_removes_the_finding(car, log, name, inertia_factor):
     stiff = replace(car, yaw_inertia=inertia_factor * car.yaw_inertia)
     vehicle_findings = 0
     for model in models(name):
-        finding = step_too_long([model], stiff, log, STEP)
+        finding = check_step_length([model], stiff, log, STEP)
         if finding is None:
             continue
         if finding.advice.kind == "vehicle":
             assert printed_value(finding) == finding.value and finding.unit == "m/s"
             assert ("rerun st discover" in finding.advice.line) is not isinstance(model, str)
             corrected = replace(stiff, minimum_slip_speed=printed_value(finding))
-            assert step_too_long([model], corrected, log, STEP) is None
+            assert check_step_length([model], corrected, log, STEP) is None
             vehicle_findings += 1
         else:
             assert finding.advice.line == f"--step {finding.value:.9g}"
-            assert step_too_long([model], stiff, log, finding.value) is None
+            assert check_step_length([model], stiff, log, finding.value) is None
     assert vehicle_findings >= 4
 
 
 def test_value_below_the_proposed_one_is_not_enough(car, log):
     stiff = replace(car, yaw_inertia=0.3 * car.yaw_inertia)
-    value = step_too_long(MODELS, stiff, log, STEP).value
-    assert step_too_long(MODELS, replace(stiff, minimum_slip_speed=value - 0.1), log, STEP) is not None
+    value = check_step_length(MODELS, stiff, log, STEP).value
+    assert check_step_length(MODELS, replace(stiff, minimum_slip_speed=value - 0.1), log, STEP) is not None
 
 
 def test_minimum_slip_speed_must_exceed_the_lowest_stable_speed(leaf):
@@ -94,7 +94,7 @@ def test_prediction_does_not_warn_with_the_proposed_value(leaf, log, monkeypatch
 
 
 def test_finding_names_models_and_times(leaf, log):
-    finding = step_too_long(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
+    finding = check_step_length(MODELS, replace(leaf, minimum_slip_speed=0.1), log, STEP)
     assert finding.severity is Severity.WARNING and "linear and nonlinear model of Nissan Leaf ZE0" in finding.text
     first, second = finding.where
     # The speed is below the limit of 2.66 m/s at the start, and again from 39 to 50 s.
@@ -105,12 +105,12 @@ def test_finding_names_models_and_times(leaf, log):
 def test_shorter_step_is_proposed_where_no_minimum_slip_speed_helps(leaf, log):
     """The rate of a relaxation length of 0.2 m grows with speed: at 35 m/s no minimum slip speed reduces it."""
     model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
-    finding = step_too_long([model], leaf, log, 0.2)
+    finding = check_step_length([model], leaf, log, 0.2)
     assert (finding.advice.kind, finding.unit) == ("option", "s") and finding.advice.line == f"--step {finding.value:g}"
-    assert step_too_long([model], leaf, log, finding.value) is None
-    assert step_too_long([model], leaf, log, 2.0 * finding.value) is not None
+    assert check_step_length([model], leaf, log, finding.value) is None
+    assert check_step_length([model], leaf, log, 2.0 * finding.value) is not None
 
 
 def test_cars_of_the_repository_have_no_finding(car, log):
-    assert step_too_long(("kinematic", *MODELS), car, log, STEP) is None
-    assert step_too_long(MODELS, car, log.slice(1, 2), STEP) is None
+    assert check_step_length(("kinematic", *MODELS), car, log, STEP) is None
+    assert check_step_length(MODELS, car, log.slice(1, 2), STEP) is None

@@ -9,7 +9,7 @@ from batched import predict_batch
 from effect_values import values_of
 from st_core import effects
 from st_core.augmented import augment, set_effects_to_null
-from st_core.effects import ANY, EFFECTS, Measured, applicable
+from st_core.effects import ANY, EFFECTS, Measured, find_applicable_effects
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
 from st_core.models import MODELS
@@ -28,7 +28,7 @@ REQUIRED_EFFECTS = {
     "tyre_relaxation", "tyre_saturation", "tyre_slip", "tyre_stiffness", "yaw_inertia", "yaw_rate_bias",
     "yaw_rate_delay", "yaw_rate_scale",
 }
-EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in applicable(base)]
+EFFECTS_BY_BASE = [(base, name) for base in MODELS for name in find_applicable_effects(base)]
 EACH_EFFECT = pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)
 
 STATE = VehicleState(3.0, -2.0, 12.0, 0.1, 0.3, 0.2)
@@ -51,7 +51,7 @@ def test_registry_contains_required_effects_one_per_file():
     folder = Path(effects.__file__).parent
     built_in = {name for name in EFFECTS if EFFECTS[name].__module__.startswith("st_core.")}
     assert built_in == {file.stem for file in folder.glob("*.py") if not file.name.startswith("_")}
-    assert all(Path(effects.source_file(EFFECTS[name])).stem == name for name in built_in)
+    assert all(Path(effects.find_source_file(EFFECTS[name])).stem == name for name in built_in)
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
@@ -181,8 +181,9 @@ def test_nan_input_makes_later_states_nan(leaf, base, name):
 @pytest.mark.parametrize("base", MODELS)
 def test_any_two_effects_compose_in_either_order(leaf, base):
     inputs = varied_inputs(20)
-    alone = {name: predict(augment(base, [name]), leaf, STATE, inputs, 1.0).states for name in applicable(base)}
-    for first, second in itertools.combinations(applicable(base), 2):
+    alone = {name: predict(augment(base, [name]), leaf, STATE, inputs, 1.0).states
+             for name in find_applicable_effects(base)}
+    for first, second in itertools.combinations(find_applicable_effects(base), 2):
         both = augment(base, [first, second])
         path = predict(both, leaf, STATE, inputs, 1.0).states
         assert np.isfinite(path).all(), (first, second)

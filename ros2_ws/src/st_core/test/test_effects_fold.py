@@ -7,13 +7,13 @@ import pytest
 from effect_values import values_of
 from st_core.augmented import augment, fold
 from st_core.batch import LogBatch
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import EFFECTS, find_applicable_effects
 from st_core.log import DriveLog
 from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 from weaving_log import weaving_log
 
-FOLDABLE = [(base, name) for base in MODELS for name in applicable(base) if EFFECTS[name].fold]
+FOLDABLE = [(base, name) for base in MODELS for name in find_applicable_effects(base) if EFFECTS[name].fold]
 STARTS = np.array([1_000_000_000, 2_350_000_000, 4_000_000_000])
 
 

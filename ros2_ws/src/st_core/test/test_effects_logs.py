@@ -8,7 +8,7 @@ import pytest
 from effect_values import values_of
 from st_core.augmented import augment, set_effects_to_null
 from st_core.batch import LogBatch
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import EFFECTS, find_applicable_effects
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS
 from st_core.prediction import predict
@@ -45,8 +45,8 @@ def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):
     if backend == "lanes":
         pytest.importorskip("numba", reason="numba is not installed")
     batch, on_sample = LogBatch(LOG, STARTS, HORIZON, STEP, backend=backend), np.isin(STARTS, LOG.ins_time_ns)
-    all_at_null = set_effects_to_null(augment(base, applicable(base)))
-    for name, share in itertools.product(applicable(base), SHARES):
+    all_at_null = set_effects_to_null(augment(base, find_applicable_effects(base)))
+    for name, share in itertools.product(find_applicable_effects(base), SHARES):
         effect, values = EFFECTS[name], {name: values_of(name, share)}
         if not (effect.vehicle or effect.steering or effect.observe):
             continue

@@ -9,7 +9,7 @@ from batched import predict_batch
 from effect_registry import restored
 from st_core import effects
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, Effect, Parameter, confounded_effects, get_effect, load_folder, register
+from st_core.effects import EFFECTS, Effect, Parameter, find_confounded_effects, get_effect, load_folder, register
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.prediction import predict
 from st_core.types import ControlInput, InputSequence, VehicleState
@@ -116,7 +116,7 @@ def test_effects_of_a_folder_are_loaded_and_predict(tmp_path, leaf):
     write(tmp_path, "_helper.py", "raise RuntimeError('helpers are not imported unless asked for')")
     assert load_folder(tmp_path) == ("mapped_bank",)
     assert load_folder(tmp_path) == ("mapped_bank",)  # not loaded a second time
-    assert effects.source_file(get_effect("mapped_bank")) == str(tmp_path / "mapped_bank.py")
+    assert effects.find_source_file(get_effect("mapped_bank")) == str(tmp_path / "mapped_bank.py")
     model = augment("linear", ["mapped_bank"])
     assert model.signals == ("bank_angle",)
     bank = np.full(201, 0.03)
@@ -166,10 +166,10 @@ def test_confounded_effects_are_symmetric(tmp_path):
     """A user effect that names a built-in effect as confounded is listed for the built-in one too."""
     text = MAPPED_BANK.replace("kind, slot", 'confounded_with = ("road_bank",)\n        kind, slot')
     write(tmp_path, "a.py", text.format(name="mine"))
-    assert "mine" not in confounded_effects("road_bank")
+    assert "mine" not in find_confounded_effects("road_bank")
     load_folder(tmp_path)
-    assert confounded_effects("mine") == {"road_bank"} and "mine" in confounded_effects("road_bank")
-    assert "road_bank" not in confounded_effects("road_bank")
+    assert find_confounded_effects("mine") == {"road_bank"} and "mine" in find_confounded_effects("road_bank")
+    assert "road_bank" not in find_confounded_effects("road_bank")
 
 
 def test_missing_folder_is_rejected(tmp_path):

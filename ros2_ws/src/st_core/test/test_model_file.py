@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from st_core.augmented import augment
-from st_core.effects import EFFECTS, applicable
+from st_core.effects import EFFECTS, find_applicable_effects
 from st_core.errors import ConfigurationError
 from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.models import MODELS
@@ -48,7 +48,7 @@ def test_file_round_trip(leaf, embed):
 
 @pytest.mark.parametrize("base", MODELS)
 def test_every_effect_survives_a_round_trip(leaf, base):
-    file = ModelFile.of(augment(base, applicable(base)), leaf, ModelProvenance())
+    file = ModelFile.of(augment(base, find_applicable_effects(base)), leaf, ModelProvenance())
     reloaded = ModelFile.from_yaml(file.to_yaml())
     assert reloaded == file and reloaded.model().values == file.model().values
 

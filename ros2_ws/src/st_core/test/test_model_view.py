@@ -11,7 +11,7 @@ import pytest
 from batched import predict_log
 from st_core import integrate
 from st_core.augmented import augment
-from st_core.effects import applicable
+from st_core.effects import find_applicable_effects
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
@@ -62,7 +62,7 @@ class Drive:
             yield sample.time_ns
 
 
-EFFECTS_BY_BASE = [(base, name) for base in ("linear", "nonlinear") for name in applicable(base)]
+EFFECTS_BY_BASE = [(base, name) for base in ("linear", "nonlinear") for name in find_applicable_effects(base)]
 
 
 @pytest.mark.parametrize(("base", "name"), EFFECTS_BY_BASE)

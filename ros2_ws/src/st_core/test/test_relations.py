@@ -14,7 +14,7 @@ from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
-from st_core.effects._relation import SPLINES, RelationEffect, curve
+from st_core.effects._relation import SPLINES, RelationEffect, evaluate_curve
 from st_core.errors import ConfigurationError
 from st_core.integrate import rk4
 from st_core.models import MODELS
@@ -60,10 +60,12 @@ def test_curve_in_the_equations_of_motion_equals_the_splines(parity):
     theta = RelationEffect.Theta(**{p.name: p.null for p in RelationEffect.parameters} | c.constants
                                  | {f"c{k}": h for k, h in enumerate(heights)}, constants=())
     u = np.linspace(-0.8, 0.8, 33)
-    assert TYPICAL_SIZES["yaw_moment"] * curve(u, theta) == pytest.approx(heights @ c.compute_splines(u), abs=1e-12)
+    curve = TYPICAL_SIZES["yaw_moment"] * evaluate_curve(u, theta)
+    assert curve == pytest.approx(heights @ c.compute_splines(u), abs=1e-12)
     if parity:
-        assert curve(-u, theta) == pytest.approx(parity * curve(u, theta), abs=1e-12)
-    assert curve(0.8, theta) == pytest.approx(curve(0.5, theta), abs=1e-12)  # constant outside the driven range
+        assert evaluate_curve(-u, theta) == pytest.approx(parity * evaluate_curve(u, theta), abs=1e-12)
+    # Constant outside the driven range.
+    assert evaluate_curve(0.8, theta) == pytest.approx(evaluate_curve(0.5, theta), abs=1e-12)
 
 
 def rates(model, car, angle=0.05, acceleration=0.5):

@@ -51,12 +51,13 @@ def _print_library(console: Console) -> None:
     """Print one paragraph per effect, because a table of eight columns does not fit a terminal."""
     from rich.markup import escape
     from rich.padding import Padding
-    from st_core.effects import EFFECTS, confounded_effects
+    from st_core.effects import EFFECTS, find_confounded_effects
 
     for name, effect in sorted(EFFECTS.items(), key=lambda item: (item[1].kind, item[0])):
         hooks = dict.fromkeys(label for hook, label in HOOK_LABELS.items() if getattr(effect, hook))
         lines = {"": effect.physics, "acts on": ", ".join((*hooks, *(f"signal {s}" for s in effect.signals))),
-                 "excited by": effect.excited_by, "hard to separate from": ", ".join(sorted(confounded_effects(name))),
+                 "excited by": effect.excited_by,
+                 "hard to separate from": ", ".join(sorted(find_confounded_effects(name))),
                  "needs": ", ".join(effect.needs)}
         console.print(f"[bold]{name}[/bold]  {effect.kind}, {effect.slot}", highlight=False)
         for key, text in lines.items():

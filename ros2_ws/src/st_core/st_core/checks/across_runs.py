@@ -9,10 +9,10 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from ..regression import random_effects, symmetric_interval
-from .finding import DriveCheck
+from .finding import DriveCheck, neutral_value
 
 MIN_RUNS = 3
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of the tests of consistency
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by their mean
 
 
@@ -22,12 +22,12 @@ class RunComparison:
 
     name: str
     unit: str
-    runs: int
+    runs: int  # number of runs with an estimate
     reported: int  # number of runs with this finding
     mean: float  # by random effects (DerSimonian and Laird 1986)
     interval: tuple[float, float]  # of the mean, including the variance between runs
     between: float  # standard deviation between runs in excess of their uncertainties
-    lowest: float
+    lowest: float  # estimate of one run
     highest: float
     consistent: bool  # whether the runs agree within their intervals, or differ little (MAX_RELATIVE_SPREAD)
 
@@ -38,8 +38,9 @@ class RunComparison:
         digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.consistent:
-            return (f"{self.name} is consistent across all {self.runs} runs, {self.mean:.{digits}f} ± {half:.{digits}f}"
-                    f"{unit}: the cause is the sensor, its mounting, the projection or the car; the value is reliable")
+            return (f"{self.name} is consistent across all {self.runs} runs, "
+                    f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, the "
+                    "projection or the car; the value is reliable")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")
@@ -50,23 +51,23 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparison of the quantities in the findings with estimates in at least MIN_RUNS runs, most reported first."""
+    """Comparisons of the quantities of findings that at least MIN_RUNS runs estimate, the most often reported first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
-    compared = []
+    comparisons = []
     for name, unit in units.items():
         rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
         if len(rows) < MIN_RUNS:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
         mean, interval, between, cochran_q = _random_effects(rows)
-        outside = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())
+        excluding = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())  # intervals that exclude the mean
         homogeneous = cochran_q <= chi2.ppf(CONFIDENCE, len(rows) - 1)
         similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
-        consistent = outside <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
+        consistent = excluding <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
-            compared.append(RunComparison(name, unit, len(rows), reported, mean, interval, between,
-                                          float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
-    return sorted(compared, key=lambda quantity: -quantity.reported)
+            comparisons.append(RunComparison(name, unit, len(rows), reported, mean, interval, between,
+                                             float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))
+    return sorted(comparisons, key=lambda comparison: -comparison.reported)
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
@@ -77,11 +78,6 @@ def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, t
         mean, interval, _, _ = _random_effects(rows)
         result[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
     return result
-
-
-def neutral_value(name: str) -> float:
-    """Value of the quantity in a faultless recording."""
-    return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0
 
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:

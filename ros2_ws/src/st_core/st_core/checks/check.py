@@ -1,6 +1,6 @@
 """Runs all checks of a recording, in an order in which each fault yields only one finding."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,107 +11,138 @@ from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Comparison, DriveCheck, Finding, Severity
-from .motion import MOVING, Motion, is_driven
+from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
-from .regression import Estimate, with_systematic
+from .regression import Estimate, add_systematic_uncertainty
 from .steps import check_position_steps
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_yaw_late
 
-CHANGED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
+ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
-MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; sideslip of the rear axle per lateral acceleration: road cars 0.003 to 0.008
+MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
 MIN_INS_SAMPLES = 50  # with fewer samples, only the time stamps are checked
-SensorResult = tuple[Motion, list[Finding], dict[str, Estimate], list[Comparison]]
-"""(corrected motion, findings, estimates by name of the finding, panels of the figure)."""
 
 
-# long: one sequence, in which each check works on the result of the previous corrections
+@dataclass
+class _Results:
+    """Findings, estimates by name of the finding, and panels of the figure."""
+
+    findings: list[Finding] = field(default_factory=list)
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    panels: list[Comparison] = field(default_factory=list)
+
+    def add(self, findings: list[Finding], estimates: dict[str, Estimate], panel: Comparison | None) -> None:
+        self.findings += findings
+        self.estimates |= estimates
+        self.panels += [panel] if panel else []
+
+
 def check(log: DriveLog, vehicle: VehicleParameters | None = None,
           auxiliary: AuxiliaryData | None = None) -> DriveCheck:
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); comparison with the vehicle. Each check works on a copy without the known faults.
-
-    vehicle: None skips the comparison with the vehicle. auxiliary: data recorded in addition to the drive. Never raises
-    for the content of a recording: a channel that is too short or too inaccurate gives no finding.
+    accelerations, other speeds); comparison with the vehicle, unless it is None. Each check works on a copy without the
+    known faults. Never raises for the content of a recording: a channel that is too short or too inaccurate gives no
+    finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = auxiliary.start_ns
     if start_ns is None:
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     log, implausible = drop_implausible(log, start_ns)
-    known = {(finding.name, finding.channels) for finding in auxiliary.implausible}
     # The reader has already reported the samples that it left out or kept.
-    implausible = [*auxiliary.implausible,
-                   *(finding for finding in implausible if (finding.name, finding.channels) not in known)]
-    motion = Motion.of(log, start_ns, auxiliary)
+    reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
+    implausible = [*auxiliary.implausible, *(f for f in implausible if (f.name, f.channels) not in reported)]
+    motion = Motion.from_log(log, start_ns, auxiliary)
     channels = sampling.describe_channels(motion, auxiliary)
     long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
     driven = long_enough and is_driven(motion)
     motion, time_unit = check_time_unit(motion) if driven else (motion, None)
-    findings = [*implausible, *sampling.check_timing(motion, auxiliary, implausible)]
+    results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible)])
     if long_enough:
-        findings += sampling.check_quality(auxiliary.quality, start_ns)
-    if not driven:
-        findings += vehicle_relations.check_standstill(motion) if long_enough else []
-        return DriveCheck(_sort(findings), channels, ())
+        results.findings += sampling.check_quality(auxiliary.quality, start_ns)
     broken = find_broken_channels(implausible)
-    if broken & {*INS_SIGNALS}:  # every further check needs all of these channels
-        return DriveCheck(_sort([*findings, *sampling.find_stuck_channels(motion, channels)]), channels, ())
-    motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
-                     acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
-    stuck = sampling.find_stuck_channels(motion, channels)
+    if not driven:
+        results.findings += vehicle_relations.check_standstill(motion) if long_enough else []
+    else:
+        stuck = sampling.find_stuck_channels(motion, channels)
+        results.findings += stuck
+        if not broken & {*INS_SIGNALS}:  # every further check needs all of these channels
+            motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
+                             acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
+            _check_relations(motion, log, vehicle, time_unit, stuck, broken | find_broken_channels(stuck), results)
+    # Accelerations are last, since no prediction depends on them.
+    findings = sorted(results.findings, key=lambda finding: (
+        [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
+    return DriveCheck(tuple(findings), channels, tuple(results.panels),
+                      {name: (estimate.value, *estimate.interval) for name, estimate in results.estimates.items()})
+
+
+def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,
+                     stuck: list[Finding], broken: set[str], results: _Results) -> None:
+    """Compare the channels with each other and with the vehicle. stuck: findings of `find_stuck_channels`. broken:
+    channels that keep faulty samples."""
     recorded = motion
-    motion, gross = _correct_units_without_lag(sampling.without_frozen_samples(motion, stuck))
-    gross = [time_unit, *gross] if time_unit else gross
-    rounded = sampling.find_coarse_channels(motion, stuck)
-    findings += stuck + rounded
-    coarse = {channel for finding in rounded for channel in finding.channels}
+    motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck))
+    unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
+    coarse_findings = sampling.find_coarse_channels(motion, stuck)
+    results.findings += coarse_findings
+    coarse = _list_channels(coarse_findings)
     # The derivative of a coarse channel is dominated by rounding.
     motion = replace(motion, acceleration_x=None if "velocity_x" in coarse else motion.acceleration_x,
                      acceleration_y=None if coarse & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
-    if not any(finding.name == "samples_repeated" and {"x", "y"} & {*finding.channels} for finding in stuck):
-        motion, steps = check_position_steps(motion)  # held positions always step
-        findings += steps
-    speed, wheel_measured, sideslip_measured = (
-        motion.velocity_x, log.steering_wheel_angle is not None, CHANNELS["velocity_y"].is_measured_in(log))
-    rate, (motion, fine, estimates, panels) = _check_sensors_at_true_rate(motion, time_unit, _removed_factors(gross))
-    findings += rate + position.with_sign_alternative(_merge_gross_and_fine(gross, fine, estimates), recorded, motion)
+    if not _list_channels(stuck, "samples_repeated") & {"x", "y"}:  # held positions always step
+        motion, step_findings = check_position_steps(motion)
+        results.findings += step_findings
+    speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
+    removed = _find_removed_factors(unit_findings)
+    corrected, sensors = _check_sensors(motion, removed)
+    rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
+    if rate and rate.value:
+        results.findings.append(rate)
+        corrected, sensors = _check_sensors(motion.with_time_divided(rate.value), removed)
+    findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
+    results.findings += position.add_sign_alternative(findings, recorded, corrected)
+    results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
-        frozen = {channel for finding in stuck if finding.name == "channel_frozen" for channel in finding.channels}
-        unusable = coarse | frozen if sideslip_measured else {*coarse, *frozen, "velocity_y"}
-        for more, values, panel in _compare_with_vehicle(
-                motion, vehicle, wheel_measured, broken | find_broken_channels(stuck), unusable):
-            findings += more
-            estimates |= values
-            panels += [panel] if panel else []
-    findings += vehicle_relations.check_standstill(replace(motion, velocity_x=speed))
-    findings = _limit_to_measured_channels(findings, log, motion)
+        if not broken & {*STEERING}:
+            wheel_measured = log.steering_wheel_angle is not None
+            results.add(*vehicle_relations.check_steering(corrected, vehicle, wheel_measured))
+        unusable = coarse | _list_channels(stuck, "channel_frozen")
+        if sideslip_measured and not unusable & {"velocity_y", "yaw_rate"}:
+            results.add(*vehicle_relations.check_rear_axle(corrected, vehicle))
+        results.findings += vehicle_relations.check_tyre_limit(corrected)
+    results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed))
+    results.findings = _limit_to_measured_channels(results.findings, log, corrected)
     if not sideslip_measured:
-        estimates = {name: value for name, value in estimates.items() if name not in CHANGED_BY_SIDESLIP}
+        for name in ESTIMATES_BIASED_BY_SIDESLIP:
+            results.estimates.pop(name, None)
     if vehicle is not None:
-        findings = try_corrections(findings, log, vehicle)
-    return DriveCheck(_sort(findings), channels, tuple(panels),
-                      {name: (estimate.value, *estimate.interval) for name, estimate in estimates.items()})
+        results.findings = try_corrections(results.findings, log, vehicle)
+
+
+def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
+    """Channels that are affected by the findings of this name, or by all."""
+    return {channel for finding in findings if name in ("", finding.name) for channel in finding.channels}
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
     """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
-    sideslip at a point l ahead of the rear axle, which slips by K per lateral acceleration, is tau r with tau =
-    l/v - K v: the yaw rate r lags the course by tau (`sideslip` corrects that), so such a lag is no fault.
+    sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
+    lags the course by tau (`sideslip` corrects that), so such a lag is no fault.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
     if has_derived_yaw_rate(log):
-        compared = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
-        findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in compared]
+        comparisons = ("yaw_rate_scale", "yaw_rate_bias", "yaw_rate_lag")
+        findings = [f for f in findings if f.severity is Severity.ERROR or f.name not in comparisons]
     if CHANNELS["velocity_y"].is_measured_in(log):
         return findings
-    speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MOVING)
+    speed = max(float(np.average(motion.speed, weights=np.square(motion.yaw_rate) + 1e-12)), MIN_MOVING_SPEED)
     limits = {"steering_lag": (-np.inf, np.inf),
               "yaw_rate_lag": (-MAX_REAR_COMPLIANCE * speed, MAX_INS_DISTANCE / speed),
               "yaw_lag": (-MAX_INS_DISTANCE / speed, MAX_REAR_COMPLIANCE * speed)}
@@ -125,78 +156,47 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     return findings
 
 
-def _sort(findings: list[Finding]) -> tuple[Finding, ...]:
-    """The findings by severity, accelerations last, since no prediction depends on them, and then by effect."""
-    return tuple(sorted(findings, key=lambda finding: (
-        [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf))))
-
-
-def _check_sensors_at_true_rate(motion: Motion, time_unit: Finding | None,
-                                removed: dict[str, float]) -> tuple[list[Finding], SensorResult]:
-    """(finding of a wrong nominal sampling rate, result of `_check_sensors` at the true rate)."""
-    result = _check_sensors(motion, removed)
-    rate = None if time_unit else check_nominal_rate(result[1], result[2])
-    if rate is None or not rate.value:
-        return [], result
-    return [rate], _check_sensors(motion.with_time_divided(rate.value), removed)
-
-
-def _check_sensors(motion: Motion, removed: dict[str, float]) -> SensorResult:
-    """Check the relations that are valid for any vehicle. removed: see `_removed_factors`."""
-    panels = [position.distance_panel(motion, removed)]
-    motion, findings = position.check_lateral_sign(motion)
-    found, tolerances = inertial.compare_yaw_rate(motion)
-    motion, late = _check_yaw_lag(motion, found)
+def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _Results]:
+    """Check the relations that are valid for any vehicle. removed: see `_find_removed_factors`."""
+    results = _Results(panels=[position.make_distance_panel(motion, removed)])
+    motion, results.findings = position.check_lateral_sign(motion)
+    yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
+    motion, lag_findings = _check_yaw_lag(motion, yaw_rate)
     recorded = motion
-    motion, causes, estimates = position.check_positions(motion)
+    motion, position_findings, estimates = position.check_positions(motion)
+    results.estimates = estimates
     if "wheel_speed" in motion.speeds and (wheel := inertial.compare_speed(recorded, "wheel_speed")):
-        motion, causes = position.attribute_scale_to_positions(motion, causes, estimates, wheel.scale)
-    if found and found.determines_lag:
-        estimates["yaw_lag"] = with_systematic("yaw_lag", found.lag.scaled(-1.0))
-    findings += late + causes
-    if late or any(finding.name == "yaw_offset" for finding in causes):
-        found, tolerances = inertial.compare_yaw_rate(motion)
-    more, values = inertial.judge_agreement(found, tolerances, removed.get("yaw_rate_scale", 1.0))
-    findings += more
-    estimates |= values
+        motion, position_findings = position.attribute_scale_to_positions(
+            motion, position_findings, estimates, wheel.scale)
+    if yaw_rate and yaw_rate.determines_lag:
+        estimates["yaw_lag"] = add_systematic_uncertainty("yaw_lag", yaw_rate.lag.scaled(-1.0))
+    results.findings += lag_findings + position_findings
+    if lag_findings or any(finding.name == "yaw_offset" for finding in position_findings):
+        yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
+    panel = inertial.make_agreement_panel(yaw_rate, tolerances, "yaw rate: sensor versus change of yaw",
+                                          removed.get("yaw_rate_scale", 1.0),
+                                          removed.get("yaw_scale", removed.get("yaw_convention", 1.0)))
+    results.add(*inertial.judge_agreement(yaw_rate, tolerances, removed.get("yaw_rate_scale", 1.0)), panel)
     if "yaw_offset" in estimates:
         estimates["yaw_offset"] = estimates["yaw_offset"].shifted(removed.get("yaw_offset", 0.0))
-    for name, fine in (("velocity_scale", "velocity_scale"), ("velocity_x_scale", "velocity_scale"),
-                       ("position_scale", "position_scale")):
-        if fine in estimates:
-            estimates[name] = estimates[fine].scaled(removed.get(name, 1.0))
-    if found and found.scale.value:  # a constant yaw rate has no scale
-        scale = found.scale.inverse().scaled(removed.get("yaw_scale", 1.0))
-        estimates["yaw_scale"] = with_systematic("yaw_scale", scale)
-    panel = inertial.agreement_panel(found, tolerances, "yaw rate: sensor versus change of yaw",
-                                     removed.get("yaw_rate_scale", 1.0),
-                                     removed.get("yaw_scale", removed.get("yaw_convention", 1.0)))
-    panels += [panel] if panel else []
-    if found:
-        motion = inertial.correct_yaw_rate(motion, found)
-    for more, values, panel in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
-        findings += more
-        estimates |= values
-        panels += [panel] if panel else []
-    return motion, findings, estimates, panels
-
-
-def _compare_with_vehicle(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool, broken: set[str],
-                          unusable: set[str]) -> list[inertial.CheckResult]:
-    """Compare steering, rear axle and lateral acceleration with the vehicle. broken: channels that keep faulty samples.
-    unusable: channels that are coarse, frozen or not measured."""
-    comparisons = []
-    if not broken & {*STEERING}:
-        comparisons.append(vehicle_relations.check_steering(motion, vehicle, wheel_measured))
-    if not unusable & {"velocity_y", "yaw_rate"}:
-        comparisons.append(vehicle_relations.check_rear_axle(motion, vehicle))
-    return [*comparisons, (vehicle_relations.check_tyre_limit(motion), {}, None)]
+    for name, source in (("velocity_scale", "velocity_scale"), ("velocity_x_scale", "velocity_scale"),
+                         ("position_scale", "position_scale")):
+        if source in estimates:
+            estimates[name] = estimates[source].scaled(removed.get(name, 1.0))
+    if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
+        scale = yaw_rate.scale.inverse().scaled(removed.get("yaw_scale", 1.0))
+        estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", scale)
+    if yaw_rate:
+        motion = inertial.correct_yaw_rate(motion, yaw_rate)
+    for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
+        results.add(*result)
+    return motion, results
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units` for the motion without the lag between yaw and yaw rate, which would change size and
-    sign of their ratio. The lag is restored afterwards, since it is checked later."""
-    lag = inertial.yaw_rate_lag(motion)
+    """Result of `correct_units` without the lag between yaw and yaw rate, which would change size and sign of their
+    ratio. The lag is restored afterwards, since it is checked later."""
+    lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
     time = motion.time
@@ -210,25 +210,24 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
     """(corrected motion, finding) of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
-    if found is None or not (found.lag.significant and found.is_late) or abs(found.lag.value) < LIMITS.lag or (
-            abs(found.correlation) < LIMITS.correlation):
+    if (found is None or not (found.lag.significant and found.expected_lag_rejected)
+            or abs(found.lag.value) < LIMITS.lag or abs(found.correlation) < LIMITS.min_correlation):
         return motion, []
-    late = with_systematic("yaw_lag", found.lag.scaled(-1.0))
-    corrected = replace(motion, yaw=np.interp(motion.time + late.value, motion.time, motion.yaw))
-    if not position.positions_confirm_yaw_lag(motion, corrected, late.value):
+    lag = add_systematic_uncertainty("yaw_lag", found.lag.scaled(-1.0))
+    corrected = replace(motion, yaw=np.interp(motion.time + lag.value, motion.time, motion.yaw))
+    if not position.positions_confirm_yaw_lag(motion, corrected, lag.value):
         return motion, []
-    effect = abs(late.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
-    severity = LIMITS.severity(effect, abs(late.value) >= LIMITS.severe_lag)
-    value = float(f"{late.value:.4g}")
-    text = f"yaw {'lags' if value > 0.0 else 'leads'} yaw rate and positions by {inertial.format_magnitude(late)} s"
-    return corrected, [Finding("yaw_lag", severity, ("yaw",), text, late.value, "s", late.interval, effect=effect,
-                               advice=Advice.correct("yaw", earlier=value))]
+    effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
+    severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
+    text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {inertial.format_magnitude(lag)} s"
+    return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
+                               advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))]
 
 
-def _removed_factors(gross: list[Finding]) -> dict[str, float]:
+def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
     """Factors that `correct_units` divided by, and the yaw offset that it subtracted, by name of the finding."""
     removed = {}
-    for finding in gross:
+    for finding in unit_findings:
         correct = finding.advice.entry.get("correct", {}) if finding.advice else {}
         scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
         if not correct and finding.value:
@@ -240,20 +239,21 @@ def _removed_factors(gross: list[Finding]) -> dict[str, float]:
     return removed
 
 
-def _merge_gross_and_fine(gross: list[Finding], fine: list[Finding], estimates: dict[str, Estimate]) -> list[Finding]:
-    """The findings `gross` of `correct_units` with refined values, and the findings `fine` that have other names."""
-    fine_names = {finding.name for finding in fine}
+def _merge_findings_of_units(unit_findings: list[Finding], sensor_findings: list[Finding],
+                             estimates: dict[str, Estimate]) -> list[Finding]:
+    """The findings of `correct_units` with refined values, and the sensor findings that have other names."""
+    sensor_names = {finding.name for finding in sensor_findings}
     findings = []
-    for finding in gross:
+    for finding in unit_findings:
         estimate, advice = estimates.get(finding.name), finding.advice
         if estimate is None:
             findings.append(finding)
             continue
-        if advice and finding.name in fine_names:
+        if advice and finding.name in sensor_names:
             # One correction replaces the correction of the unit or offset and its refinement.
             (channel, (key,)), = advice.entry["correct"].items()
             correction = 1.0 / estimate.value if key == "scale" else -estimate.value
             advice = Advice.correct(channel, **{key: float(f"{correction:.6g}")})
         findings.append(replace(finding, value=estimate.value, interval=estimate.interval, advice=advice))
-    gross_names = {finding.name for finding in gross}
-    return findings + [finding for finding in fine if finding.name not in gross_names]
+    unit_names = {finding.name for finding in unit_findings}
+    return findings + [finding for finding in sensor_findings if finding.name not in unit_names]

@@ -11,11 +11,17 @@ SCHEMA = 2  # version of check.json; within a version, keys are added but never 
 
 
 class Severity(StrEnum):
-    """Effect of a finding on an evaluation. error: it would be meaningless; warning: biased; note: hardly affected."""
+    """Effect of a finding on an evaluation: meaningless (error), biased (warning) or hardly affected (note)."""
 
     ERROR = "error"
     WARNING = "warning"
     NOTE = "note"
+
+
+def _format_yaml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_format_yaml(item)}' for key, item in value.items())}}}"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,12 @@ class Advice:
     @classmethod
     def correct(cls, channel: str, **values: float) -> "Advice":
         """Correction of a channel in run.yaml; values: fields of `corrections.Correction`."""
-        fields = ", ".join(f"{key}: {value:g}" for key, value in values.items())
-        return cls("run.yaml", f"correct: {{{channel}: {{{fields}}}}}", {"correct": {channel: values}})
+        return cls.for_run_yaml({"correct": {channel: values}})
+
+    @classmethod
+    def for_run_yaml(cls, entry: Mapping[str, Any]) -> "Advice":
+        """Advice to merge an entry into run.yaml. The line has its first key; further keys follow as a comment."""
+        return cls("run.yaml", "  # and ".join(f"{key}: {_format_yaml(value)}" for key, value in entry.items()), entry)
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class Finding:
     text: str  # one sentence
     value: float | None = None  # estimate [unit]
     unit: str = "1"
-    interval: tuple[float, float] | None = None  # its 95 % interval [unit]
+    interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
     where: tuple[tuple[float, float], ...] = ()  # stretches [s since the first INS measurement]; empty: all
     effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
@@ -80,22 +90,22 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Channel:
-    """Sampling and noise of one channel, in its own `unit`."""
+    """Sampling and noise of one channel."""
 
     unit: str
-    samples: int
+    samples: int  # number of samples
     rate: float  # samples per second, from the median interval
     gaps: int  # number of intervals longer than `motion.MAX_GAP`
     longest_gap: float  # s
-    noise: float  # standard deviation of white noise
-    resolution: float  # smallest step of the values; 0 if they are not quantised
+    noise: float  # standard deviation of white noise [unit]
+    resolution: float  # quantisation step [unit]; 0 if the values are not quantised
     repeated: float  # fraction of samples equal to the previous one
-    missing: int = 0  # number of rows without a value, which were left out
+    missing: int = 0  # number of rows left out because they have no value
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A quantity from two sources, for a figure."""
+    """A quantity [unit] from two sources, for a figure."""
 
     name: str
     title: str
@@ -151,8 +161,9 @@ class InsQuality:
 class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
-    stamps: of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of rows left out
-    without a usable value, by channel. ins_speed: from CAN frames, or from NCOM packets recorded with odometry.
+    stamps: time stamps of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of
+    rows left out because they have no usable value, by channel. ins_speed: of CAN frames, or of NCOM packets recorded
+    with odometry.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -167,7 +178,7 @@ class AuxiliaryData:
 
 
 HORIZON = 5.0  # s; prediction time at which the effect of a fault is evaluated
-WHEEL_SCALE = 0.03  # 1; relative change of the tyre radius with wear and inflation pressure
+WHEEL_SCALE_TOLERANCE = 0.03  # relative change of the tyre radius with wear and inflation pressure
 
 
 @dataclass(frozen=True)
@@ -175,31 +186,32 @@ class Limits:
     """Limits of the findings. Effects are shifts of the position after the horizon."""
 
     min_reported_effect: float = 0.02  # m; an RTK position is accurate to 2 cm
-    warning: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
-    error: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
-    unit: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit: float = 2.0  # the same factor for accelerometers (roll) and wheel speeds (tyre radius)
-    settling: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
+    warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
+    error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
+    unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
+    channel_unit_ratio: float = 2.0  # the same factor for accelerometers (roll) and wheel speeds (tyre radius)
+    yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
-    correlation: float = 0.6  # minimum correlation of two estimates of a quantity that are compared
-    bias_acceleration: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
+    min_correlation: float = 0.6  # of two estimates of a quantity that are compared
+    acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
-    steering_unit: float = 1.5  # as `unit`, for steering and curvature: ratio, wheelbase and stiffnesses may be rough
+    steering_unit_ratio: float = 1.5  # for steering and curvature: ratio, wheelbase and stiffnesses may be inaccurate
     steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels
-    mounting: float = 0.25  # m; accuracy of a rough measurement of the INS position
-    heading: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
+    ins_position: float = 0.25  # m; accuracy of a measurement of the INS position by eye
+    heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
+    note_share: float = 0.01  # largest fraction of faulty samples that is reported as a note only
 
     def severity(self, effect: float, severe: bool = False) -> Severity:
         """Severity of an effect [m]; at least a warning if `severe`."""
-        if effect >= self.error:
+        if effect >= self.error_effect:
             return Severity.ERROR
-        return Severity.WARNING if severe or effect >= self.warning else Severity.NOTE
+        return Severity.WARNING if severe or effect >= self.warning_effect else Severity.NOTE
 
 
 LIMITS = Limits()
-SYSTEMATIC = {
+SYSTEMATIC_UNCERTAINTY = {
     "lag": 0.005, "velocity_lag": 0.01, "acceleration_x_lag": 0.01, "acceleration_y_lag": 0.01, "steering_lag": 0.04,
     "wheel_speed_lag": 0.02, "scale": 0.001, "acceleration_x_scale": 0.01, "acceleration_y_scale": 0.01,
     "wheel_speed_scale": 0.005, "ins_speed_scale": 0.002, "steering_scale": 0.05, "steering_sign": 0.05,
@@ -209,5 +221,10 @@ SYSTEMATIC = {
 }
 """Systematic uncertainty of an estimate, half-width of a 95 % interval, in the finding's unit (scales: fraction of the
 value), by the finding's name or its last part. It covers filters, interpolation, roll and the car's response to
-steering, which the variation between blocks does not show, and is added in quadrature (GUM: type B). The values were
-set from the errors of the estimates on the development drives of bench/checks, not on the test drives."""
+steering, which the variation between blocks does not show, and is added in quadrature (GUM: type B). The values are
+from the errors of the estimates on the development drives of bench/checks, not on the test drives."""
+
+
+def neutral_value(name: str) -> float:
+    """Value of a finding's quantity in a faultless recording."""
+    return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0

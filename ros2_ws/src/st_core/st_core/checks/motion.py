@@ -1,31 +1,33 @@
-"""Working copy of a drive for the checks, its windows in time, and ratios between its channels."""
+"""Drive as the checks correct it, its windows in time, and ratios between its channels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ..log import DriveLog
+from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from ..timeseries import NANOSECOND
 from ..types import body_to_map
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
-MOVING = 1.0  # m/s; slower driving is not used
+MIN_MOVING_SPEED = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
 MIN_SPEED_VARIATION = 0.1  # minimum standard deviation of the speed divided by its mean
 MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard deviation of its noise
+MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
+MIN_WINDOWS = 5
+MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows that is not ambiguous
+MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
+SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
+SLOPE_ITERATIONS = 8  # of the robust fit of a slope
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive with signals as in DriveLog, corrected for the findings so far; accelerations may be NaN.
-
-    speeds: (time [s], values [m/s]) of other sources of the forward speed, by name.
-    """
+    """A drive with signals as in DriveLog, corrected for the findings so far; accelerations may be NaN."""
 
     time: np.ndarray  # s since the first INS measurement
     x: np.ndarray
@@ -34,16 +36,17 @@ class Motion:
     velocity_x: np.ndarray
     velocity_y: np.ndarray
     yaw_rate: np.ndarray
-    steering_time: np.ndarray  # s since the first INS measurement
+    steering_time: np.ndarray  # as `time`
     steering: np.ndarray  # road wheel angle at steering_time [rad], left +
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
+    # (time [s], values [m/s]) of other sources of the forward speed, by name
     speeds: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     geographic: bool = False  # see `AuxiliaryData`
 
     @classmethod
-    def of(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
-        """Working copy of a drive. start: zero of the times [ns]."""
+    def from_log(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
+        """The motion as recorded. start: zero of the times [ns]."""
         series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
         speeds = {name: ((signal.time_ns - start) * NANOSECOND, signal.values)
                   for name, signal in series.items() if signal and len(signal.time_ns) > 1}
@@ -56,11 +59,10 @@ class Motion:
         speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
-    def where(self, keep: np.ndarray) -> "Motion":
-        """The motion with only the INS samples selected by a mask (n,)."""
-        names = ("time", "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y")
-        kept = {name: value[keep] for name in names if (value := getattr(self, name)) is not None}
-        return replace(self, **kept)
+    def select_ins(self, mask: np.ndarray) -> "Motion":
+        """The motion with only the INS samples in a mask (n,)."""
+        names = ("time", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+        return replace(self, **{name: value[mask] for name in names if (value := getattr(self, name)) is not None})
 
     @property
     def speed(self) -> np.ndarray:
@@ -85,18 +87,21 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives, in any units: the speed from positions or velocity exceeds MOVING, and the direction of
-    travel persists or the forward velocity far exceeds its noise. Neither is true of a parked car with drift."""
+    """Whether the car drives, in any units. True if the recording is too short to judge.
+
+    The speed from positions or velocity must exceed MIN_MOVING_SPEED, and the direction of travel must persist or the
+    forward velocity must far exceed its noise. Neither is true of a parked car with drift.
+    """
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
-    over = windows(motion.time, length, max(MAX_GAP, 0.5 * length))
-    if len(over) < MIN_DRIVEN_WINDOWS:
-        return True  # too short to judge
-    displacement = over.change(motion.x) + 1j * over.change(motion.y)
-    product = (displacement[1:] * np.conj(displacement[:-1]))[over.last[:-1] == over.first[1:]]
-    speed = over.mean(motion.time, motion.velocity_x)
+    windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
+    if len(windows) < MIN_DRIVEN_WINDOWS:
+        return True
+    displacement = windows.change(motion.x) + 1j * windows.change(motion.y)
+    product = (displacement[1:] * np.conj(displacement[:-1]))[windows.are_adjacent]
+    speed = windows.mean(motion.time, motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
-    fastest = np.maximum(np.abs(displacement) / over.change(motion.time), np.abs(speed))
-    if np.sum(fastest > MOVING) < MIN_DRIVEN_WINDOWS:
+    larger_speed = np.maximum(np.abs(displacement) / windows.change(motion.time), np.abs(speed))
+    if np.sum(larger_speed > MIN_MOVING_SPEED) < MIN_DRIVEN_WINDOWS:
         return False
     return bool(np.sum(product.real) > MIN_COHERENCE * np.sum(np.abs(product)) > 0.0
                 or np.sum(np.abs(speed) > MIN_SIGNAL_TO_NOISE * max(noise, 1e-9)) >= MIN_DRIVEN_WINDOWS)
@@ -107,14 +112,19 @@ def has_varying_speed(speed: np.ndarray) -> bool:
     return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
 
 
-def integral(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def integrate(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Trapezoidal integral from the first sample on, (n,)."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
 
 
+def correlate(x: np.ndarray, y: np.ndarray) -> float:
+    """Correlation coefficient of two series (n,); 0 if one of them is constant, or with fewer than three samples."""
+    return float(np.corrcoef(x, y)[0, 1]) if len(x) > 2 and np.std(x) > 0.0 and np.std(y) > 0.0 else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows without gaps, in order of time."""
+    """Windows without gaps, ascending in time."""
 
     first: np.ndarray  # index of the first sample
     last: np.ndarray  # index of the last sample
@@ -126,14 +136,19 @@ class Windows:
 
     def mean(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Time average in each window."""
-        return self.change(integral(time, values)) / self.change(time)
+        return self.change(integrate(time, values)) / self.change(time)
+
+    @property
+    def are_adjacent(self) -> np.ndarray:
+        """Whether each window but the first begins where the previous one ends."""
+        return self.last[:-1] == self.first[1:]
 
     def __len__(self) -> int:
         return len(self.first)
 
 
-def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
-    """Windows of `length` [s] in the stretches without a gap."""
+def make_windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
+    """Windows of `length` [s] within the stretches without a gap longer than `longest_gap` [s]."""
     # The edges are found among the samples, not by counting windows, since a gap may last years.
     edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
     first, last = edges[:-1], edges[1:]
@@ -143,24 +158,24 @@ def windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Wi
     return Windows(first, last, time[first])
 
 
-def stretches(times: np.ndarray, max_interval: float) -> tuple[tuple[float, float], ...]:
-    """(first, last) instant [s] of each group of instants with intervals of at most `max_interval` [s]."""
+def find_groups(is_last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (first, last) of each group of n >= 1 samples. is_last: (n - 1,) whether the sample ends its group."""
+    ends = np.flatnonzero(is_last)
+    return np.concatenate(([0], ends + 1)), np.append(ends, len(is_last))
+
+
+def find_stretches(times: np.ndarray, max_interval: float) -> tuple[tuple[float, float], ...]:
+    """(first, last) instant [s] of each group of ascending instants at intervals of at most `max_interval` [s]."""
     if not len(times):
         return ()
-    edges = [0, *(np.flatnonzero(np.diff(times) > max_interval) + 1).tolist(), len(times)]
-    return tuple((float(times[a]), float(times[b - 1])) for a, b in pairwise(edges))
+    first, last = find_groups(np.diff(times) > max_interval)
+    return tuple(zip(times[first].tolist(), times[last].tolist(), strict=True))
 
 
-def spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Indices (first, last) of each run of True in a mask (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
-
-
-MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
-MIN_WINDOWS = 5
-MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
-SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
+def find_spans(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Indices (first, last) of each stretch of True in a mask (n,), n >= 1."""
+    first, last = find_groups(np.diff(mask))
+    return list(zip(first[mask[first]].tolist(), last[mask[first]].tolist(), strict=True))
 
 
 class Ratios(NamedTuple):
@@ -177,49 +192,49 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
     return bool(np.isfinite(value) and value * target > 0.0 and 1.0 / factor < value / target < factor)
 
 
-def ratios(motion: Motion, length: float = 1.0) -> Ratios:
+def compute_ratios(motion: Motion, length: float = 1.0) -> Ratios:
     """Ratios of channels in windows of `length` [s]."""
-    over = windows(motion.time, length, max(0.25, 0.5 * length))
-    distance = np.hypot(over.change(motion.x), over.change(motion.y))
-    integrated = over.change(integral(motion.time, motion.speed))
-    integrated_rate = integral(motion.time, motion.yaw_rate)
-    enough = (distance > MIN_DISTANCE) | (integrated > MIN_DISTANCE)
-    weights, distance_ratio = integrated[enough], np.nan
+    windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
+    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
+    integrated_speed = windows.change(integrate(motion.time, motion.speed))
+    integrated_rate = integrate(motion.time, motion.yaw_rate)
+    moving = (distance > MIN_DISTANCE) | (integrated_speed > MIN_DISTANCE)
+    weights, distance_ratio = integrated_speed[moving], np.nan
     if len(weights) >= MIN_WINDOWS and weights.any():
-        ratio = distance[enough] / np.maximum(weights, 1e-12)
-        distance_ratio = _unless_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
-    yaw_rate_ratio = _fit_slope(over.change(motion.yaw), over.change(integrated_rate))
-    if len(over) < 2:
+        ratio = distance[moving] / np.maximum(weights, 1e-12)
+        distance_ratio = _reject_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
+    yaw_rate_ratio = _fit_slope(windows.change(motion.yaw), windows.change(integrated_rate))
+    if len(windows) < 2:
         return Ratios(distance_ratio, yaw_rate_ratio, np.nan, np.nan)
-    # The course changes between the centres of adjacent windows.
-    turn = np.diff(np.unwrap(np.arctan2(over.change(motion.y), over.change(motion.x))))
-    # Only adjacent windows in which the car moves are used: at standstill the course is noise.
-    moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
-    usable = (over.last[:-1] == over.first[1:]) & moving & (np.abs(turn) < 1.5)
-    yaw, rate = (np.diff(over.mean(motion.time, values)) for values in (motion.yaw, integrated_rate))
+    # The course changes between the centres of adjacent windows; at standstill it is noise.
+    turn = np.diff(np.unwrap(np.arctan2(windows.change(motion.y), windows.change(motion.x))))
+    both_moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
+    usable = windows.are_adjacent & both_moving & (np.abs(turn) < MAX_TURN)
+    yaw, rate = (np.diff(windows.mean(motion.time, values)) for values in (motion.yaw, integrated_rate))
     return Ratios(distance_ratio, yaw_rate_ratio, _fit_slope(yaw[usable], turn[usable]),
                   _fit_slope(rate[usable], turn[usable]))
 
 
-def _unless_constant(ratio: float) -> float:
+def _reject_constant(ratio: float) -> float:
     """The ratio; NaN if one of the two channels is constant."""
     return ratio if MIN_RATIO < abs(ratio) < 1.0 / MIN_RATIO else float("nan")
 
 
-def _fit_slope(top: np.ndarray, bottom: np.ndarray) -> float:
-    """Robust slope of `top` versus `bottom`, with a small intercept that absorbs a bias of the yaw rate."""
-    if len(top) < MIN_WINDOWS or max(np.percentile(np.abs(c), 95) for c in (top, bottom)) < MIN_TURN:
+def _fit_slope(y: np.ndarray, x: np.ndarray) -> float:
+    """Robust slope of turns y versus turns x [rad], with a small intercept that absorbs a bias of the yaw rate; NaN if
+    both are small, or if one is only bias or noise."""
+    if len(y) < MIN_WINDOWS:
         return float("nan")
-    smaller, larger = sorted((top, bottom), key=lambda turns: float(np.percentile(np.abs(turns), 95)))
-    if float(np.percentile(np.abs(smaller), 95)) < MIN_TURN and (
-            float(np.std(larger)) < 0.5 * abs(float(np.mean(larger)))):
-        return float("nan")  # the smaller turn is only bias or noise
-    weights, slope = np.ones(len(top)), float("nan")
+    (small_size, _), (large_size, larger) = sorted(
+        ((float(np.percentile(np.abs(turns), 95)), turns) for turns in (y, x)), key=lambda pair: pair[0])
+    if large_size < MIN_TURN or (small_size < MIN_TURN and np.std(larger) < 0.5 * abs(np.mean(larger))):
+        return float("nan")
+    weights, slope = np.ones(len(y)), float("nan")
     # The prior limits the intercept, which a drive on a circle does not determine.
-    prior = (len(top) * MIN_TURN**2) / max(float(np.square(bottom).mean()), 1e-300)
-    for _ in range(8):
-        rows = np.array([[weights @ bottom**2, weights @ bottom], [weights @ bottom, weights.sum() + prior]])
-        slope, intercept = np.linalg.lstsq(rows, [weights @ (bottom * top), weights @ top])[0]
-        residual = np.abs(top - slope * bottom - intercept)
+    prior = (len(y) * MIN_TURN**2) / max(float(np.square(x).mean()), 1e-300)
+    for _ in range(SLOPE_ITERATIONS):
+        normal = np.array([[weights @ x**2, weights @ x], [weights @ x, weights.sum() + prior]])
+        slope, intercept = np.linalg.lstsq(normal, [weights @ (x * y), weights @ y])[0]
+        residual = np.abs(y - slope * x - intercept)
         weights = 1.0 / np.maximum(1.0, residual / (3.0 * max(float(np.median(residual)), 1e-12)))
-    return _unless_constant(float(slope))
+    return _reject_constant(float(slope))

@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
-from .finding import Advice, Finding, Severity, merge_findings
-from .motion import MAX_GAP, spans, stretches
+from ..timeseries import NANOSECOND
+from .finding import LIMITS, Advice, Finding, Severity, merge_findings
+from .motion import MAX_GAP, MIN_MOVING_SPEED, find_groups, find_spans, find_stretches
 
 STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; noise and quantisation cause smaller steps
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
 SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the usual number of equal samples
-MIN_MOVING_SPEED = 1.0  # m/s
 MAX_BAD_SHARE = 0.5  # fraction of implausible samples above which the channel is unusable, and no sample is left out
-NOTE_SHARE = 0.01  # largest fraction of spikes that is reported as a note only
 WRAP_LIMIT = 0.3  # minimum wrap, divided by the largest plausible step; smaller wraps resemble real changes
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # fractions of the wrap size: tolerances of the step and of the sum of its ends
 MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
@@ -45,7 +44,7 @@ class ChannelLimits:
     largest: float = np.inf  # magnitude above which a value is out of range [unit]
 
 
-CHANNELS: Mapping[str, ChannelLimits] = {
+CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
     "x": ChannelLimits("m", 5.0), "y": ChannelLimits("m", 5.0),  # 100 m/s for 50 ms
     "yaw": ChannelLimits("rad", 0.2),  # 4 rad/s for 50 ms
     "velocity_x": ChannelLimits("m/s", 1.0, 120.0),  # 20 m/s^2 for 50 ms; nearly no road car is faster
@@ -59,10 +58,10 @@ CHANNELS: Mapping[str, ChannelLimits] = {
 
 
 class _Channel:
-    """A varying channel without NaN samples. rows: indices (n,) of its samples in the log."""
+    """Samples of a varying channel that are not NaN. rows: their indices in the log. All arrays are (n,)."""
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
-        self.name, self.limits, self.rows, self.time, self.values = name, CHANNELS[name], rows, time, values
+        self.name, self.limits, self.rows, self.time, self.values = name, CHANNEL_LIMITS[name], rows, time, values
         self.spacing = float(np.median(np.diff(time)))  # s
         self.gap = np.diff(time) > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
@@ -84,9 +83,9 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
         start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
     bad_rows = np.zeros(len(log.ins_time_ns), bool)
     bad_steering = np.zeros(len(log.steering_time_ns), bool)
-    blanked: dict[str, Any] = {}
+    with_nan: dict[str, Any] = {}  # optional signals
     findings: list[Finding] = []
-    moving = _is_moving(log)
+    moving = _detect_motion(log)
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
     for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", steering):
         values = getattr(log, name)
@@ -97,20 +96,20 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
             time_ns = log.steering_time_ns
             if len(moving):
                 is_moving = np.interp(time_ns - start_ns, log.ins_time_ns - start_ns, moving) > 0.5
-        bad, found = find_implausible_samples(name, (time_ns - start_ns) * 1e-9, values, is_moving)
-        findings += found
+        bad, channel_findings = find_implausible_samples(name, (time_ns - start_ns) * NANOSECOND, values, is_moving)
+        findings += channel_findings
         if name == steering:
             bad_steering |= bad
         elif name in OPTIONAL_INS_SIGNALS and bad.any():
-            blanked[name] = np.where(bad, np.nan, values)
+            with_nan[name] = np.where(bad, np.nan, values)
         elif name not in OPTIONAL_INS_SIGNALS:
             bad_rows |= bad
-    log = replace(log, **blanked)
+    log = replace(log, **with_nan)
     if bad_rows.any() and not bad_rows.all():
-        kept = np.flatnonzero(~bad_rows)
+        usable = np.flatnonzero(~bad_rows)
         # Unwrapping across an implausible sample may have added a full turn to yaw.
-        turns = np.where(np.diff(kept) > 1, np.round(np.diff(log.yaw[kept]) / (2.0 * np.pi)), 0.0)
-        log = log.select_ins(kept)
+        turns = np.where(np.diff(usable) > 1, np.round(np.diff(log.yaw[usable]) / (2.0 * np.pi)), 0.0)
+        log = log.select_ins(usable)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
     if bad_steering.any() and not bad_steering.all():
         names = [name for name in ("steering_time_ns", *STEERING) if getattr(log, name) is not None]
@@ -122,7 +121,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                              moving: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
-    name: a key of CHANNELS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
+    name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
     where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False if over half would be left out.
     """
     bad = np.zeros(len(values), bool)
@@ -131,7 +130,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
         return bad, []
     channel = _Channel(name, rows, time[rows], values[rows])
     findings = []
-    large = channel.step > channel.limit
+    large = channel.step > channel.limit  # steps
     implausible = np.zeros(len(channel.values), bool)
     for kind, samples in (("channel_wraps", _find_wraps(channel)),
                           ("sentinel_values", _find_sentinels(channel, large, moving[channel.rows])),
@@ -143,7 +142,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
             findings.append(_make_finding(kind, channel, new))
     bad[channel.rows[implausible]] = True
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
-        if name == "yaw":  # a yaw in degrees also steps where it wraps, so only a reversal of the heading is certain
+        if name == "yaw":  # a yaw in degrees also steps where it wraps, so only a reversal of the heading is reported
             jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
                           & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
         findings += [_make_finding("channel_jumps", channel, jumps)] if len(jumps) else []
@@ -156,11 +155,11 @@ def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
 
-def _is_moving(log: DriveLog) -> np.ndarray:
+def _detect_motion(log: DriveLog) -> np.ndarray:
     """Whether the car moves at each INS sample, by velocity or by positions, either of which may drop out."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(log.ins_time_ns), bool)
-    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     distance = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
     return (distance / (end - begin) > MIN_MOVING_SPEED) | (np.abs(log.velocity_x) > MIN_MOVING_SPEED)
@@ -168,8 +167,8 @@ def _is_moving(log: DriveLog) -> np.ndarray:
 
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
     """Samples after a step that is much larger than usual, in any unit, and is neither reversed nor a wrap-around."""
-    same = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
-    is_held = np.append(same[:1], same) | np.append(same, same[-1:])
+    constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
+    is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
     excluded = implausible | (is_held & (channel.update <= 1.5 * channel.spacing))
     extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
     return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
@@ -179,18 +178,18 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     """Samples displaced by wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. The level
     nearest to 0 is taken as the true one."""
     smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.median_step)
-    places = np.flatnonzero((channel.step > smallest) & ~channel.gap)
-    if len(places) < 2:
-        return places[:0]
-    change = np.diff(channel.values)[places]
+    steps = np.flatnonzero((channel.step > smallest) & ~channel.gap)
+    if len(steps) < 2:
+        return steps[:0]
+    change = np.diff(channel.values)[steps]
     size = float(np.median(np.abs(change)))
-    ends = channel.values[places] + channel.values[places + 1]
-    wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(ends) < WRAP_SYMMETRY * size)
+    sum_of_ends = channel.values[steps] + channel.values[steps + 1]
+    wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(sum_of_ends) < WRAP_SYMMETRY * size)
     # A wrapping channel stays within +/- R/2, unlike one with spikes or sentinels.
     if wraps.sum() < 2 or wraps.mean() < MAX_BAD_SHARE or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
-        return places[:0]
+        return steps[:0]
     level = np.zeros(len(channel.values), np.int64)
-    level[places[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
+    level[steps[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
     level = np.cumsum(level)
     nearest = min(np.unique(level), key=lambda k: float(np.median(np.abs(channel.values + size * (level - k)))))
     return np.flatnonzero(level != nearest)
@@ -199,38 +198,42 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
 def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples out of range, if most samples are within range and a large step leads out of it or back. A channel in
     another unit would exceed the range gradually, without a large step."""
-    beyond = np.abs(channel.values) > channel.limits.largest
-    if not beyond.any() or beyond.mean() > MAX_BAD_SHARE:
+    outside = np.abs(channel.values) > channel.limits.largest
+    if not outside.any() or outside.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
-    found = [np.arange(first, last + 1) for first, last in spans(beyond)
-             if (first > 0 and large[first - 1]) or (last < len(large) and large[last])]
-    return np.concatenate(found or [np.zeros(0, np.int64)])
+    return _list_samples((first, last) for first, last in find_spans(outside)
+                         if (first > 0 and large[first - 1]) or (last < len(large) and large[last]))
+
+
+def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
+    """Indices of all samples in spans (first, last)."""
+    return np.concatenate([np.zeros(0, np.int64), *(np.arange(first, last + 1) for first, last in spans)])
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
     """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion."""
-    same = np.concatenate((channel.step == 0.0, [False]))
-    edges = np.flatnonzero(~same)
-    first, last = np.concatenate(([0], edges[:-1] + 1)), edges
-    duration = channel.time[last] - channel.time[first]
+    first, last = find_groups(channel.step != 0.0)
     count = last - first + 1
     usual_count = float(np.percentile(count, 98))
-    found = []
+    sentinels = []
+    # Smallest step that leads to a sentinel 0, which is nearer to the usual values than other sentinels.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
-        zero = channel.values[begin] == 0.0
+        is_zero = channel.values[begin] == 0.0
         # A slowly updated channel also holds the value 0, so only a longer stretch of zeros is a sentinel.
-        if zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count and duration[k] >= MIN_ZERO_TIME
-                         and moving[begin:end + 1].mean() > 0.5):
+        if is_zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count
+                            and channel.time[end] - channel.time[begin] >= MIN_ZERO_TIME
+                            and moving[begin:end + 1].mean() > 0.5):
             continue
-        is_large = channel.step > zero_step if zero and channel.name != "velocity_x" else large
-        entered = begin == 0 or channel.gap[begin - 1] or is_large[begin - 1]
-        exited = end == len(channel.values) - 1 or channel.gap[end] or is_large[end]
-        has_step = (begin > 0 and is_large[begin - 1]) or (end < len(is_large) and is_large[end])
-        if entered and exited and has_step:
-            found.append(np.arange(begin, end + 1))
-    return np.concatenate(found or [np.zeros(0, np.int64)])
+        is_large = channel.step > zero_step if is_zero and channel.name != "velocity_x" else large
+        steps_in = begin > 0 and is_large[begin - 1]
+        steps_out = end < len(is_large) and is_large[end]
+        entered = steps_in or begin == 0 or channel.gap[begin - 1]
+        exited = steps_out or end == len(is_large) or channel.gap[end]
+        if entered and exited and (steps_in or steps_out):
+            sentinels.append((begin, end))
+    return _list_samples(sentinels)
 
 
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
@@ -239,34 +242,33 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """
     if not large.any():
         return np.zeros(0, np.int64)
-    half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)
-    near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)
-    stretch = np.concatenate(([0], np.cumsum(channel.gap)))
+    half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)  # samples
+    near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)  # samples near a large step
     near = np.unique(np.clip(np.concatenate((near, near + 1)), 0, len(channel.values) - 1))
-    offsets = np.arange(-half, half + 1)
-    found = []
-    for part in np.array_split(near, len(near) // 4096 + 1):
-        around = part[:, None] + offsets
-        inside = np.clip(around, 0, len(channel.values) - 1)
-        known = (around == inside) & (stretch[inside] == stretch[part][:, None])
-        middle = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1) if len(part) else np.zeros(0)
-        found.append(part[np.abs(channel.values[part] - middle) > channel.limit])
+    stretch = np.concatenate(([0], np.cumsum(channel.gap)))  # number of the stretch without a gap
+    spikes = []
+    for part in np.array_split(near, len(near) // 4096 + 1):  # limits the memory
+        neighbours = part[:, None] + np.arange(-half, half + 1)
+        inside = np.clip(neighbours, 0, len(channel.values) - 1)
+        known = (neighbours == inside) & (stretch[inside] == stretch[part][:, None])
+        median = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1) if len(part) else np.zeros(0)
+        spikes.append(part[np.abs(channel.values[part] - median) > channel.limit])
     uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
-    rough = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
-    dense = np.convolve(large & rough & ~channel.gap, np.ones(2 * half + 1), "same") > half
-    for first, last in spans(dense):
-        places = first + np.flatnonzero(large[first:last + 1])
-        if len(places) and abs(channel.values[last + 1] - channel.values[first]) < MAX_NET_CHANGE * channel.step[
-                first:last + 1].sum():
-            found.append(np.arange(places[0] + 1, places[-1] + 1))
-    return np.unique(np.concatenate(found))
+    irregular = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
+    dense = np.convolve(large & irregular & ~channel.gap, np.ones(2 * half + 1), "same") > half
+    for first, last in find_spans(dense):
+        steps = first + np.flatnonzero(large[first:last + 1])
+        net_change = abs(channel.values[last + 1] - channel.values[first])
+        if len(steps) and net_change < MAX_NET_CHANGE * channel.step[first:last + 1].sum():
+            spikes.append(np.arange(steps[0] + 1, steps[-1] + 1))
+    return np.unique(np.concatenate(spikes))
 
 
 def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     share = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
-    where = stretches(times, 1.5 * channel.spacing)
+    where = find_stretches(times, 1.5 * channel.spacing)
     unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which is often degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
@@ -286,8 +288,9 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, and does not return: it is left out of all comparisons",
     }[kind]
-    severity = (Severity.ERROR if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE) else
-                Severity.NOTE if kind == "sample_spikes" and share <= NOTE_SHARE else Severity.WARNING)
+    severity = Severity.NOTE if kind == "sample_spikes" and share <= LIMITS.note_share else Severity.WARNING
+    if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE):
+        severity = Severity.ERROR
     text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; these samples are left out"
     advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
               "channel_jumps": "check the sensor and the settings of the logger",

@@ -1,8 +1,8 @@
 """Checks of positions against velocity and yaw, by an identity that is valid for any vehicle:
 
-    p(t2) - p(t1) = integral of R(yaw) v dt
+    p(t2) - p(t1) = integral of R(yaw) v dt,   over windows of one second
 
-over windows of one second. Each cause of a residual contributes a term that is linear in the size of the cause:
+Each cause of a residual contributes a term that is linear in the size of the cause:
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
@@ -15,70 +15,90 @@ over windows of one second. Each cause of a residual contributes a term that is 
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from .finding import HORIZON, LIMITS, WHEEL_SCALE, Advice, Comparison, Finding, Severity
-from .motion import Motion, has_varying_speed, integral, windows
-from .regression import Estimate, Regression, is_relevant, with_systematic
+from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
+from .motion import Motion, has_varying_speed, integrate, make_windows
+from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 
 WINDOW = 1.0  # s
 MIN_WINDOWS = 10
 ITERATIONS = 3
-MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25  # of the position lag, if a lagging or (rarer) leading yaw is corrected
+# Largest fraction of a position lag that remains after the correction of a yaw that lags, or leads, which is rarer.
+MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
-MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign: RTK noise is 1 cm
+MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
 MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with another cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
-AXES = {"x_scale", "y_scale"}
+AXES = ("x_scale", "y_scale")
 # Causes that are confounded at constant speed. Only one of them is fitted; a bias only if its loss is clearly smaller.
 BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
-TEXT = {
-    "x_scale": "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled by the cosine of another latitude?",
-    "y_scale": "y is {value:.4f} ± {half:.4f} times the integrated velocity: projected with another earth radius?",
-    "sphere": "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?",
-    "map_shear": "x {grows} by {size:.4f} ± {half:.4f} m per metre north: projected far from its origin?",
-    "velocity_scale": "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions",
-    "yaw_offset": "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far {side} for positions and velocities",
-    "position_lag": "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s",
-    "velocity_lag": "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s",
-    "position_reference": "positions refer to a point {size:.2f} ± {half:.2f} m {ahead} the point of the velocities",
-    "velocity_x_bias": "velocity_x is {size:.2f} ± {half:.2f} m/s too {high} for positions, at every speed",
-    "velocity_y_bias": "velocity_y is {size:.2f} ± {half:.2f} m/s too {high} for positions and yaw, at every speed",
+MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS}
+"""Smallest reported value of a cause, by its unit."""
+
+
+class Cause(NamedTuple):
+    """A cause of a residual. corrected, key: channel and key in run.yaml. text: template of the finding's text."""
+
+    channels: tuple[str, ...]
+    corrected: str
+    key: str
+    unit: str
+    text: str
+
+
+CAUSES = {
+    "x_scale": Cause(("x",), "x", "scale", "1", "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled "
+                     "by the cosine of another latitude?"),
+    "y_scale": Cause(("y",), "y", "scale", "1", "y is {value:.4f} ± {half:.4f} times the integrated velocity: "
+                     "projected with another earth radius?"),
+    "map_shear": Cause(("x",), "", "", "1", "x {grows} by {size:.4f} ± {half:.4f} m per metre north: projected far "
+                       "from its origin?"),
+    "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
+                            "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions"),
+    "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far "
+                        "{side} for positions and velocities"),
+    "position_lag": Cause(("x", "y"), "position", "earlier", "s",
+                          "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
+    "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
+                          "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s"),
+    "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
+                                "{half:.2f} m {ahead} the point of the velocities"),
+    "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
+                             "too {high} for positions, at every speed"),
+    "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
+                             "too {high} for positions and yaw, at every speed"),
 }
-UNIT = {"yaw_offset": "rad", "position_lag": "s", "velocity_lag": "s", "position_reference": "m",
-        **dict.fromkeys(BIASES, "m/s")}
-MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.mounting, "m/s": MIN_VELOCITY_BIAS}
-CHANNELS = {"x_scale": ("x",), "y_scale": ("y",), "map_shear": ("x",), "yaw_offset": ("yaw",),
-            "velocity_scale": ("velocity_x", "velocity_y"), "position_lag": ("x", "y"),
-            "velocity_lag": ("velocity_x", "velocity_y"), "position_reference": ("x", "y"),
-            "velocity_x_bias": ("velocity_x",), "velocity_y_bias": ("velocity_y",)}
+SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?"
 
 
-def residual_regression(motion: Motion) -> Regression:
+def make_residual_regression(motion: Motion) -> Regression:
     """Regression of the residual of the identity on the effects of all causes, by window."""
-    over = windows(motion.time, WINDOW)
+    windows = make_windows(motion.time, WINDOW)
+
+    def integral(rate: np.ndarray) -> np.ndarray:
+        return windows.change(integrate(motion.time, rate))
+
+    # Vectors in the map frame are complex: east + i north.
     east, north = motion.velocity_map
-    cosine, sine, rate = np.cos(motion.yaw), np.sin(motion.yaw), motion.yaw_rate
-    displacement = [over.change(integral(motion.time, v)) for v in (east, north)]
-    velocity_change = [over.change(v) for v in (east, north)]
-    turning = [over.change(integral(motion.time, v)) for v in (-north * rate, east * rate)]
-    heading = [over.change(integral(motion.time, v)) for v in (cosine, sine)]
-    zero = np.zeros(len(over))
+    velocity, heading = east + 1j * north, np.cos(motion.yaw) + 1j * np.sin(motion.yaw)
+    displacement, velocity_change = integral(velocity), windows.change(velocity)
     columns = {
-        "x_scale": (displacement[0], zero), "y_scale": (zero, displacement[1]), "map_shear": (displacement[1], zero),
-        "velocity_scale": displacement, "yaw_offset": (displacement[1], -displacement[0]),
-        "position_lag": (-velocity_change[0], -velocity_change[1]),
-        "velocity_lag": (velocity_change[0] - turning[0], velocity_change[1] - turning[1]),
-        "position_reference": (over.change(cosine), over.change(sine)),
-        "velocity_x_bias": (-heading[0], -heading[1]), "velocity_y_bias": (heading[1], -heading[0]),
+        "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
+        "velocity_scale": displacement, "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
+        "velocity_lag": velocity_change - integral(1j * motion.yaw_rate * velocity),
+        "position_reference": windows.change(heading),
+        "velocity_x_bias": -integral(heading), "velocity_y_bias": -1j * integral(heading),
     }
-    measured = np.stack([over.change(motion.x) - displacement[0], over.change(motion.y) - displacement[1]], axis=1)
-    return Regression(over.time, measured, {name: np.stack(c, axis=1) for name, c in columns.items()})
+    residual = windows.change(motion.x + 1j * motion.y) - displacement
+    return Regression(windows.time, np.stack((residual.real, residual.imag), axis=1),
+                      {name: np.stack((column.real, column.imag), axis=1) for name, column in columns.items()})
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
@@ -86,26 +106,28 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
     found: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
-        problem = residual_regression(corrected)
+        problem = make_residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
-        min_values = {name: max(LIMITS.min_reported_effect / max(problem.effect(name, 1.0, HORIZON, WINDOW), 1e-9),
-                                MIN_REPORTED.get(UNIT.get(name, ""), 0.0)) for name in problem.columns}
+        min_values = {}
+        for name in problem.columns:
+            effect = problem.compute_effect(name, 1.0, HORIZON, WINDOW)  # m per unit of the cause
+            min_values[name] = max(LIMITS.min_reported_effect / max(effect, 1e-9),
+                                   MIN_REPORTED.get(CAUSES[name].unit, 0.0))
         refined = _refine_causes(problem, found, min_values, has_varying_speed(motion.velocity_x))
         found = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
-        corrected = _without_causes(motion, found)
+        corrected = _correct_causes(motion, found)
         if not found:
             break
     findings = [_make_finding(name, estimate, problem) for name, estimate in found.items()
-                if not _as_reported(name, estimate).covers(1.0 if name.endswith("_scale") else 0.0)]
-    problem = residual_regression(corrected)
+                if not _convert_to_reported(name, estimate).covers(neutral_value(name))]
+    problem = make_residual_regression(corrected)
     estimates = {}
     for name in problem.columns:  # each is fitted together with the causes found
         alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
-        estimate = problem.estimates((*alongside, name))[name]
-        estimates[name] = _as_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
-    # Scale of the positions if the velocity is correct.
-    estimates["position_scale"] = estimates["velocity_scale"].inverse()
+        estimate = problem.estimate((*alongside, name))[name]
+        estimates[name] = _convert_to_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
+    estimates["position_scale"] = estimates["velocity_scale"].inverse()  # if the velocity is correct
     return corrected, findings, estimates
 
 
@@ -115,7 +137,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     agrees with the recorded velocity. wheel: ratio of wheel speed to recorded velocity."""
     wrong = next((finding for finding in findings if finding.name == "velocity_scale"), None)
     if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
-            abs(wrong.value - 1.0) < WHEEL_SCALE):
+            abs(wrong.value - 1.0) < WHEEL_SCALE_TOLERANCE):
         return motion, findings
     scale, factor = estimates["position_scale"], wrong.value
     text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, which agrees with the "
@@ -123,14 +145,14 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     found = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                     interval=scale.interval, advice=advice)
-    moved = {name: factor * getattr(motion, name) for name in ("x", "y", "velocity_x", "velocity_y")}
-    return replace(motion, **moved), [found if finding is wrong else finding for finding in findings]
+    scaled = {name: factor * getattr(motion, name) for name in ("x", "y", "velocity_x", "velocity_y")}
+    return replace(motion, **scaled), [found if finding is wrong else finding for finding in findings]
 
 
-def scaled_misfit(motion: Motion) -> float:
+def compute_scaled_misfit(motion: Motion) -> float:
     """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y."""
-    problem = residual_regression(motion)
-    return problem.fit(("x_scale", "y_scale"))[1] if len(problem.time) >= MIN_WINDOWS else np.inf
+    problem = make_residual_regression(motion)
+    return problem.fit(AXES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
@@ -138,10 +160,10 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
     At constant speed both explanations fit; yaw is then wrong if its correction removes most of the position lag.
     """
-    problem, corrected_problem = residual_regression(motion), residual_regression(corrected)
+    problem, corrected_problem = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problem.time) < MIN_WINDOWS:
         return False
-    causes = ("x_scale", "y_scale", "position_lag")
+    causes = (*AXES, "position_lag")
     (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
     explained = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
@@ -149,39 +171,41 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with the sign of velocity_y reversed if that explains positions better than any cause, the findings)."""
-    problem, mirrored = residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
+    """(motion, findings). The sign of velocity_y is reversed if that explains positions better than any cause."""
+    problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
-    reference = -2.0 * float(motion.velocity_y @ motion.yaw_rate) / max(float(motion.yaw_rate @ motion.yaw_rate), 1e-12)
+    yaw_rate = motion.yaw_rate
+    reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
     misfits = []
     for name in problem.columns.keys() - {*AXES, *BIASES, "velocity_scale"}:
-        theta, scale, _ = problem.fit(("x_scale", "y_scale", name))
+        theta, misfit, _ = problem.fit((*AXES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
         size, along = abs(reference), theta[name] * np.sign(reference)
         if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
-            misfits.append(scale)
-    if not scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
+            misfits.append(misfit)
+    if not compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
         return motion, []
-    return mirrored, [lateral_sign_finding()]
+    return mirrored, [make_lateral_sign_finding()]
 
 
-def lateral_sign_finding() -> Finding:
+def make_lateral_sign_finding() -> Finding:
     """Finding of a velocity_y with the opposite sign."""
     return Finding("velocity_y_scale", Severity.ERROR, ("velocity_y",), "velocity_y has the opposite sign (left is "
                    "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 
 
-def with_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings, without a correction if the opposite sign of velocity_y fits equally well, as on a circle."""
+def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
+    """The findings; without their correction if the opposite sign of velocity_y fits equally well, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
-    mirrored = scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
-    if not mirrored < min(MAX_SIGN_MISFIT_RATIO * scaled_misfit(corrected), 0.5 * scaled_misfit(recorded)):
+    mirrored = compute_scaled_misfit(replace(recorded, velocity_y=-recorded.velocity_y))
+    if not mirrored < min(MAX_SIGN_MISFIT_RATIO * compute_scaled_misfit(corrected),
+                          0.5 * compute_scaled_misfit(recorded)):
         return findings
-    look = Advice("look", "drive bends of different speed and radius, to distinguish the two")
-    return [replace(finding, advice=look, channels=(*finding.channels, "velocity_y"),
+    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
+    return [replace(finding, advice=advice, channels=(*finding.channels, "velocity_y"),
                     text=f"{finding.text}, or velocity_y has the opposite sign (left is positive): both fit this drive")
             if finding.name in names else finding for finding in findings]
 
@@ -193,24 +217,24 @@ def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: 
     free = {name: value for name, value in min_values.items() if name not in excluded}
     more = _find_causes(problem, {name: value for name, value in free.items() if name not in BIASES}, tuple(found))
     _, scale, _ = problem.fit((*found, *more))
-    loss = problem.loss((*found, *more), scale)
+    loss = problem.compute_loss((*found, *more), scale)
     for bias, confounded in BIASES.items():
         if bias in free and confounded & {*more} and speed_varies:
             candidates = {name: value for name, value in free.items()
                           if name not in confounded and (name == bias or name not in BIASES)}
             instead = _find_causes(problem, candidates, tuple(found))
-            if bias in instead and MIN_LOSS_RATIO * problem.loss((*found, *instead), scale) < loss:
+            if bias in instead and MIN_LOSS_RATIO * problem.compute_loss((*found, *instead), scale) < loss:
                 more = instead
-    estimates = problem.estimates((*found, *more))
+    estimates = problem.estimate((*found, *more))
     return {name: estimate.shifted(found[name].value) if name in found else estimate
             for name, estimate in estimates.items()}
 
 
 def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further significant causes. free: smallest reported value by candidate. always: causes found so far."""
-    causes = problem.causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
-                            () if "velocity_scale" in always else ("x_scale", "y_scale"))
-    axes = [name for name in ("x_scale", "y_scale") if name in causes]
+    """Names of further causes. free: smallest reported value by candidate. always: causes found so far."""
+    causes = problem.select_causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
+                                   () if "velocity_scale" in always else AXES)
+    axes = [name for name in AXES if name in causes]
     if "velocity_scale" not in free or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
@@ -221,48 +245,39 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
     else:
         _, scale, _ = problem.fit([*always, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
-        is_velocity = (problem.loss([*always, *others, "velocity_scale"], scale)
-                       <= MIN_LOSS_RATIO * problem.loss([*always, *causes], scale))
+        is_velocity = (problem.compute_loss([*always, *others, "velocity_scale"], scale)
+                       <= MIN_LOSS_RATIO * problem.compute_loss([*always, *causes], scale))
     return (*others, "velocity_scale") if is_velocity else tuple(causes)
 
 
-def _make_finding(name: str, cause: Estimate, problem: Regression) -> Finding:
-    effect = problem.effect(name, cause.value, HORIZON, WINDOW)
-    reported = _as_reported(name, cause)
+def _make_finding(name: str, estimate: Estimate, problem: Regression) -> Finding:
+    cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
+    effect = problem.compute_effect(name, estimate.value, HORIZON, WINDOW)
     positive = reported.value > 0.0
-    spherical = name in AXES and abs(cause.value) < SPHERICAL_EARTH_SCALE
-    text = TEXT["sphere" if spherical else name].format(
+    spherical = name in AXES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
+    text = (SPHERE_TEXT if spherical else cause.text).format(
         axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half,
         degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
         grows="grows" if positive else "shrinks", high="high" if positive else "low")
-    severity = LIMITS.severity(effect, UNIT.get(name) == "s" and abs(cause.value) >= LIMITS.severe_lag)
-    return Finding(name, severity, CHANNELS[name], text, reported.value, UNIT.get(name, "1"),
-                   reported.interval, (), effect, _make_advice(name, reported.value))
+    severity = LIMITS.severity(effect, cause.unit == "s" and abs(estimate.value) >= LIMITS.severe_lag)
+    correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
+    advice = (Advice.correct(cause.corrected, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
+              Advice("look", "project latitude and longitude with an origin near the drive"))
+    return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
+                   advice)
 
 
-def _as_reported(name: str, cause: Estimate) -> Estimate:
+def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
     """Estimate of a cause as its finding reports it: a faultless scale is 1; systematic uncertainty is included."""
     if name == "velocity_scale":
-        return with_systematic(name, cause.shifted(1.0).inverse())
-    return with_systematic(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
+        return add_systematic_uncertainty(name, cause.shifted(1.0).inverse())
+    return add_systematic_uncertainty(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
 
 
-def _make_advice(name: str, value: float) -> Advice:
-    if name == "map_shear":
-        return Advice("look", "project latitude and longitude with an origin near the drive")
-    channel, entry = {
-        "x_scale": ("x", {"scale": 1.0 / value}), "y_scale": ("y", {"scale": 1.0 / value}),
-        "velocity_scale": ("velocity", {"scale": 1.0 / value}), "yaw_offset": ("yaw", {"add": -value}),
-        "position_lag": ("position", {"earlier": value}), "velocity_lag": ("velocity", {"earlier": value}),
-        "position_reference": ("position", {"ahead": -value}),
-        **{bias: (bias.removesuffix("_bias"), {"add": -value}) for bias in BIASES},
-    }[name] if value else ("", {})
-    return Advice.correct(channel, **{key: float(f"{number:.5g}") for key, number in entry.items()})
-
-
-def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
-    value = {name: found[name].value if name in found else 0.0 for name in CHANNELS}
+def _correct_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
+    """The motion without the causes found, each with its estimated value."""
+    value = {name: found[name].value if name in found else 0.0 for name in CAUSES}
     ahead, scale, time = value["position_reference"], 1.0 + value["velocity_scale"], motion.time
     y = motion.y / (1.0 + value["y_scale"])
     x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
@@ -271,17 +286,16 @@ def _without_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
               "velocity_x": motion.velocity_x * scale - value["velocity_x_bias"],
               "velocity_y": motion.velocity_y * scale - value["velocity_y_bias"]}
     for cause in {"position_lag", "velocity_lag"} & found.keys():
-        fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CHANNELS[cause]}
+        fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CAUSES[cause].channels}
     return replace(motion, **fields)
 
 
-def distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
+def make_distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     """Distance per second in the recorded units, for a figure. removed: factors already divided out, by finding."""
-    over = windows(motion.time, WINDOW)
-    east, north = motion.velocity_map
-    derived = np.hypot(*(over.change(integral(motion.time, v)) for v in (east, north)))
-    measured = np.hypot(over.change(motion.x), over.change(motion.y))
+    windows = make_windows(motion.time, WINDOW)
+    derived = np.hypot(*(windows.change(integrate(motion.time, v)) for v in motion.velocity_map))
+    measured = np.hypot(windows.change(motion.x), windows.change(motion.y))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
-                      "from velocity and yaw", over.time, measured * removed.get("position_scale", 1.0),
+                      "from velocity and yaw", windows.time, measured * removed.get("position_scale", 1.0),
                       derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
-                      (*TEXT, "position_scale", "velocity_x_scale", "velocity_y_scale"))
+                      (*CAUSES, "position_scale", "velocity_x_scale", "velocity_y_scale"))

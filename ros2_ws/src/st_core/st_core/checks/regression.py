@@ -1,6 +1,6 @@
 """Robust linear regression of a residual on its possible causes.
 
-Neighbouring samples share their errors, so intervals come from a bootstrap over blocks of driving
+Neighbouring samples share their errors, so confidence intervals are from a bootstrap over blocks of driving
 (`st_core.regression`). Causes are found by forward selection: the cause that explains most is added and all are
 refitted, until no further cause is significant and relevant.
 """
@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..regression import Blocks, symmetric_interval
-from .finding import SYSTEMATIC
+from .finding import SYSTEMATIC_UNCERTAINTY
 
 OUTLIER_RATIO = 3.0  # windows with a residual above this multiple of the median residual have less weight (Huber)
+HUBER_ITERATIONS = 6
 DRAWS, SEED = 200, 0  # of the bootstrap
 BLOCK_LENGTH = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
 MIN_DEGREES_OF_FREEDOM = 4.0  # of Student's t
@@ -22,15 +23,15 @@ RIDGE = 1e-6  # fraction of the normal matrix that is added to it, so that a dra
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with standard deviation and 95 % confidence interval."""
+    """An estimated value."""
 
     value: float
-    deviation: float
-    interval: tuple[float, float]
+    deviation: float  # standard deviation
+    interval: tuple[float, float]  # 95 % confidence interval
 
     @property
     def significant(self) -> bool:
-        """Whether 0 is outside 1.5 times the 95 % interval, which accounts for the test of a dozen causes."""
+        """Whether 0 is outside 1.5 times the 95 % interval; the factor accounts for the test of a dozen causes."""
         low, high = self.interval
         return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
 
@@ -47,19 +48,19 @@ class Estimate:
         return Estimate(factor * self.value, abs(factor) * self.deviation, (low, high))
 
     def inverse(self) -> "Estimate":
-        """Estimate of 1 / value to first order; the exact interval is unbounded if the value may be 0."""
+        """Estimate of 1 / value, to first order, since the exact interval is unbounded if the value may be 0."""
         value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
         low, high = (value - (end - self.value) * value**2 for end in reversed(self.interval))
         return Estimate(value, self.deviation * value**2, (low, high))
 
     def widened(self, half: float) -> "Estimate":
-        """The estimate with a further uncertainty, half-width of a 95 % interval, added in quadrature."""
+        """The estimate with a further uncertainty added in quadrature. half: half-width of its 95 % interval."""
         low, high = (self.value + sign * float(np.hypot(end - self.value, half))
                      for sign, end in zip((-1.0, 1.0), self.interval, strict=True))
         return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half)), (low, high))
 
-    def shifted(self, by: float) -> "Estimate":
-        return Estimate(self.value + by, self.deviation, (self.interval[0] + by, self.interval[1] + by))
+    def shifted(self, change: float) -> "Estimate":
+        return Estimate(self.value + change, self.deviation, (self.interval[0] + change, self.interval[1] + change))
 
 
 class Regression:
@@ -74,7 +75,7 @@ class Regression:
         self._blocks = Blocks(block_of, np.zeros(len(numbers), np.int64), numbers,
                               f"{len(numbers)} blocks of {BLOCK_LENGTH:g} s")
 
-    def residual(self, theta: Mapping[str, float]) -> np.ndarray:
+    def compute_residual(self, theta: Mapping[str, float]) -> np.ndarray:
         """y - sum_k theta_k X_k (n, m); theta_k is 0 if it is not given."""
         return self.y - sum((value * self.columns[name] for name, value in theta.items()), np.zeros_like(self.y))
 
@@ -82,7 +83,7 @@ class Regression:
         """(theta by name, median norm of the residuals of the windows, Huber weights of the windows (n,))."""
         design = np.stack([self.columns[name] for name in names], axis=-1) if names else np.zeros((*self.y.shape, 0))
         weights, theta = np.ones(len(self.y)), np.zeros(len(names))
-        for _ in range(6 if names else 1):
+        for _ in range(HUBER_ITERATIONS if names else 1):
             normal = np.einsum("n,nip,niq->pq", weights, design, design)
             theta = np.linalg.solve(normal + RIDGE * np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names)),
                                     np.einsum("n,nip,ni->p", weights, design, self.y))
@@ -91,13 +92,13 @@ class Regression:
             weights = 1.0 / np.maximum(1.0, size / (OUTLIER_RATIO * scale))
         return dict(zip(names, theta.tolist(), strict=True)), scale, weights
 
-    def loss(self, names: Sequence[str], scale: float) -> float:
+    def compute_loss(self, names: Sequence[str], scale: float) -> float:
         """Huber loss of the fit of these causes; a common scale makes the losses of two sets comparable."""
         theta, _, _ = self.fit(names)
-        size = np.sqrt(np.square(self.residual(theta)).sum(axis=1)) / (OUTLIER_RATIO * scale)
+        size = np.sqrt(np.square(self.compute_residual(theta)).sum(axis=1)) / (OUTLIER_RATIO * scale)
         return float(np.where(size <= 1.0, 0.5 * size**2, size - 0.5).sum())
 
-    def estimates(self, names: Sequence[str]) -> dict[str, Estimate]:
+    def estimate(self, names: Sequence[str]) -> dict[str, Estimate]:
         """Estimates of these causes by one joint fit."""
         if not names:
             return {}
@@ -108,11 +109,11 @@ class Regression:
         normal, right_side = normals.sum(axis=0), right_sides.sum(axis=0)
         diagonal = np.diag(np.diag(normal)) + 1e-12 * np.eye(len(names))  # the causes may be collinear on this drive
 
-        def estimator(draws: np.ndarray) -> np.ndarray:
-            return np.linalg.solve(np.tensordot(draws, normals, 1) + RIDGE * (normal + diagonal),
-                                   (draws @ right_sides + RIDGE * right_side)[:, :, None])[:, :, 0]
+        def solve(weights_of_blocks: np.ndarray) -> np.ndarray:
+            return np.linalg.solve(np.tensordot(weights_of_blocks, normals, 1) + RIDGE * (normal + diagonal),
+                                   (weights_of_blocks @ right_sides + RIDGE * right_side)[:, :, None])[:, :, 0]
 
-        spread = self._blocks.bootstrap(estimator, DRAWS, SEED)
+        spread = self._blocks.bootstrap(solve, DRAWS, SEED)
         estimates = {}
         for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.degrees_of_freedom.tolist(),
                                             strict=True):
@@ -120,9 +121,9 @@ class Regression:
             estimates[name] = Estimate(theta[name], deviation, interval)
         return estimates
 
-    def effect(self, name: str, value: float, seconds: float, window: float) -> float:
-        """RMS change of y over `seconds` [s] due to a cause with this value; windows have a length of `window` [s]."""
-        count = max(round(seconds / window), 1)
+    def compute_effect(self, name: str, value: float, horizon: float, window: float) -> float:
+        """RMS change of y over `horizon` [s] due to a cause with this value; windows have a length of `window` [s]."""
+        count = max(round(horizon / window), 1)
         column = self.columns[name]
         if len(column) < count:
             return float(np.sqrt(np.square(value * column).sum(axis=1).mean())) * count
@@ -130,34 +131,34 @@ class Regression:
         change = value * (sums[count:] - sums[:-count])
         return float(np.sqrt(np.square(change).sum(axis=1).mean()))
 
-    def causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
-               alongside: Sequence[str] = ()) -> dict[str, Estimate]:
+    def select_causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
+                      alongside: Sequence[str] = ()) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together.
 
         candidates: smallest reported value by name. always: causes that are fitted in any case. alongside: causes that
-        are fitted together with a candidate if it fails without them, because they act as slow noise on it.
+        are fitted together with a candidate that is insignificant without them, because they act as slow noise on it.
         """
         chosen: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
         while remaining:
             _, scale, _ = self.fit([*always, *chosen])
-            losses = {name: self.loss([*always, *chosen, name], scale) for name in remaining}
+            losses = {name: self.compute_loss([*always, *chosen, name], scale) for name in remaining}
             best = min(losses, key=losses.__getitem__)
             remaining.remove(best)
-            # A cause that makes a previous one insignificant is collinear with it and is not added.
+            # A cause that makes a previous one insignificant is collinear with it and must not be added.
             for extra in ((), [name for name in alongside if name not in (*always, *chosen, best)]):
-                joint = self.estimates([*always, *chosen, best, *extra])
+                joint = self.estimate([*always, *chosen, best, *extra])
                 if all(is_relevant(joint[name], candidates[name]) for name in (*chosen, best)):
                     chosen.append(best)
                     break
-        joint = self.estimates([*always, *chosen])
+        joint = self.estimate([*always, *chosen])
         return {name: joint[name] for name in chosen}
 
 
-def with_systematic(name: str, estimate: Estimate) -> Estimate:
-    """The estimate with the systematic uncertainty (SYSTEMATIC) of the finding of this name."""
+def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:
+    """The estimate with the systematic uncertainty (SYSTEMATIC_UNCERTAINTY) of the finding of this name."""
     kind = name.rpartition("_")[2]
-    half = SYSTEMATIC.get(name, SYSTEMATIC.get(kind, 0.0))
+    half = SYSTEMATIC_UNCERTAINTY.get(name, SYSTEMATIC_UNCERTAINTY.get(kind, 0.0))
     return estimate.widened(half * abs(estimate.value) if kind in ("scale", "sign") else half)
 
 

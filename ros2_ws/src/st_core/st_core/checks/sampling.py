@@ -5,23 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..log import STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
+from ..timeseries import NANOSECOND
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
-from .motion import MAX_GAP, Motion, spans, stretches
+from .motion import MAX_GAP, Motion, find_groups, find_spans, find_stretches
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
-STEERING = ("road_wheel_angle", "steering_wheel_angle")
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
-MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples that lie in runs of the usual length
+MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples in stretches of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
-NOTE_SHARE = 0.01  # largest fraction of faulty rows that is reported as a note only
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_PREDICTION_GAP = 1.2 * PREDICTION_GAP  # s; stamps of a recording with one sample per PREDICTION_GAP vary
 MAX_GAP_SHARE = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
-SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval; gaps increase the mean
+SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval, which gaps increase
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
@@ -30,24 +30,29 @@ FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the 
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
+LOCKED_STATUS = 4  # NCOM byte 21
+RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
+MAX_LISTED = 20  # largest number of stretches listed in a finding on time stamps or the INS
+MIN_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
     """Rate, gaps, noise and resolution of every channel of the drive."""
     channels = {}
     for name, unit in UNITS.items():
-        time, values = _channel_series(motion, name)
+        time, values = _select_channel(motion, name)
         if values is None or len(values) < 3:
             continue
         spacing = np.diff(time)
         channels[name] = Channel(
             unit, len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
-            float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, resolution(time, values),
+            float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, estimate_resolution(time, values),
             float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return channels
 
 
-def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray | None]:
+def _select_channel(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """(time [s], values) of the known samples of a channel; values None if it was not recorded."""
     if name == "road_wheel_angle":
         return motion.steering_time, motion.steering
     values = getattr(motion, name)
@@ -57,7 +62,7 @@ def _channel_series(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray |
     return motion.time[known], values[known]
 
 
-def resolution(time: np.ndarray, values: np.ndarray) -> float:
+def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     """Quantisation step of values, in their unit; 0 if they are not quantised. time: ascending [s].
 
     Steps across lost samples are ignored, because in uniform motion they are always multiples of one step.
@@ -65,7 +70,7 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
     spacing = np.diff(time)
     steps = np.abs(np.diff(values))[spacing < MAX_STEP_RATIO * float(np.median(spacing))]
     all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]
-    if len(steps) < 20:
+    if len(steps) < MIN_STEPS:
         return 0.0
     smallest = float(np.percentile(steps, 2))
     multiples = steps / smallest
@@ -78,29 +83,29 @@ def resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which cause no gap."""
+    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which are no gap."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64))
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
         findings += _check_gaps(signal, time, [stretch for finding in left_out for stretch in finding.where])
-    missing = [_missing_values_finding(channel, count, motion, auxiliary)
+    missing = [_make_missing_values_finding(channel, count, motion, auxiliary)
                for channel, count in auxiliary.missing.items() if count]
     return findings + merge_findings(missing)
 
 
-def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
+def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxiliary: AuxiliaryData) -> Finding:
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
-    rows = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
+    stamps = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
     keeps_row = channel.startswith("acceleration")  # a row that lacks only an acceleration is kept
     share, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
-    spacing, between = np.diff(time), np.diff(rows * 1e-9)
-    if not keeps_row and min(len(spacing), len(between)) >= 20:
+    spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
+    if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_STEPS:
         # The sensor is slower than the rows if its samples are evenly spaced; one interval in a hundred may deviate.
-        row = float(np.median(between))
+        row = float(np.median(row_spacing))
         expected = row / max(1.0 - share, 1e-9)
         within = np.abs(spacing - expected) <= 1.05 * row
-        if expected >= MIN_ROWS_PER_SAMPLE * row and np.mean(~within) <= NOTE_SHARE and (
+        if expected >= MIN_ROWS_PER_SAMPLE * row and np.mean(~within) <= LIMITS.note_share and (
                 abs(float(spacing[within].mean()) / expected - 1.0) <= SPACING_TOLERANCE):
             rate = 1.0 / expected
     if rate:
@@ -110,12 +115,12 @@ def _missing_values_finding(channel: str, count: int, motion: Motion, auxiliary:
     else:
         text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
         advice = "check what the logger writes in these rows"
-    severity = Severity.NOTE if rate or share <= NOTE_SHARE else Severity.WARNING
+    severity = Severity.NOTE if rate or share <= LIMITS.note_share else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
 
 
-def rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
-    """Finding of steering frames that were received but rejected by the decoder for a reason.
+def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
+    """Finding of steering frames that the decoder rejected for a reason.
 
     time: of the rejected frames, ascending [s since the first INS measurement]. frames: number of all frames.
     """
@@ -125,7 +130,7 @@ def rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Findi
     severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
     advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
-                   where=stretches(time, MAX_GAP), advice=advice)
+                   where=find_stretches(time, MAX_GAP), advice=advice)
 
 
 def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
@@ -136,22 +141,22 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
     findings = []
     # After a step back, rows are unusable until their stamps exceed the latest stamp before the step.
     old = (stamps[1:] <= newest) & (step != 0)
-    for name, back, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
-        if not back.any():
+    for name, faulty, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
+        if not faulty.any():
             continue
         count, share = int(lost.sum()), float(lost.sum()) / len(stamps)
-        largest = -float(step.min()) * 1e-9
-        reset = name == "time_order" and largest > MAX_GAP
-        where = tuple((float(t), float(t)) for t in (newest[back] - stamps[0])[:20] * 1e-9)
-        if reset:
-            text = (f"the stamps of the {signal} go back {int(back.sum())} time{'s' if back.sum() > 1 else ''}, by up "
-                    f"to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")
+        largest = -float(step.min()) * NANOSECOND
+        was_reset = name == "time_order" and largest > MAX_GAP
+        where = tuple((float(t), float(t)) for t in (newest[faulty] - stamps[0])[:MAX_LISTED] * NANOSECOND)
+        if was_reset:
+            text = (f"the stamps of the {signal} go back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
+                    f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")
             advice = "check the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} stamps of the {signal} "
                     f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "check how the rows were stamped and merged"
-        severity = Severity.WARNING if reset or share > NOTE_SHARE else Severity.NOTE
+        severity = Severity.WARNING if was_reset or share > LIMITS.note_share else Severity.NOTE
         findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, share, where=where,
                                 advice=Advice("look", advice)))
     return findings
@@ -168,16 +173,16 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("look", f"record the {signal} at a higher rate, or find why most of its samples "
                                       "are not used"))]
-    long = np.flatnonzero(spacing > MAX_GAP)
-    long = np.array([k for k in long if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)], int)
-    if not len(long):
+    gaps = [k for k in np.flatnonzero(spacing > MAX_GAP)
+            if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)]
+    if not gaps:
         return []
-    missing = float((spacing[long] - typical).sum())
-    where = tuple((float(time[k]), float(time[k + 1])) for k in long)
+    missing = float((spacing[gaps] - typical).sum())
+    where = tuple((float(time[k]), float(time[k + 1])) for k in gaps)
     share = missing / max(float(time[-1] - time[0]), 1e-9)
     severity = Severity.WARNING if share > MAX_GAP_SHARE else Severity.NOTE
-    text = (f"{len(long)} gap{'s' if len(long) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
-            f"{spacing[long].max():.2f} s: nothing is scored there")
+    text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
+            f"{spacing[gaps].max():.2f} s: nothing is scored there")
     return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", where=where,
                     advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
 
@@ -186,7 +191,7 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
     """Findings of channels that are held at a lower rate, clipped, or constant while the car moves."""
     findings = []
     for name, channel in channels.items():
-        time, values = _channel_series(motion, name)
+        time, values = _select_channel(motion, name)
         if values is not None:
             findings += (_check_held(name, time, values)
                          or _check_clipped(name, time, values, motion, channel.resolution)
@@ -195,12 +200,12 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels, other than held ones, rounded so coarsely that the initial state has a relevant error."""
+    """Findings of channels rounded so coarsely that the initial state has a relevant error; held ones are excluded."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     findings = []
     for name, (distance, grows_with_speed) in POSITION_EFFECT.items():
-        step, unit = resolution(motion.time, getattr(motion, name)), UNITS[name]
+        step, unit = estimate_resolution(motion.time, getattr(motion, name)), UNITS[name]
         # The standard deviation of the rounding error is step / sqrt(12).
         effect = step / np.sqrt(12.0) * distance * (speed if grows_with_speed else 1.0)
         if name in held or effect < LIMITS.min_reported_effect:
@@ -212,16 +217,11 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
     return merge_findings(findings)
 
 
-def _constant_runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(first index, number of samples) of each run of equal values."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
-    return edges[:-1], np.diff(edges)
-
-
 def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding]:
     """Finding of a channel that changes only at every k-th sample, with a constant k."""
-    _, lengths = _constant_runs(values)
-    if len(lengths) < 20:
+    first, last = find_groups(np.diff(values) != 0.0)
+    lengths = last - first + 1
+    if len(lengths) < MIN_STEPS:
         return []
     median = float(np.median(lengths))
     regular_share = float(lengths[np.abs(lengths - median) <= max(0.1 * median, 0.5)].sum() / lengths.sum())
@@ -239,31 +239,31 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
 
     A rounded signal also repeats its maximum, but repeats the adjacent value almost as often.
     """
-    first, lengths = _constant_runs(values)
-    last = first + lengths - 1
-    found: list[int] = []
+    first, last = find_groups(np.diff(values) != 0.0)
+    lengths = last - first + 1
+    clipped: list[int] = []
     for limit in (values.min(), values.max()) if name in RELATED_RATES and len(first) > 2 else ():
         long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
         held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
                 and _should_change(name, time[first[k]], time[last[k]], motion, step)]
-        found += held if len(held) > 1 else []
-    if not found:
+        clipped += held if len(held) > 1 else []
+    if not clipped:
         return []
-    where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in found))
-    limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in found}))
-    text = f"{name} stays at {limits} {UNITS[name]} {len(found)} times while other channels change: it is clipped"
+    where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
+    limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in clipped}))
+    text = f"{name} stays at {limits} {UNITS[name]} {len(clipped)} times while other channels change: it is clipped"
     advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there")
-    return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[found]]).max()),
+    return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[clipped]]).max()),
                     UNITS[name], where=where, advice=advice)]
 
 
 def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
-    first, lengths = _constant_runs(values)
-    last = np.minimum(first + lengths - 1, len(time) - 1)
+    """Finding of a channel that stays at any value, much longer than usual, while other channels change."""
+    first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
-    usual = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
-    frozen = [k for k in np.flatnonzero(duration > max(MIN_FREEZE_TIME, FREEZE_PAUSE_RATIO * usual))
+    usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
+    frozen = [k for k in np.flatnonzero(duration > max(MIN_FREEZE_TIME, FREEZE_PAUSE_RATIO * usual_pause))
               if _should_change(name, time[first[k]], time[last[k]], motion, step)]
     if not frozen:
         return []
@@ -277,10 +277,10 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     if throughout:
         advice = Advice("look", f"record {name}; no correction can replace it")
     elif name == "road_wheel_angle":
-        advice = Advice("look", "look at the steering sensor: its frames repeat one value")
+        advice = Advice("look", "check the steering sensor: its frames repeat one value")
     else:
         frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in where]
-        advice = Advice("run.yaml", f"leave_out: {frozen_times}", {"leave_out": frozen_times})
+        advice = Advice.for_run_yaml({"leave_out": frozen_times})
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", where=where, advice=advice)]
 
 
@@ -305,7 +305,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     return bool(high - low > max(min_change, rounding))
 
 
-def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Mean rate of change in the half second after each sample; the last rate is repeated up to the end."""
     count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
     rate = (values[count:] - values[:-count]) / (time[count:] - time[:-count])
@@ -315,45 +315,41 @@ def _smooth_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 # Position error [m] after the horizon per unit of error of the initial state, and whether the speed multiplies it.
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
-    "velocity_y": (LIMITS.settling * HORIZON, False), "yaw_rate": (LIMITS.settling * HORIZON, True)}
+    "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
 # By channel: a quantity derived from other channels, and its change [SI] above which the channel must change too.
 RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
-    "velocity_x": (lambda m: np.hypot(_smooth_rate(m.time, m.x), _smooth_rate(m.time, m.y)), 0.3),
+    "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),
-    "acceleration_x": (lambda m: _smooth_rate(m.time, m.velocity_x), 0.5),
+    "acceleration_x": (lambda m: _compute_mean_rate(m.time, m.velocity_x), 0.5),
     "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
-    "yaw_rate": (lambda m: _smooth_rate(m.time, m.yaw), 0.05),
+    "yaw_rate": (lambda m: _compute_mean_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
 }
 CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
 
 
-def without_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """The motion without the samples of frozen or clipped channels, which become gaps."""
+def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
+    """The motion without the samples of frozen or clipped channels, which become gaps, unless they are the majority."""
     for finding in findings:
         if finding.name not in ("channel_frozen", "channel_clipped"):
             continue
-        for steering in {channel == "road_wheel_angle" for channel in finding.channels}:
-            time = motion.steering_time if steering else motion.time
-            keep = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.where], axis=0)
-            if keep.sum() > 0.5 * len(keep):
-                motion = motion.where(keep) if not steering else replace(
-                    motion, steering_time=time[keep], steering=motion.steering[keep])
+        for is_steering in {channel == "road_wheel_angle" for channel in finding.channels}:
+            time = motion.steering_time if is_steering else motion.time
+            usable = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.where], axis=0)
+            if usable.sum() > 0.5 * len(usable):
+                motion = motion.select_ins(usable) if not is_steering else replace(
+                    motion, steering_time=time[usable], steering=motion.steering[usable])
     return motion
-
-
-LOCKED_STATUS = 4  # NCOM byte 21
-RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 
 
 def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     """Findings from the status and accuracy reported by the INS. start_ns: zero of the times [ns]."""
     if quality is None or len(quality.time_ns) < 2:
         return []
-    time = (quality.time_ns - start_ns) * 1e-9
+    time = (quality.time_ns - start_ns) * NANOSECOND
 
-    def times_of(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
-        return tuple((float(time[a]), float(time[b])) for a, b in spans(mask)[:20])
+    def list_times(mask: np.ndarray) -> tuple[tuple[float, float], ...]:
+        return tuple((float(time[first]), float(time[last])) for first, last in find_spans(mask)[:MAX_LISTED])
 
     findings = []
     mode, status = quality.position_mode, quality.navigation_status
@@ -364,15 +360,15 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
             continue
         share = float(bad.mean())
         text = f"the INS is {condition} for {100 * share:.0f} % of the time: its positions drift there"
-        severity = Severity.WARNING if share > NOTE_SHARE else Severity.NOTE
-        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=times_of(bad), advice=Advice(
+        severity = Severity.WARNING if share > LIMITS.note_share else Severity.NOTE
+        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=list_times(bad), advice=Advice(
             "look", "leave out these stretches, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
     typical = float(np.median(accuracy[known])) if known.any() else 0.0
-    if typical >= LIMITS.warning:
+    if typical >= LIMITS.warning_effect:
         text = f"the median standard deviation of position reported by the INS is {typical:.2f} m"
         findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
-                                where=times_of(known & (accuracy >= LIMITS.warning)), effect=typical,
+                                where=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=typical,
                                 advice=Advice("look", "record with RTK, or post-process the raw data of the INS")))
     return findings

@@ -1,4 +1,4 @@
-"""Checks of each position step against integrated velocity: jumps, stale samples, noise, jitter of time stamps.
+"""Checks of each position step against the integrated velocity: jumps, stale samples, noise, jitter of time stamps.
 
     d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
@@ -7,20 +7,20 @@ by v h, and the next new position an equal step forward.
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .motion import MAX_GAP, MOVING, Motion, integral, stretches
-from .sampling import resolution
+from .motion import MAX_GAP, MIN_MOVING_SPEED, Motion, find_groups, find_stretches, integrate
+from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
+MIN_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
 MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
-MAX_LISTED_JUMPS = 50
+MAX_LISTED, MAX_LISTED_JUMPS = 20, 50  # largest number of stretches listed in a finding
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
@@ -31,24 +31,24 @@ MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a st
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
-    if len(motion.time) < 50:
+    if len(motion.time) < MIN_STEPS:
         return motion, []
     east, north = motion.velocity_map
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
-    errors = (np.diff(motion.x) - np.diff(integral(motion.time, east))
-              + 1j * (np.diff(motion.y) - np.diff(integral(motion.time, north))))
+    errors = (np.diff(motion.x) - np.diff(integrate(motion.time, east))
+              + 1j * (np.diff(motion.y) - np.diff(integrate(motion.time, north))))
     speed, heading = np.hypot(east, north)[1:], np.exp(-1j * np.arctan2(north, east)[1:])
-    along = np.where(speed > MOVING, (errors * heading).real / np.maximum(speed, MOVING), np.nan)
+    along = np.where(speed > MIN_MOVING_SPEED, (errors * heading).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:
-        edges = np.concatenate(([0], np.flatnonzero(np.diff(motion.time) > MAX_GAP) + 1, [len(motion.time)]))
-        even = [np.linspace(motion.time[a], motion.time[b - 1], b - a) for a, b in pairwise(edges)]
+        groups = zip(*find_groups(np.diff(motion.time) > MAX_GAP), strict=True)
+        even = [np.linspace(motion.time[first], motion.time[last], last - first + 1) for first, last in groups]
         return replace(motion, time=np.concatenate(even)), jitter
-    rounding = max(resolution(motion.time, motion.x), resolution(motion.time, motion.y))
-    stale, findings = _check_stale(motion, errors, along, rounding)
-    findings += _check_jumps(motion, errors, stale, rounding)
+    rounding = max(estimate_resolution(motion.time, motion.x), estimate_resolution(motion.time, motion.y))
+    is_stale, findings = _check_stale(motion, errors, along, rounding)
+    findings += _check_jumps(motion, errors, is_stale, rounding)
     within = np.diff(motion.time) <= MAX_GAP
-    if rounding == 0.0 and within.sum() >= 50:
+    if rounding == 0.0 and within.sum() >= MIN_STEPS:
         # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
         sigma = float(np.median(np.abs(errors[within]))) / 1.665
         if sigma >= MIN_NOISE:
@@ -61,11 +61,11 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
                  rounding: float) -> tuple[np.ndarray, list[Finding]]:
-    """(mask of the steps due to stale samples, the findings)."""
+    """(mask of the steps due to stale samples, the findings). along: see `check_position_steps`."""
     known = np.isfinite(along)
-    none = np.zeros(len(along), bool)
-    if known.sum() < 50:
-        return none, []
+    no_steps = np.zeros(len(along), bool)
+    if known.sum() < MIN_STEPS:
+        return no_steps, []
     age = along - np.median(along[known])
     spacing = float(np.median(np.diff(motion.time)))
     small = np.abs(age[known]) < 0.15 * spacing
@@ -79,13 +79,13 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     # Stale samples cause steps along the track only, whereas jumps have any direction.
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
             np.abs(errors[large])):
-        return none, []
+        return no_steps, []
     delay = float(np.median(np.abs(age[large])))
     similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(age[large]) - delay))) < MAX_AGE_SPREAD * delay
     back, forward = known & (age < -0.5 * delay), known & (age > 0.5 * delay)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
     if not similar or not balanced or delay > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
-        return none, []
+        return no_steps, []
     share = float(back.sum() / known.sum())
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
@@ -93,17 +93,18 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
             f"{delay * 1e3:.0f} ms before, and the next ones step forward again")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
-    stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
-    return stale, [Finding(
-        "position_stale", severity, ("x", "y"), text, share, "1", interval, stretches(motion.time[1:][back], 5.0)[:20],
+    is_stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
+    where = find_stretches(motion.time[1:][back], 5.0)[:MAX_LISTED]
+    return is_stale, [Finding(
+        "position_stale", severity, ("x", "y"), text, share, "1", interval, where,
         delay * float(np.median(speed[known])),
         Advice("look", "record each position with the time of its measurement, or leave out rows with a stale one"))]
 
 
-def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding: float) -> list[Finding]:
+def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, rounding: float) -> list[Finding]:
     size = np.abs(errors - np.median(errors.real) - 1j * np.median(errors.imag))
     scale = SIGMA_PER_MAD * float(np.median(size))
-    within = (np.diff(motion.time) <= MAX_GAP) & ~stale
+    within = (np.diff(motion.time) <= MAX_GAP) & ~is_stale
     large = within & (size > max(OUTLIER_SIGMAS * scale, MIN_JUMP, 2.0 * rounding))
     count = int(large.sum())
     if not count:
@@ -114,17 +115,17 @@ def _check_jumps(motion: Motion, errors: np.ndarray, stale: np.ndarray, rounding
             f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
-    gaps: list[list[float]] = []  # no prediction is scored across the gaps that result from leaving out the jumps
+    leave_out: list[list[float]] = []  # stretches that become gaps, across which no prediction is scored
     for first, last in where:
         begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
-        if gaps and begin <= gaps[-1][1]:
-            gaps[-1][1] = end
+        if leave_out and begin <= leave_out[-1][1]:
+            leave_out[-1][1] = end
         else:
-            gaps.append([begin, end])
-    advice = Advice("run.yaml", f"leave_out: {gaps}", {"leave_out": gaps})
+            leave_out.append([begin, end])
+    advice = Advice.for_run_yaml({"leave_out": leave_out})
     if count > MAX_LISTED_JUMPS:
         advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
-    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning), ("x", "y"), text,
+    return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
                     float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, advice)]
 
 
@@ -133,7 +134,7 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)
-    if inside.sum() < 50:
+    if inside.sum() < MIN_STEPS:
         return []
     uneven = (spacing - median)[inside]
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))

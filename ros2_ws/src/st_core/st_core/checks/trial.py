@@ -27,15 +27,15 @@ from ..stability import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_need
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .motion import stretches
+from .motion import find_stretches
 
 # A correction is rejected if the error exceeds 1.1 e_before + 0.02 m. Position noise and valid corrections on seventeen
 # real drives (at most 7 % worse) stay below this.
 MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
-MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
+MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-MAX_STARTS = 100  # evenly spaced in the run; with more starts, the error changes by less than 1 %
+MAX_STARTS = 100  # evenly spaced in the run; more starts would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
@@ -44,7 +44,7 @@ State = tuple[DriveLog, VehicleParameters]
 
 
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
-    """The findings with the prediction error [m] without and with their correction; harmful corrections are removed.
+    """The findings with the prediction error [m] without and with their correction, and without harmful corrections.
 
     The corrections of all errors are applied together, since one wrong unit may mask another, and then the correction
     of each warning separately. A warning with a harmful correction becomes a note. Corrections that affect no
@@ -56,21 +56,21 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     state: State = (log, vehicle)
     outcomes: dict[int, Finding] = {}
-    before = _prediction_error(state)
+    before = _compute_prediction_error(state)
     harmful = False
     if errors:
         together: State | None = state
         for finding in errors:
             together = _apply_advice(together, finding.advice) if together else None
-        after = _prediction_error(together)
-        outcomes |= {id(finding): _with_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
+        after = _compute_prediction_error(together)
+        outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
         harmful = together is None or after is None or (before is not None and _is_worse(before, after))
         if together is not None and not harmful:
             state, before = together, after
     for finding in tested:
         if finding.severity is Severity.WARNING and not harmful:
-            after = _prediction_error(_apply_advice(state, finding.advice))
-            outcomes[id(finding)] = _with_outcome(finding, before, after)
+            after = _compute_prediction_error(_apply_advice(state, finding.advice))
+            outcomes[id(finding)] = _add_outcome(finding, before, after)
     return [outcomes.get(id(finding), finding) for finding in findings]
 
 
@@ -79,7 +79,7 @@ def _is_tested(finding: Finding) -> bool:
             and not finding.concerns_only_acceleration and "leave_out" not in finding.advice.entry)
 
 
-def _with_outcome(finding: Finding, before: float | None, after: float | None) -> Finding:
+def _add_outcome(finding: Finding, before: float | None, after: float | None) -> Finding:
     if before is None or after is None:
         return finding
     if not _is_worse(before, after):
@@ -94,7 +94,7 @@ def _is_worse(before: float, after: float) -> bool:
     return after > MAX_ERROR_RATIO * before + ERROR_NOISE
 
 
-def _prediction_error(state: State | None) -> float | None:
+def _compute_prediction_error(state: State | None) -> float | None:
     """Root mean square of the prediction error in the module docstring [m]; None if nothing can be predicted."""
     if state is None:
         return None
@@ -127,8 +127,8 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
         return None
     if advice.kind == "vehicle":
         values: dict[str, Any] = {name: float(value) for name, value in advice.entry.items()}
-        car = replace(vehicle, **values)
-        return (log.with_steering(car) if log.steering_wheel_angle is not None else log), car
+        vehicle = replace(vehicle, **values)
+        return (log.with_steering(vehicle) if log.steering_wheel_angle is not None else log), vehicle
     try:
         if unit := advice.entry.get("units", {}).get("t"):
             start = log.start_ns
@@ -143,39 +143,37 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
         return None
 
 
-def step_too_long(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
+def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
                   step: float) -> Finding | None:
-    """The finding `step_too_long` for all models together; None if the step [s] is short enough.
+    """The finding `check_step_length` for all models together; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
     """
-    chosen = [get_model(model) for model in models]
+    resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)
     if not len(speed):
         return None
     speeds = np.linspace(speed.min(), speed.max(), SPEED_COUNT)
-    factors = {model.name: np.array([growth_factor(model, vehicle, v, step) for v in speeds]) for model in chosen}
+    factors = {model.name: np.array([growth_factor(model, vehicle, v, step) for v in speeds]) for model in resolved}
     unstable_models = [name for name, factor in factors.items() if factor.max() > 1.0]
     if not unstable_models:
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     affected = speed[unstable] if unstable.any() else speed[:1]
-    needed = slip_speed_needed(chosen, vehicle, speeds.tolist(), step)
-    shorter = None if needed is not None else next(
-        (step / parts for parts in STEP_DIVISORS if are_stable(chosen, vehicle, speeds.tolist(), step / parts)), None)
-    if needed is not None:
-        line = f'minimum_slip_speed: {{value: {needed:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
-        if any(isinstance(model, AugmentedModel) for model in chosen):
+    value, unit = slip_speed_needed(resolved, vehicle, speeds.tolist(), step), "m/s"
+    if value is not None:
+        line = f'minimum_slip_speed: {{value: {value:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
+        if any(isinstance(model, AugmentedModel) for model in resolved):
             line += "  # then rerun st discover: a model file is valid for its own vehicle file only"
-        advice = Advice("vehicle", line, {"minimum_slip_speed": needed})
-    elif shorter is not None:
-        advice = Advice("option", f"--step {shorter:.9g}", {"step": shorter})
+        advice = Advice("vehicle", line, {"minimum_slip_speed": value})
     else:
-        advice = Advice("look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the "
-                        "vehicle's yaw_inertia, mass and stiffnesses, and the effects of the model")
-    value, unit = (shorter, "s") if needed is None else (needed, "m/s")
+        shorter_steps = (step / divisor for divisor in STEP_DIVISORS)
+        value, unit = next((t for t in shorter_steps if are_stable(resolved, vehicle, speeds.tolist(), t)), None), "s"
+        advice = Advice("option", f"--step {value:.9g}", {"step": value}) if value is not None else Advice(
+            "look", f"no step down to {1e3 * step / MAX_SUBSTEPS:.2g} ms is short enough: check the vehicle's "
+            "yaw_inertia, mass and stiffnesses, and the effects of the model")
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
             f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    where = () if unstable.all() else stretches(seconds[unstable], MERGE_GAP)
+    where = () if unstable.all() else find_stretches(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)

@@ -15,12 +15,14 @@ import numpy as np
 
 from ..regression import SIGMA_PER_MAD
 from .finding import LIMITS, Advice, Finding, Severity
-from .motion import MIN_DISTANCE, MIN_WINDOWS, SAME_RATIO_FACTOR, Motion, integral, is_near, ratios, windows
+from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, integrate, is_near, make_windows
 from .regression import Estimate
 
-MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw during the drive
+MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
+UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
+COURSE_TOLERANCE = 1.2  # the same for the course, which is uncertain by ten per cent in one short bend
 MAX_SCALE_ERROR = 0.005  # relative scale error of a faultless gyroscope or projection
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
@@ -36,8 +38,13 @@ Corrected = tuple[Motion, Finding | None]
 
 
 def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
-    """The factor in a table of units that is within 6 % of this factor, or None."""
-    return next((known for known in table if is_near(factor, known, 1.06)), None)
+    """The factor in a table of units that is within UNIT_TOLERANCE of this factor, or None."""
+    return next((known for known in table if is_near(factor, known, UNIT_TOLERANCE)), None)
+
+
+def _matches(ratio: float, target: float) -> bool:
+    """Whether a ratio differs from its target by less than a unit, sign or axis would change it."""
+    return is_near(ratio, target, LIMITS.unit_ratio)
 
 
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -48,47 +55,42 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
-    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # one finding for a yaw clockwise, but not from north
+    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # one finding for a clockwise yaw that is not from north
         clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
-        assert clockwise.advice and offset.advice  # both findings always have advice
-        correct = {channel: dict(values) for channel, values in clockwise.advice.entry["correct"].items()}
-        correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
+        corrections = [finding.advice.entry["correct"] for finding in (clockwise, offset) if finding.advice]
+        correct = {channel: dict(values) for channel, values in corrections[0].items()}
+        correct["yaw"]["add"] += corrections[1]["yaw"]["add"]
         text = f"{clockwise.text.partition(':')[0]}, and not from north; expected: from east, counter-clockwise"
-        by_name["yaw_convention"] = replace(clockwise, text=text, advice=_correct_channels(correct))
+        by_name["yaw_convention"] = replace(clockwise, text=text, advice=Advice.for_run_yaml({"correct": correct}))
         findings = list(by_name.values())
     return motion, findings
 
 
-def _correct_channels(correct: Mapping[str, Mapping[str, float]]) -> Advice:
-    fields = ", ".join(f"{channel}: {{{', '.join(f'{key}: {value:g}' for key, value in values.items())}}}"
-                       for channel, values in correct.items())
-    return Advice("run.yaml", f"correct: {{{fields}}}", {"correct": correct})
-
-
-def _make_error(name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice) -> Finding:
+def _make_error_finding(name: str, channels: tuple[str, ...], text: str, value: float | None,
+                        advice: Advice) -> Finding:
     return Finding(name, Severity.ERROR, channels, text, value, advice=advice)
 
 
 def check_time_unit(motion: Motion) -> Corrected:
     """Correct a wrong unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
     spacing = float(np.median(np.diff(motion.time)))
-    slow, fast = spacing > 0.2, spacing <= 2e-4
-    found = ratios(motion, max(1.0, 50 * spacing) if slow else 50 * spacing if fast else 1.0)
-    known = [ratio for ratio in (found.distance, found.yaw_rate) if np.isfinite(ratio)]
-    if not known or not all(r > 0 and not is_near(r, 1.0, LIMITS.unit) and is_near(r, known[0]) for r in known):
+    length = 50 * spacing if spacing > 0.2 or spacing <= 2e-4 else 1.0  # of a window; 1 s at a usual sampling rate
+    ratios = compute_ratios(motion, length)
+    known = [ratio for ratio in (ratios.distance, ratios.yaw_rate) if np.isfinite(ratio)]
+    if not known or not all(r > 0 and not _matches(r, 1.0) and is_near(r, known[0]) for r in known):
         return motion, None
-    factor = 1.0 / found.distance
+    factor = 1.0 / ratios.distance
     unit = match_unit(factor, TIMES)
     # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
-    reason, advice = "", Advice("look", "check the clock that stamps the rows")
+    question, advice = "", Advice("look", "check the clock that stamps the rows")
     if unit:
         factor, (name, symbol) = unit, TIMES[unit]
-        reason = f": is its unit {name}?"
-        advice = Advice("run.yaml", f"units: {{t: {symbol}}}", {"units": {"t": symbol}})
-    text = f"time runs {factor:g} times too fast for positions and yaw{reason}"
-    return motion.with_time_divided(factor), _make_error("time_unit", ("time",), text, factor, advice)
+        question = f": is its unit {name}?"
+        advice = Advice.for_run_yaml({"units": {"t": symbol}})
+    text = f"time runs {factor:g} times too fast for positions and yaw{question}"
+    return motion.with_time_divided(factor), _make_error_finding("time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
@@ -104,117 +106,112 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
     text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
             "at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
-    advice = Advice("run.yaml", f"correct: {{velocity: {{scale: {scale:g}}}, yaw_rate: {{scale: {scale:g}}}}}"
-                    f"  # or divide the time of the rows by {factor:.4f}",
-                    {"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
+    advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
+    advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")
     return replace(wrong, name="time_rate", channels=("time",), text=text, value=factor, interval=velocity.interval,
                    advice=advice)
 
 
 def is_yaw_late(motion: Motion, earlier: Motion) -> bool:
     """Whether positions agree clearly better with velocity and yaw in `earlier`, the drive with yaw shifted in time."""
-    return _misfit(earlier) < CLEAR_MISFIT_RATIO * _misfit(motion)
+    return _compute_misfit(earlier) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
 def _correct_both_turns(motion: Motion) -> Corrected:
-    """Correct a yaw rate that the course shows to be in the same wrong unit as yaw; yaw is corrected later."""
-    r = ratios(motion)
-    # In one short bend the course is uncertain by ten per cent, so the ratios of yaw and yaw rate must both agree.
-    size = _angle_unit(r.rate_course, SAME_RATIO_FACTOR)
-    if size in ANGLES and is_near(abs(r.yaw_rate), 1.0, LIMITS.unit) and (
-            is_near(abs(r.yaw_course), size, LIMITS.unit)):
-        return _scale_yaw_rate(motion, r.rate_course, "the course of the positions", size)
+    """Correct a yaw rate that is in the same wrong unit as yaw, as the course shows; yaw is corrected later."""
+    ratios = compute_ratios(motion)
+    size = _round_to_angle_unit(ratios.rate_course, COURSE_TOLERANCE)
+    if size in ANGLES and _matches(abs(ratios.yaw_rate), 1.0) and _matches(abs(ratios.yaw_course), size):
+        return _scale_yaw_rate(motion, ratios.rate_course, "the course of the positions", size)
     return motion, None
 
 
 def _correct_turns(motion: Motion) -> Corrected:
     """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
-    r = ratios(motion)
-    if not np.isfinite(r.yaw_rate) or 1 / LIMITS.unit < r.yaw_rate < LIMITS.unit:
+    ratios = compute_ratios(motion)
+    if not np.isfinite(ratios.yaw_rate) or _matches(ratios.yaw_rate, 1.0):
         return motion, None
-    if (is_near(r.yaw_course, 1.0, LIMITS.unit) or _positions_follow_yaw(motion) or is_near(1.0 / r.yaw_rate, DEGREE)
-            or is_near(r.rate_course, 1.0 / r.yaw_rate, LIMITS.unit)):
-        return _scale_yaw_rate(motion, 1.0 / r.yaw_rate)
-    if is_near(r.rate_course, -1.0, LIMITS.unit) and not is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(
-            r.yaw_rate, -1.0, LIMITS.unit):
+    if (_matches(ratios.yaw_course, 1.0) or _positions_follow_yaw(motion) or is_near(1.0 / ratios.yaw_rate, DEGREE)
+            or _matches(ratios.rate_course, 1.0 / ratios.yaw_rate)):
+        return _scale_yaw_rate(motion, 1.0 / ratios.yaw_rate)
+    if (_matches(ratios.rate_course, -1.0) and not _matches(ratios.yaw_course, -1.0)
+            and _matches(ratios.yaw_rate, -1.0)):
         return _scale_yaw_rate(motion, -1.0)
-    factor, size = r.yaw_rate, _angle_unit(r.yaw_rate)
+    factor, size = ratios.yaw_rate, _round_to_angle_unit(ratios.yaw_rate)
     unit = ANGLES.get(size, "")
     if factor > 0.0:
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": is its unit {unit}?" if unit else ""))
-        corrected = replace(motion, yaw=_without_wraps(motion, motion.yaw / size))
-        return corrected, _make_error("yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
+        return replace(motion, yaw=_remove_wraps(motion, motion.yaw / size)), _make_error_finding(
+            "yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
     text = (f"yaw counts clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from east, "
             "counter-clockwise")
-    corrected = replace(motion, yaw=_without_wraps(motion, np.pi / 2 - motion.yaw / size))
+    corrected = replace(motion, yaw=_remove_wraps(motion, np.pi / 2 - motion.yaw / size))
     advice = Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
-    return corrected, _make_error("yaw_convention", ("yaw",), text, factor, advice)
+    return corrected, _make_error_finding("yaw_convention", ("yaw",), text, factor, advice)
 
 
 def _correct_north_east(motion: Motion) -> Corrected:
     """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate."""
-    r = ratios(motion)
-    if motion.geographic or not (is_near(r.yaw_rate, -1.0, LIMITS.unit) and is_near(r.yaw_course, 1.0, LIMITS.unit)):
+    ratios = compute_ratios(motion)
+    if motion.geographic or not (_matches(ratios.yaw_rate, -1.0) and _matches(ratios.yaw_course, 1.0)):
         return motion, None
     turn = motion.yaw_rate * motion.velocity_x
-    votes = [_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
+    votes = [_find_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
     if motion.acceleration_y is not None:
-        votes.append(_common_sign(motion.acceleration_y, turn))
-    original, mirrored = _misfit(motion), _misfit(replace(motion, velocity_y=-motion.velocity_y))
+        votes.append(_find_common_sign(motion.acceleration_y, turn))
+    original, mirrored = _compute_misfit(motion), _compute_misfit(replace(motion, velocity_y=-motion.velocity_y))
     votes.append(int(mirrored < CLEAR_MISFIT_RATIO * original) - int(original < CLEAR_MISFIT_RATIO * mirrored))
     if sum(votes) <= 0:
         return motion, None
     text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
             "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
     entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
-    line = f"columns: {{x: y, y: x}}  # and correct: {{yaw: {{scale: -1, add: {np.pi / 2:g}}}}}"
-    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _make_error(
-        "position_axes", ("x", "y", "yaw"), text, None, Advice("run.yaml", line, entry))
+    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _make_error_finding(
+        "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
 
 
-def _common_sign(values: np.ndarray, turn: np.ndarray) -> int:
+def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
     """Sign of the correlation of values and turn; 0 if it is weak."""
     known = np.isfinite(values)
-    if known.sum() < 50 or not np.std(values[known]) * np.std(turn[known]) > 0.0:
-        return 0
-    correlation = float(np.corrcoef(values[known], turn[known])[0, 1])
-    return int(np.sign(correlation)) if abs(correlation) >= LIMITS.correlation else 0
+    correlation = correlate(values[known], turn[known]) if known.sum() >= 50 else 0.0
+    return int(np.sign(correlation)) if abs(correlation) >= LIMITS.min_correlation else 0
 
 
 def _positions_follow_yaw(motion: Motion) -> bool:
     """Whether positions agree with yaw and velocity, apart from a constant rotation and a scale of velocity."""
-    over = windows(motion.time, 1.0)
-    distance = np.hypot(over.change(motion.x), over.change(motion.y))
-    integrated = over.change(integral(motion.time, motion.speed))
-    if len(over) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
+    windows = make_windows(motion.time, 1.0)
+    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
+    integrated = windows.change(integrate(motion.time, motion.speed))
+    if len(windows) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
         return False
     factor = float(np.sum(distance) / max(np.sum(integrated), 1e-12))
     scaled = replace(motion, velocity_x=factor * motion.velocity_x, velocity_y=factor * motion.velocity_y)
-    return _misfit(scaled) < MAX_CONSISTENT_MISFIT * float(np.median(distance))
+    return _compute_misfit(scaled) < MAX_CONSISTENT_MISFIT * float(np.median(distance))
 
 
-def _scale_yaw_rate(motion: Motion, factor: float, against: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
-    size = size or _angle_unit(factor)
+def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size: float = 0.0) -> tuple[Motion, Finding]:
+    """Divide the yaw rate by a factor. size: its exact magnitude; 0: rounded to that of an angle unit."""
+    size = size or _round_to_angle_unit(factor)
     exact = float(np.copysign(size, factor))
     reason = (f": is its unit {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
-    text = f"yaw_rate is {factor:.3g} times the rate of change of {against}{reason}"
-    return (replace(motion, yaw_rate=motion.yaw_rate / exact),
-            _make_error("yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact)))
+    text = f"yaw_rate is {factor:.3g} times the rate of change of {reference}{reason}"
+    return replace(motion, yaw_rate=motion.yaw_rate / exact), _make_error_finding(
+        "yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact))
 
 
-def _angle_unit(factor: float, within: float = 1.06) -> float:
+def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> float:
     """Magnitude of a factor, rounded to 1 or the factor of an angle unit if it is near one of them."""
     size = abs(factor)
-    return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, within)),
+    return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, tolerance)),
                key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
-def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
+def _remove_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
     """The yaw, with the integrated yaw rate in place of steps left by unwrapping an angle in another unit as rad."""
     step = np.diff(yaw)
-    expected = np.diff(integral(motion.time, motion.yaw_rate))
+    expected = np.diff(integrate(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)
     wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
     return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, expected, step))))
@@ -222,18 +219,19 @@ def _without_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
 
 def _correct_position_axes(motion: Motion) -> Corrected:
     """Correct mirrored or exchanged x and y, if yaw and yaw rate agree."""
-    r = ratios(motion)
-    if not (is_near(r.yaw_course, -1.0, LIMITS.unit) and is_near(r.yaw_rate, 1.0, LIMITS.unit)):
+    ratios = compute_ratios(motion)
+    if not (_matches(ratios.yaw_course, -1.0) and _matches(ratios.yaw_rate, 1.0)):
         return motion, None
-    measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, *motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
-    if motion.geographic and quarter % 2:  # not a longitude that counts west, or a latitude that counts south
+    if motion.geographic and quarter % 2:  # even: a longitude that counts west, or a latitude that counts south
         text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
                 "point down? Expected: left positive, yaw from east")
-        advice = _correct_channels({"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}})
-        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error(
-            "yaw_convention", ("yaw", "yaw_rate"), text, r.yaw_course, advice)
+        advice = Advice.for_run_yaml(
+            {"correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}}})
+        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error_finding(
+            "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_course, advice)
     axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
         0: ("y is mirrored (it should count north)", motion.x, -motion.y, {"correct": {"y": {"scale": -1.0}}}),
         1: ("x and y are exchanged (x is east, y north)", motion.y, motion.x, {"columns": {"x": "y", "y": "x"}}),
@@ -242,51 +240,50 @@ def _correct_position_axes(motion: Motion) -> Corrected:
             {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
     }
     text, x, y, entry = axes[quarter]
-    line = "  # and ".join(f"{name}: {value}" for name, value in entry.items()).replace("'", "")
-    return replace(motion, x=x, y=y), _make_error(
+    return replace(motion, x=x, y=y), _make_error_finding(
         "position_axes", ("x", "y"), f"positions turn in the opposite direction to the car: {text}", None,
-        Advice("run.yaml", line, entry))
+        Advice.for_run_yaml(entry))
 
 
 def _correct_distance(motion: Motion) -> Corrected:
     """Correct the unit of positions or velocities."""
-    r = ratios(motion)
-    if not np.isfinite(r.distance) or 1 / LIMITS.unit < r.distance < LIMITS.unit:
+    ratios = compute_ratios(motion)
+    if not np.isfinite(ratios.distance) or _matches(ratios.distance, 1.0):
         return motion, None
-    speed, length = match_unit(1.0 / r.distance, SPEEDS), match_unit(r.distance, LENGTHS)
+    speed, length = match_unit(1.0 / ratios.distance, SPEEDS), match_unit(ratios.distance, LENGTHS)
     if length and not speed:
-        text = f"x and y are {r.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
-        return replace(motion, x=motion.x / length, y=motion.y / length), _make_error(
-            "position_scale", ("x", "y"), text, r.distance, Advice.correct("position", scale=1.0 / length))
-    if not speed and r.distance < MAX_DEGREE_RATIO:
-        text = (f"x and y are {r.distance:.3g} times the integrated velocity: are they latitude and longitude? Metres "
-                "are expected")
+        text = f"x and y are {ratios.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
+        return replace(motion, x=motion.x / length, y=motion.y / length), _make_error_finding(
+            "position_scale", ("x", "y"), text, ratios.distance, Advice.correct("position", scale=1.0 / length))
+    if not speed and ratios.distance < MAX_DEGREE_RATIO:
+        text = (f"x and y are {ratios.distance:.3g} times the integrated velocity: are they latitude and longitude? "
+                "Metres are expected")
         advice = Advice("look", "project latitude and longitude to east and north")
-        return replace(motion, x=motion.x / r.distance, y=motion.y / r.distance), _make_error(
-            "position_scale", ("x", "y"), text, r.distance, advice)
-    factor = speed or 1.0 / r.distance
+        return replace(motion, x=motion.x / ratios.distance, y=motion.y / ratios.distance), _make_error_finding(
+            "position_scale", ("x", "y"), text, ratios.distance, advice)
+    factor = speed or 1.0 / ratios.distance
     unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
     both = replace(motion, velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
     forward = replace(motion, velocity_x=motion.velocity_x / factor)
-    forward_only = _misfit(forward) < TIE_MISFIT_RATIO * _misfit(both)
+    forward_only = _compute_misfit(forward) < TIE_MISFIT_RATIO * _compute_misfit(both)
     name, channel = ("velocity_x_scale", "velocity_x") if forward_only else ("velocity_scale", "velocity")
     channels = ("velocity_x",) if forward_only else ("velocity_x", "velocity_y")
-    text = (f"{' and '.join(channels)} {'is' if forward_only else 'are'} {1.0 / r.distance:.3g} times the rate of "
+    text = (f"{' and '.join(channels)} {'is' if forward_only else 'are'} {1.0 / ratios.distance:.3g} times the rate of "
             f"change of positions{unit}")
-    return (forward if forward_only else both), _make_error(name, channels, text, 1.0 / r.distance,
+    return (forward if forward_only else both), _make_error_finding(name, channels, text, 1.0 / ratios.distance,
                                                             Advice.correct(channel, scale=1.0 / factor))
 
 
-def _displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
-    over = windows(motion.time, 1.0)
-    return (over.change(motion.x) + 1j * over.change(motion.y),
-            over.change(integral(motion.time, east)) + 1j * over.change(integral(motion.time, north)))
+    windows = make_windows(motion.time, 1.0)
+    return (windows.change(motion.x) + 1j * windows.change(motion.y),
+            windows.change(integrate(motion.time, east)) + 1j * windows.change(integrate(motion.time, north)))
 
 
-def _misfit(motion: Motion) -> float:
+def _compute_misfit(motion: Motion) -> float:
     """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
-    measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, *motion.velocity_map)
     rotation = np.sum(measured * np.conj(derived))
     rotation /= max(abs(rotation), 1e-300)
     return float(np.median(np.abs(measured - derived * rotation))) if len(measured) else 0.0
@@ -294,15 +291,17 @@ def _misfit(motion: Motion) -> float:
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
     """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
-    measured, unrotated = _displacements(motion, motion.velocity_x, motion.velocity_y)
+    measured, unrotated = _compute_displacements(motion, motion.velocity_x, motion.velocity_y)
     if len(measured) < MIN_WINDOWS:
         return motion, None
-    misfits = [float(np.median(np.abs(measured - integrated))) for integrated in (unrotated, 1j * unrotated.conj())]
-    distance, unchanged = float(np.median(np.abs(measured))), _misfit(motion)
+    # In the map frame, velocity_x is the velocity to the east, or to the north.
+    east_first, north_first = (float(np.median(np.abs(measured - v))) for v in (unrotated, 1j * unrotated.conj()))
+    misfit, is_north_first = min(east_first, north_first), north_first < east_first
     swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
+    distance = float(np.median(np.abs(measured)))
     max_misfit = MAX_MAP_MISFIT * distance
-    misfit, is_north_first = min(misfits), misfits[1] < misfits[0]
-    if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and misfit < MAX_MAP_MISFIT * unchanged:
+    if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
+            misfit < MAX_MAP_MISFIT * _compute_misfit(motion)):
         velocity = motion.velocity_x + 1j * motion.velocity_y
         body = (1j * velocity.conj() if is_north_first else velocity) * np.exp(-1j * motion.yaw)
         axes = "north and east" if is_north_first else "east and north"
@@ -311,33 +310,33 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and motion.moves_sideways and float(
-            np.median(np.abs(measured - _displacements(swapped, *swapped.velocity_map)[1]))) <= max_misfit:
+            np.median(np.abs(measured - _compute_displacements(swapped, *swapped.velocity_map)[1]))) <= max_misfit:
         text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
         columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
-        advice = Advice("run.yaml", f"columns: {columns}".replace("'", ""), {"columns": columns})
+        advice = Advice.for_run_yaml({"columns": columns})
         motion = swapped
     else:
         return motion, None
-    return motion, _make_error("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
+    return motion, _make_error_finding("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
     """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
-    measured, derived = _displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < 0.35:
         return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
-        return replace(motion, velocity_x=-motion.velocity_x), _make_error(
+        return replace(motion, velocity_x=-motion.velocity_x), _make_error_finding(
             "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
             Advice.correct("velocity_x", scale=-1.0))
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
-    reasons: dict[float, str] = {  # by quarter turns
+    questions: dict[float, str] = {  # by quarter turns
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
-    reason = reasons.get(round(exact / (np.pi / 2), 3), "")
-    text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{reason}"
-    finding = replace(_make_error("yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-exact)), unit="rad")
-    return replace(motion, yaw=motion.yaw - exact), finding
+    question = questions.get(round(exact / (np.pi / 2), 3), "")
+    text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{question}"
+    return replace(motion, yaw=motion.yaw - exact), Finding(
+        "yaw_offset", Severity.ERROR, ("yaw",), text, angle, "rad", advice=Advice.correct("yaw", add=-exact))

@@ -1,14 +1,14 @@
 """Checks of a recording against the vehicle file, with limits so wide that only a faulty recording exceeds them.
 
 Steering: the road wheel angle of a car without slip is atan(L r / v_x). Errors of ratio and wheelbase change it by
-about ten per cent, understeer at 20 m/s may nearly double it, and a wrong unit makes it 57 times as large.
+about 10 %, understeer at 20 m/s may nearly double it, and degrees read as radians make it 57 times as large.
 
 Rear axle: at low speed it moves in the direction of the heading, so the lateral velocity at the INS point is
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
 a: misalignment [rad], + if the heading points too far left; d: distance of the point ahead of the rear axle [m]; s, e:
-slip of the rear axle [s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
+slip of the rear axle [rad s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
 """
 
 from dataclasses import replace
@@ -18,17 +18,19 @@ import numpy as np
 from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .agreement import MAX_LAG, MIN_COMMON_TIME, ZERO, Agreement, compare_series
-from .finding import HORIZON, LIMITS, SYSTEMATIC, Advice, Comparison, Finding, Severity
+from .agreement import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, compare_series
+from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
-from .motion import MOVING, Motion, has_varying_speed, windows
-from .position import lateral_sign_finding
-from .regression import Estimate, Regression, with_systematic
+from .motion import MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
+from .position import make_lateral_sign_finding
+from .regression import Estimate, Regression, add_systematic_uncertainty
 
 CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
 DEGREE = 180.0 / np.pi
-WINDOW = 0.5  # s
+WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
+MIN_REAR_AXLE_WINDOWS = 30
+MAX_LISTED = 20  # largest number of stretches listed in a finding
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the steering gain
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
@@ -40,52 +42,53 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
     """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
-    curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MOVING), np.nan)
+    curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
-    response = response_time(vehicle, speed)
+    response = compute_response_time(vehicle, speed)
     found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response,
-                           accepted_lag=2.0 * MAX_LAG)
+                           max_fitted_lag=2.0 * MAX_LAG)
     gain = _estimate_steering_gain(motion, derived)
-    # Understeer K increases the steering of this drive by the mean of 1 + K v^2, weighted with the square of the angle:
-    # for K of the vehicle file (the factor is 1 for a car that oversteers), and for the largest K of road cars.
+    # Understeer with the stability factor K increases the steering of this drive by the mean of 1 + K v^2, weighted
+    # with the square of the angle: for K of the vehicle file, at least 0, and for the largest K of road cars.
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
-    square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
+    mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
     largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))
-    understeer = 1.0 + expected * square, 1.0 + largest * square
-    if found is None or abs(found.correlation) < LIMITS.correlation:
-        cause = _unrelated_finding(motion, derived) or (
-            gain and _unit_finding(gain, understeer, vehicle, wheel_measured))
+    understeer = 1.0 + expected * mean_square, 1.0 + largest * mean_square
+    if found is None or abs(found.correlation) < LIMITS.min_correlation:
+        cause = _make_unrelated_finding(motion, derived) or (
+            gain and _make_unit_finding(gain, understeer, vehicle, wheel_measured))
         return [cause] if cause else [], {}, None
     # In one long bend, gain and offset are confounded.
     if gain is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
                              or abs(float(found.derived.mean())) > found.spread):
-        found = replace(found, scale=gain, bias=ZERO)
-    gain = with_systematic("steering_scale", found.scale)
-    late = with_systematic("steering_lag", found.lag.shifted(response).widened(_response_uncertainty(vehicle, speed)))
-    findings = [_unit_finding(gain, understeer, vehicle, wheel_measured),
-                _offset_finding(found, speed, vehicle, wheel_measured)]
+        found = replace(found, scale=gain, bias=NO_BIAS)
+    gain = add_systematic_uncertainty("steering_scale", found.scale)
+    lag = add_systematic_uncertainty(
+        "steering_lag", found.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
+    findings = [_make_unit_finding(gain, understeer, vehicle, wheel_measured),
+                _make_offset_finding(found, speed, vehicle, wheel_measured)]
     estimates = {"steering_scale": gain, "steering_sign": gain}
-    # If correlation and gain differ in sign, the steering reacts to another yaw moment and determines no lag.
+    # If correlation and gain differ in sign, the steering responds to another yaw moment and determines no lag.
     if found.correlation * gain.value >= 0.0:
-        findings.insert(1, _lag_finding(late, found, speed, vehicle, format_alternative_lags(found, response)))
-        estimates |= {"steering_lag": late} if found.determines_lag else {}
-    estimates["steering_offset"] = with_systematic("steering_offset", found.bias)
+        findings.insert(1, _make_lag_finding(lag, found, speed, vehicle, format_alternative_lags(found, response)))
+        estimates |= {"steering_lag": lag} if found.determines_lag else {}
+    estimates["steering_offset"] = add_systematic_uncertainty("steering_offset", found.bias)
     panel = Comparison("steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
                        "from yaw rate and speed", found.time, found.measured, found.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
 
 
-def _unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
+def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
     """Finding of steering that is not correlated with curvature; None if it is, or if either hardly varies."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
             min(np.std(angle[known]), np.std(derived[known])) <= MIN_UNRELATED_SPREAD):
         return None
-    correlation = float(np.corrcoef(angle[known], derived[known])[0, 1])
-    if abs(correlation) >= LIMITS.correlation:
+    correlation = correlate(angle[known], derived[known])
+    if abs(correlation) >= LIMITS.min_correlation:
         return None
     text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it another signal, the "
             f"steering of another drive, stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
@@ -100,52 +103,53 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
     size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
-    shows_sign = size > MIN_ANGLE_FOR_SIGN and float(np.std(angle[known])) > 0.0 and (
-        np.corrcoef(derived[known], angle[known])[0, 1] < MAX_OPPOSITE_CORRELATION)
+    shows_sign = size > MIN_ANGLE_FOR_SIGN and correlate(derived[known], angle[known]) < MAX_OPPOSITE_CORRELATION
     if size < MIN_STEERING_ANGLE and not shows_sign:
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
-    return problem.estimates(("scale",))["scale"]
+    return problem.estimate(("scale",))["scale"]
 
 
-def response_time(vehicle: VehicleParameters, speed: float) -> float:
-    """Lag of the linear car's yaw rate behind slow changes of its steering [s].
+def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
+    """Lag of the linear car's yaw rate behind slow changes of its steering [s]: the group delay at frequency 0.
 
-        -d(arg H)/d(omega) at 0,  H = c (i omega - A)^-1 b:   tau = c A^-2 b / -(c A^-1 b)
+        tau = -d(arg H)/d(omega),   H = c (i omega - A)^-1 b:   tau = -(c A^-2 b) / (c A^-1 b)
     """
     a, b = linear_system(speed, vehicle)
-    once = np.linalg.solve(a, b)
-    return float(np.linalg.solve(a, once).ravel()[1] / -once.ravel()[1])
+    solution = np.linalg.solve(a, b)  # A^-1 b
+    return float(np.linalg.solve(a, solution).ravel()[1] / -solution.ravel()[1])
 
 
-def _response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
-    """Half-width of the 95 % interval of `response_time` [s] from the uncertainty of both axle stiffnesses, beyond the
-    systematic uncertainty of a steering lag; above 0 for a fast car that hardly understeers."""
-    def change(key: str) -> float:
+def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
+    """Uncertainty of `compute_response_time` [s] from that of both axle stiffnesses, half-width of a 95 % interval.
+
+    It is the part that exceeds the systematic uncertainty of a steering lag, as for a fast car that hardly understeers.
+    """
+    changes = []
+    for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
         value, limits = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
         factor = float(np.exp((vehicle.uncertainty(key) or 0.0) / value))
-        low, high = (response_time(replace(vehicle, **{key: min(max(end, limits.minimum), limits.maximum)}), speed)
-                     for end in (value / factor, value * factor))
-        return high - low
-
-    half = np.hypot(change("cornering_stiffness_front"), change("cornering_stiffness_rear"))
-    return float(np.sqrt(max(half**2 - SYSTEMATIC["steering_lag"] ** 2, 0.0)))
+        low, high = (compute_response_time(replace(vehicle, **{key: min(max(end, limits.minimum), limits.maximum)}),
+                                           speed) for end in (value / factor, value * factor))
+        changes.append(high - low)
+    half = np.hypot(changes[0], changes[1])
+    return float(np.sqrt(max(half**2 - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
 
 
 def _compute_lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
     """Lateral shift [m] of the predicted position due to a constant error [rad] of the road wheel angle."""
-    a, b = linear_system(max(speed, MOVING), vehicle)
+    a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
     return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
 
 
-def _unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
+def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
                   wheel_measured: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
 
     understeer: expected and largest plausible gain; since stiffnesses may be rough, a gain of 1 is plausible as well.
     """
-    (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit
+    (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
@@ -154,8 +158,8 @@ def _unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: Vehi
                1.0 / DEGREE: "was it converted to rad twice",
                1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / expected
-    factor = min(reasons, key=lambda f: abs(np.log(size / f)))
-    exact = factor if 1.0 / limit < size / factor < limit else size
+    nearest = min(reasons, key=lambda factor: abs(np.log(size / factor)))
+    exact = nearest if 1.0 / limit < size / nearest < limit else size
     opposite = "does it have the opposite sign (left is positive)" if value < 0.0 else ""
     reason = " and ".join(filter(None, (reasons.get(exact, ""), opposite)))
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
@@ -171,28 +175,29 @@ def _unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: Vehi
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
-def _lag_finding(late: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
-                 alternatives: str) -> Finding | None:
-    if not late.significant or not found.is_late or abs(late.value) < LIMITS.steering_lag:
+def _make_lag_finding(lag: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
+                      alternatives: str) -> Finding | None:
+    if not lag.significant or not found.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
-    missed = abs(late.value) * float(np.std(found.derived)) * np.sqrt(2.0)
+    missed = abs(lag.value) * float(np.std(found.derived)) * np.sqrt(2.0)
     effect = _compute_lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
-    text = (f"the steering {'lags' if late.value > 0.0 else 'leads'} the car's motion by {format_magnitude(late)} s"
+    text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {format_magnitude(lag)} s"
             f"{alternatives}, beyond the car's own response")
-    advice = Advice.correct("road_wheel_angle", earlier=float(f"{late.value:.3g}"))
-    return Finding("steering_lag", _at_most_warning(effect), ("road_wheel_angle",), text, late.value, "s",
-                   late.interval, (), effect, replace(advice, line=f"{advice.line}  # or --steering-latency"))
+    advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
+    return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
+                         replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
-def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, wheel_measured: bool) -> Finding | None:
+def _make_offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters,
+                         wheel_measured: bool) -> Finding | None:
     size = abs(found.scale.value)
-    bias = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit else found.bias
-    offset = with_systematic("steering_offset", bias)
+    bias = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else found.bias
+    offset = add_systematic_uncertainty("steering_offset", bias)
     if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
         return None
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
-            f"{_left_or_right(offset)} when driving straight: the steering offset is wrong")
+            f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = _compute_lateral_shift(offset.value, speed, vehicle)
     offset_left = offset.value * float(np.sign(found.scale.value))  # after correction of a wrong sign
     if wheel_measured:
@@ -202,70 +207,65 @@ def _offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters, 
                         {"steering_wheel_offset": wheel})
     else:
         advice = Advice.correct("road_wheel_angle", add=float(f"{-offset_left:.4g}"))
-    return Finding("steering_offset", _at_most_warning(effect), ("road_wheel_angle",), text, offset.value, "rad",
-                   offset.interval, (), effect, advice)
+    return _make_finding("steering_offset", ("road_wheel_angle",), text, offset, "rad", effect, advice)
 
 
-def _left_or_right(estimate: Estimate) -> str:
-    return "left" if estimate.value > 0.0 else "right"
-
-
-def _at_most_warning(effect: float) -> Severity:
-    """Severity of an effect, but at most a warning, since the cause may be the car rather than the recording."""
-    severity = LIMITS.severity(effect)
-    return Severity.WARNING if severity is Severity.ERROR else severity
+def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Estimate, unit: str, effect: float,
+                  advice: Advice) -> Finding:
+    """Finding of an effect [m], at most a warning, since the cause may be the car rather than the recording."""
+    severity = Severity.NOTE if LIMITS.severity(effect) is Severity.NOTE else Severity.WARNING
+    return Finding(name, severity, channels, text, estimate.value, unit, estimate.interval, (), effect, advice)
 
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     """Check the alignment of the heading and the position of the INS point against the motion of the rear axle."""
-    over = windows(motion.time, WINDOW)
-    means = [over.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
-    use = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
-    if use.sum() < 30:
+    windows = make_windows(motion.time, WINDOW)
+    means = [windows.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
+    usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
+    if usable.sum() < MIN_REAR_AXLE_WINDOWS:
         return [], {}, None
-    forward, lateral, rate = (mean[use] for mean in means)
+    forward, lateral, rate = (mean[usable] for mean in means)
     if abs(float(forward @ rate)) > MAX_COSINE * float(np.linalg.norm(forward) * np.linalg.norm(rate)):
-        return [], {}, None  # on a single circle, heading, point and slip are confounded
-    problem = Regression(over.time[use], lateral[:, None], {
+        return [], {}, None
+    problem = Regression(windows.time[usable], lateral[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
-        "roll": -(over.change(motion.velocity_x * motion.yaw_rate)[use] / WINDOW)[:, None]})
+        "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
     found = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
     declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
-    heading = with_systematic("heading_misaligned", found["heading"])
-    point = with_systematic("measuring_point", found["point"].shifted(-declared))
+    heading = add_systematic_uncertainty("heading_misaligned", found["heading"])
+    point = add_systematic_uncertainty("measuring_point", found["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
-    is_mirrored = low < -declared < high and declared > LIMITS.mounting and found["slip"].interval[1] < 0.0
+    is_mirrored = low < -declared < high and declared > LIMITS.ins_position and found["slip"].interval[1] < 0.0
     findings = []
-    if heading.significant and abs(heading.value) >= LIMITS.heading:
+    if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
         text = (f"the heading points {format_magnitude(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
-                f"{_left_or_right(heading)} of the course when driving straight: the INS is mounted at an angle, or "
-                "the road is banked")
-        findings.append(Finding(
-            "heading_misaligned", _at_most_warning(effect), ("yaw", "velocity_y"), text, heading.value, "rad",
-            heading.interval, (), effect, Advice.correct("heading", add=float(f"{-heading.value:.4g}"))))
-    point_or_sign = lateral_sign_finding() if is_mirrored else _point_finding(point, motion, vehicle)
+                f"{'left' if heading.value > 0.0 else 'right'} of the course when driving straight: the INS is mounted "
+                "at an angle, or the road is banked")
+        advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
+        findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
+    point_or_sign = make_lateral_sign_finding() if is_mirrored else _make_point_finding(point, motion, vehicle)
     findings += [point_or_sign] if point_or_sign else []
     motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
-                       "velocity_y", "rear axle at the distance of the vehicle file", over.time[use], lateral,
+                       "velocity_y", "rear axle at the distance of the vehicle file", windows.time[usable], lateral,
                        declared * rate + motion_of_axle, ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 
 
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
-    """Estimates of heading [rad], point [m ahead of the rear axle], slip [s^2/m] and roll [s^2].
+    """Estimates of heading [rad], point [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
 
     separable: whether the speed varies. Otherwise the slip is that of the vehicle file +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:
-        free = problem.estimates(("heading", "point", "slip", "roll"))
+        free = problem.estimate(("heading", "point", "slip", "roll"))
         if free["slip"].deviation < 0.25 * expected:
             return free
     middle, low, high = (
-        Regression(problem.time, problem.residual({"slip": slip}), problem.columns).estimates(
+        Regression(problem.time, problem.compute_residual({"slip": slip}), problem.columns).estimate(
             ("heading", "point", "roll"))
         for slip in (expected, 0.5 * expected, 1.5 * expected))
     return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
@@ -273,11 +273,12 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
         for name, estimate in middle.items()}}
 
 
-def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
-    if not point.significant or abs(point.value) < LIMITS.mounting:
+def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
+    if not point.significant or abs(point.value) < LIMITS.ins_position:
         return None
-    over = windows(motion.time, HORIZON)
-    turn = 2.0 * np.abs(np.sin(0.5 * over.change(motion.yaw))) if len(over) else np.zeros(1)
+    windows = make_windows(motion.time, HORIZON)
+    # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.
+    turn = 2.0 * np.abs(np.sin(0.5 * windows.change(motion.yaw))) if len(windows) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
     text = (f"the measuring point lies {format_magnitude(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
             f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
@@ -287,38 +288,37 @@ def _point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) 
     value = vehicle.cg_to_ins_x + point.value
     advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
                     {"cg_to_ins_x": round(value, 2)})
-    return Finding("measuring_point", _at_most_warning(effect), ("velocity_y", "x", "y"), text, point.value, "m",
-                   point.interval, (), effect, advice)
+    return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 
 def check_tyre_limit(motion: Motion) -> list[Finding]:
     """Finding of a sustained lateral acceleration above the limit of road tyres."""
-    over = windows(motion.time, WINDOW)
-    lateral = over.mean(motion.time, motion.velocity_x * motion.yaw_rate)
+    windows = make_windows(motion.time, WINDOW)
+    lateral = windows.mean(motion.time, motion.velocity_x * motion.yaw_rate)
     impossible = np.abs(lateral) > LIMITS.lateral_acceleration
     if impossible.sum() < 2:
         return []
     largest = float(np.abs(lateral).max())
     text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
             "wrong there")
-    where = tuple((float(t), float(t) + WINDOW) for t in over.time[impossible][:20])
+    where = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", where=where, advice=Advice("look", "look at speed and yaw rate in these stretches"))]
+                    "m/s^2", where=where, advice=Advice("look", "check speed and yaw rate in these stretches"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:
     """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
-    over = windows(motion.time, 2.0)
-    distance = np.hypot(over.change(motion.x), over.change(motion.y))
-    still = (distance < 0.02) & (np.abs(over.change(motion.yaw)) < 0.002)
+    windows = make_windows(motion.time, STANDSTILL_WINDOW)
+    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
+    still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)
     findings = []
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
                                         ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
-        inside = over.mean(motion.time, values)[still]
-        if len(inside) >= 2 and abs(np.median(inside)) >= minimum:
-            value = float(np.median(inside))
+        means = windows.mean(motion.time, values)[still]
+        value = float(np.median(means)) if len(means) >= 2 else 0.0
+        if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
-            where = tuple((float(t), float(t) + 2.0) for t in over.time[still][:20])
+            where = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[still][:MAX_LISTED])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
                                     advice=Advice("look", f"check the bias of {name}")))
     return findings

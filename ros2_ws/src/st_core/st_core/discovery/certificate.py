@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import stats
 
-from ..effects import confounded_effects
+from ..effects import find_confounded_effects
 from .evidence import Scores, efficient_score, library_p_value, make_scores, residual_over_noise
 from .fit import Fit, Problem
 from .loss import Quadratic
@@ -122,7 +122,7 @@ def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.nda
     if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
-            or (e in confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
+            or (e in find_confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
 
 
 def _held_out_losses(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:

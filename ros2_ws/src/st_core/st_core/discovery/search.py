@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects import confounded_effects, get_effect
+from ..effects import find_confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, is_alternative, judge
 from .evidence import Evidence, Scores, collect_evidence, library_p_value, p_no_worse, screen, sensors_null_p_value
 from .fit import Fit, Problem, Sensitivities
@@ -113,7 +113,7 @@ class Search:
                 self.tick()
                 fit = laden.refit(laden.fit(names, laden.all_sensitivities(vector), vector))
                 difference = fit.held_out - state.fit.held_out
-                own = p.space.indices(*(n for n in names if n in confounded_effects(other)))
+                own = p.space.indices(*(n for n in names if n in find_confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(state.fit.vector - p.start)[own]]
                 deficit = float(difference.sum()) / p.residual_count
                 rivals = [Rival(other, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel, augment, set_effects_to_null
-from ..effects import applicable, get_effect
+from ..effects import find_applicable_effects, get_effect
 from ..errors import ConfigurationError
 from ..models import Model, get_model
 from ..vehicle import DEFAULT_UNCERTAINTIES, VehicleParameters, find_quantity, value_of
@@ -50,7 +50,7 @@ class Space:
                  library: Collection[str] | None = None):
         base = get_model(base)
         equations = base.base if isinstance(base, AugmentedModel) else base
-        known = tuple(n for n in applicable(equations.name) if library is None or n in library)
+        known = tuple(n for n in find_applicable_effects(equations.name) if library is None or n in library)
         self.without_signal = tuple(n for n in known if get_effect(n).signals)
         usable = [n for n in known if n not in self.without_signal]
         self.hypotheses = _choose_effects(usable, settings, known)

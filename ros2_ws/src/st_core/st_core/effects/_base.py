@@ -79,7 +79,7 @@ class Parameter:
 
     @property
     def hard_bounds(self) -> tuple[float, ...]:
-        """Bounds other than null and theoretical value; none for a shape parameter, which may be on its bound."""
+        """Bounds at which an estimate is invalid: all but null and the theoretical value; none for a shape."""
         return () if self.shape else tuple(bound for bound in self.bounds if bound not in (self.null, self.theory))
 
     def check(self, value: float, key: str) -> float:
@@ -203,8 +203,8 @@ class Effect:
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "converts")
 AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
-EFFECTS: dict[str, type[Effect]] = {}
-UNLISTED: dict[str, type[Effect]] = {}  # effects that are not in the library of a search, but that `get_effect` finds
+EFFECTS: dict[str, type[Effect]] = {}  # library of a search
+UNLISTED: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
 
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
@@ -214,7 +214,7 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
     known = EFFECTS.get(name) or UNLISTED.get(name)
     if known:
-        raise ConfigurationError(f"effect {name}: already registered by {source_file(known)}")
+        raise ConfigurationError(f"effect {name}: already registered by {find_source_file(known)}")
     for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
@@ -277,8 +277,8 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
         yield "observe requires its inverse correct, and correct requires observe"
 
 
-def source_file(effect: type[Effect]) -> str:
-    """The file of an effect. When it changes, compiled functions of the effect are outdated."""
+def find_source_file(effect: type[Effect]) -> str:
+    """Path of the file of an effect. When the file changes, compiled functions of the effect are outdated."""
     return str(getattr(sys.modules.get(effect.__module__), "__file__", effect.__module__))
 
 
@@ -293,12 +293,12 @@ def get_effect(name: str) -> type[Effect]:
     return EFFECTS[name]
 
 
-def confounded_effects(name: str) -> set[str]:
+def find_confounded_effects(name: str) -> set[str]:
     """Names of the effects that are hard to separate from this one: those that it lists, and those that list it."""
     others = {other for other, effect in EFFECTS.items() if name in effect.confounded_with}
     return others.union(get_effect(name).confounded_with)
 
 
-def applicable(model: str) -> tuple[str, ...]:
+def find_applicable_effects(model: str) -> tuple[str, ...]:
     """Names of the effects that apply to a base model, sorted."""
     return tuple(sorted(name for name, effect in EFFECTS.items() if model in effect.applies_to))

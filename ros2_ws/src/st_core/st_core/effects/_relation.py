@@ -18,9 +18,8 @@ from typing import NamedTuple
 from ..ops import absolute, cos, maximum, minimum, sin
 from ._base import UNLISTED, Effect, Parameter, register
 
-SPLINES = 8  # number of splines of a curve
+SPLINES, INTERVALS = 8, 5.0  # numbers of splines of a curve, and of intervals between its knots
 MAX_COEFFICIENT = 100.0  # 1; the coefficients are scaled by their typical magnitude
-INTERVALS = 5.0  # number of intervals between the knots of u
 INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north",
           "east", "position_x", "position_y")
 _register = partial(register, registry=UNLISTED)
@@ -43,12 +42,13 @@ TERMS = {
 
 
 class AxleLoads(NamedTuple):
+    """Static loads of the axles [N]."""
+
     front: float
     rear: float
 
 
-def axle_loads(vehicle) -> AxleLoads:
-    """Static loads of the axles [N]."""
+def compute_static_loads(vehicle) -> AxleLoads:
     return AxleLoads(2.0 * vehicle.static_tyre_load_front, 2.0 * vehicle.static_tyre_load_rear)
 
 
@@ -58,19 +58,22 @@ def spline(t):
     return (far * far * far - 4.0 * near * near * near) / 6.0
 
 
-def curve(u, theta):
-    """f(u); see the module."""
+def evaluate_curve(u, theta):
+    """f(u) of the module docstring."""
     high = theta.low + INTERVALS * theta.spacing
     t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     p = theta.parity
-    return (theta.c0 * (spline(t + 1.0) + p * spline(s + 1.0)) + theta.c1 * (spline(t) + p * spline(s))
-            + theta.c2 * (spline(t - 1.0) + p * spline(s - 1.0)) + theta.c3 * (spline(t - 2.0) + p * spline(s - 2.0))
-            + theta.c4 * (spline(t - 3.0) + p * spline(s - 3.0)) + theta.c5 * (spline(t - 4.0) + p * spline(s - 4.0))
-            + theta.c6 * (spline(t - 5.0) + p * spline(s - 5.0)) + theta.c7 * (spline(t - 6.0) + p * spline(s - 6.0)))
+    return (theta.c0 * _basis(t, s, p, -1.0) + theta.c1 * _basis(t, s, p, 0.0) + theta.c2 * _basis(t, s, p, 1.0)
+            + theta.c3 * _basis(t, s, p, 2.0) + theta.c4 * _basis(t, s, p, 3.0) + theta.c5 * _basis(t, s, p, 4.0)
+            + theta.c6 * _basis(t, s, p, 5.0) + theta.c7 * _basis(t, s, p, 6.0))
 
 
-def weighted_motion(instant, theta):
+def _basis(t, s, parity, k):
+    return spline(t - k) + parity * spline(s - k)
+
+
+def compute_argument(instant, theta):
     """u without the slip angles, which not all hooks have as arguments."""
     return (theta.in_steering * instant.road_wheel_angle
             + theta.in_acceleration_y * instant.velocity_x * instant.yaw_rate
@@ -80,16 +83,17 @@ def weighted_motion(instant, theta):
             + theta.in_position_x * instant.x + theta.in_position_y * instant.y)
 
 
-def factor_of_curve(instant, theta):
+def compute_factor(instant, theta):
     """Factor by which the curve is multiplied."""
     return (theta.by_one + theta.by_steering * instant.road_wheel_angle
             + theta.by_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
-def curve_of_readings(measured, theta):
+def evaluate_curve_at_readings(measured, theta):
     """The curve f evaluated with sensor readings."""
-    return curve(theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate
-                 + theta.in_speed * measured.velocity_x + theta.in_yaw_rate * measured.yaw_rate, theta)
+    u = (theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate + theta.in_speed * measured.velocity_x
+         + theta.in_yaw_rate * measured.yaw_rate)
+    return evaluate_curve(u, theta)
 
 
 def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
@@ -119,32 +123,32 @@ class RelationEffect(Effect):
     order = 90
     parameters = _parameters()
 
-    constants = staticmethod(axle_loads)
+    constants = staticmethod(compute_static_loads)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
-        u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
-        y = curve(u, theta) * factor_of_curve(instant, theta)
+        u = compute_argument(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        y = evaluate_curve(u, theta) * compute_factor(instant, theta)
         # Steering a wheel to the left reduces its slip to the left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
-        u = weighted_motion(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
-        return change_forces(forces, slip_front, slip_rear, instant, curve(u, theta), theta)
+        u = compute_argument(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
+        return change_forces(forces, slip_front, slip_rear, instant, evaluate_curve(u, theta), theta)
 
     @staticmethod
     def acceleration(instant, prepared, theta):
-        y = curve(weighted_motion(instant, theta), theta) * factor_of_curve(instant, theta)
+        y = evaluate_curve(compute_argument(instant, theta), theta) * compute_factor(instant, theta)
         return 0.0 * y, theta.to_side_force * y, theta.to_yaw_moment * y
 
     @staticmethod
     def observe(measured, theta):
-        return _add_to_readings(measured, curve_of_readings(measured, theta), theta)
+        return _add_to_readings(measured, evaluate_curve_at_readings(measured, theta), theta)
 
     @staticmethod
     def correct(measured, theta):
-        return _add_to_readings(measured, -curve_of_readings(measured, theta), theta)
+        return _add_to_readings(measured, -evaluate_curve_at_readings(measured, theta), theta)
 
 
 @_register
@@ -163,18 +167,18 @@ class LaggedRelationEffect(Effect):
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
-        rate = (lagging_quantity(instant, theta) - extra[0]) / theta.tau
-        y = curve(weighted_motion(instant, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
-        y = y * (factor_of_curve(instant, theta) + theta.by_rate * rate)
+        rate = (compute_lagged_quantity(instant, theta) - extra[0]) / theta.tau
+        y = evaluate_curve(compute_argument(instant, theta) + theta.in_lagging * extra[0] + theta.in_rate * rate, theta)
+        y = y * (compute_factor(instant, theta) + theta.by_rate * rate)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def start(slips, instant, prepared, theta):
-        return (lagging_quantity(instant, theta),)
+        return (compute_lagged_quantity(instant, theta),)
 
     @staticmethod
     def rates(extra, slips, forces, instant, prepared, theta):
-        return ((lagging_quantity(instant, theta) - extra[0]) / theta.tau,)
+        return ((compute_lagged_quantity(instant, theta) - extra[0]) / theta.tau,)
 
 
 @_register
@@ -188,26 +192,26 @@ class TimedRelationEffect(Effect):
     signals = ("run_time",)
     parameters = _parameters()
 
-    constants = staticmethod(axle_loads)
+    constants = staticmethod(compute_static_loads)
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
-        y = curve(prepared[0], theta)
+        y = evaluate_curve(prepared[0], theta)
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
-        return change_forces(forces, slip_front, slip_rear, instant, curve(prepared[0], theta), theta)
+        return change_forces(forces, slip_front, slip_rear, instant, evaluate_curve(prepared[0], theta), theta)
 
 
-def lagging_quantity(instant, theta):
+def compute_lagged_quantity(instant, theta):
     """Quantity q of a lagged relation."""
     return (theta.of_steering * instant.road_wheel_angle
             + theta.of_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
 def change_forces(forces, slip_front, slip_rear, instant, y, theta):
-    """Axle forces changed by a curve with value y."""
+    """Axle forces [N] changed by a curve with value y."""
     front, rear = forces(slip_front, slip_rear, instant)
     return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.constants.front * y,
             rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.constants.rear * y)

@@ -1,7 +1,5 @@
 """Reduction of the lateral force of an axle by drive and brake forces (friction ellipse).
 
-    F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2))
-
 F_x is the force that the forward motion requires, D the peak force of the axle at its load; |F_x| is limited to 0.98 D.
 """
 
@@ -17,18 +15,21 @@ MAX_SQUARE_RATIO = 0.98**2  # limit of (F_x / D)^2 that keeps the derivative of 
 
 
 class Drive(NamedTuple):
-    """mass [kg]; drive_front, brake_front: fraction of the drive and of the brake force on the front axle [1]."""
-
-    mass: float
-    drive_front: float
-    brake_front: float
+    mass: float  # kg
+    drive_front: float  # fraction of the drive force on the front axle
+    brake_front: float  # fraction of the brake force on the front axle
 
 
-def drive_parameters(vehicle) -> Drive:
+class Car(NamedTuple):
+    drive: Drive
+    tyres: TyreParameters
+
+
+def select_drive_parameters(vehicle) -> Drive:
     return Drive(vehicle.mass, vehicle.drive_front, vehicle.brake_front)
 
 
-def axle_drive_forces(lateral_front, instant, car: Drive):
+def compute_drive_forces(lateral_front, instant, car: Drive):
     """Longitudinal forces (front, rear) along the wheels [N] that the forward motion requires, without drag.
 
         F_x = m (v_x_dot - v_y r) + F_f sin delta,   divided between the axles as drive or brake force
@@ -42,12 +43,7 @@ def axle_drive_forces(lateral_front, instant, car: Drive):
             (1.0 - car.drive_front) * drive + (1.0 - car.brake_front) * brake)
 
 
-class Car(NamedTuple):
-    drive: Drive
-    tyres: TyreParameters
-
-
-def lateral_factor(force, peak, share):
+def compute_lateral_factor(force, peak, share):
     """Factor on the lateral force of an axle with a longitudinal force; force, peak [N]."""
     ratio = force / peak
     return 1.0 - share + share * sqrt(1.0 - minimum(ratio * ratio, MAX_SQUARE_RATIO))
@@ -69,7 +65,7 @@ class CombinedSlip(Effect):
 
     @staticmethod
     def constants(vehicle):
-        return Car(drive_parameters(vehicle), parameters(vehicle))
+        return Car(select_drive_parameters(vehicle), parameters(vehicle))
 
     @staticmethod
     def prepare(road_wheel_angle, velocity_x_dot, signals, theta):
@@ -81,6 +77,6 @@ class CombinedSlip(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        drive_front, drive_rear = axle_drive_forces(front, instant, theta.constants.drive)
-        return (front * lateral_factor(drive_front, prepared[0], theta.share),
-                rear * lateral_factor(drive_rear, prepared[1], theta.share))
+        drive_front, drive_rear = compute_drive_forces(front, instant, theta.constants.drive)
+        return (front * compute_lateral_factor(drive_front, prepared[0], theta.share),
+                rear * compute_lateral_factor(drive_rear, prepared[1], theta.share))

@@ -22,8 +22,8 @@ class Car(NamedTuple):
     side_force_arm: float
 
 
-def speed_times_across(along, across):
-    """|u| u_y [m^2/s^2] of an air velocity u = (along, across) [m/s]."""
+def compute_flow_term(along, across):
+    """|u| u_y [m^2/s^2] of an air velocity u = (along, across) [m/s], relative to the car in body axes."""
     return sqrt(along * along + across * across + SMALL_SQUARE) * across
 
 
@@ -47,10 +47,9 @@ class Crosswind(Effect):
 
     @staticmethod
     def acceleration(instant, prepared, theta):
-        cosine, sine = cos(instant.yaw), sin(instant.yaw)
+        car, cosine, sine = theta.constants, cos(instant.yaw), sin(instant.yaw)
         along = theta.wind_x * cosine + theta.wind_y * sine - instant.velocity_x
         across = theta.wind_y * cosine - theta.wind_x * sine - instant.velocity_y
-        force = 0.5 * AIR_DENSITY * theta.constants.side_area * (
-            speed_times_across(along, across) - speed_times_across(-instant.velocity_x, -instant.velocity_y))
-        car = theta.constants
+        force = 0.5 * AIR_DENSITY * car.side_area * (
+            compute_flow_term(along, across) - compute_flow_term(-instant.velocity_x, -instant.velocity_y))
         return 0.0 * force, force / car.mass, car.side_force_arm * force / car.yaw_inertia

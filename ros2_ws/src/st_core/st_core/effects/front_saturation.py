@@ -1,10 +1,8 @@
 """Saturation of a linear front axle, which needs no tyre curve of the vehicle file.
 
-    F = F_lin / (1 + s u^2 + s^2 u^4)^(1/4),   u = F_lin / static load of the axle
-
-The limit is F_z / sqrt(s), so s = 1 / mu^2; s = 0 is linear. Where the linear force equals the limit, F is 0.76 of it.
-Fitted to brush and Magic Formula curves, F deviates by less than 2 % of their peak up to twice that slip (4 % for a
-Magic Formula with C = 1.3, E = -3).
+s = 1 / mu^2; s = 0 is linear. Where the linear force F equals the limit, the saturated force is 0.76 of it. Fitted to
+brush and Magic Formula curves, the saturated force deviates by less than 2 % of their peak up to twice that slip (4 %
+for a Magic Formula with C = 1.3, E = -3).
 """
 
 from ..ops import sqrt

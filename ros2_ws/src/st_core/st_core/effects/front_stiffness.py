@@ -5,14 +5,14 @@ from dataclasses import replace
 from ._base import Effect, Parameter, register
 
 
-def stiffness_factor(initial):
-    """Parameter for the factor of an axle's stiffness, with its start value."""
+def make_stiffness_parameter(initial):
+    """Parameter for the factor of a cornering stiffness. initial: its start value in a fit."""
     return Parameter("factor", "1", null=1.0, initial=initial, bounds=(0.3, 3.0),
                      meaning="ratio of true stiffness to the file's", model_error=0.04,
                      source="tyres of one size differ by a factor of 2; openpilot estimates 0.2-5 for both axles")
 
 
-def with_stiffness(vehicle, axle, factor):
+def scale_stiffness(vehicle, axle, factor):
     """The vehicle with the cornering stiffness of one axle, "front" or "rear", multiplied by a factor."""
     stiffness, tyre = getattr(vehicle, f"cornering_stiffness_{axle}"), getattr(vehicle, f"tyre_{axle}")
     return replace(vehicle, **{f"cornering_stiffness_{axle}": stiffness * factor,
@@ -28,8 +28,8 @@ class FrontStiffness(Effect):
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (stiffness_factor(0.9),)
+    parameters = (make_stiffness_parameter(0.9),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return with_stiffness(vehicle, "front", theta.factor)
+        return scale_stiffness(vehicle, "front", theta.factor)

@@ -4,7 +4,7 @@
 
 curvature > 1 means an earlier and sharper peak, < 1 a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
 file. A fit determines the curve only within the slip angles of the drives; `st_core.identification.axle_curve` computes
-this part with its band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+that part with its confidence band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
 from dataclasses import replace
@@ -22,6 +22,7 @@ PARAMETERS = (
 
 
 def _limit(key, value):
+    """The value of a tyre quantity within the limits of the vehicle file."""
     limits = TYRE_QUANTITIES[key]
     return min(max(value, limits.minimum), limits.maximum)
 

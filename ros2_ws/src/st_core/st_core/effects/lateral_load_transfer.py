@@ -1,11 +1,11 @@
 """Load transfer to the outer wheels, which reduces the axle force because tyre force is degressive in load.
 
-    dF = share m a_y h / track, divided between the axles;   F = F(F_z / 2 + dF) + F(F_z / 2 - dF) of two tyres
+    dF = share m a_y h / track, divided between the axles;   F_axle = F_right(F_z / 2 + dF) + F_left(F_z / 2 - dF)
 
 a_y = (F_f + F_r) / m is computed without the transfer. The difference from two equally loaded tyres is added to the
 axle force. The longitudinal components of the two front tyre forces cause a yaw moment against the turn,
 
-    M_z = -track / 2 sin delta (F_outer - F_inner),
+    M_z = -track / 2 sin delta (F_right - F_left),
 
 which the single-track model represents by a pair of opposite axle forces, since it has no width.
 """
@@ -26,8 +26,8 @@ class Car(NamedTuple):
     load_transfer_front: float
 
 
-def tyre_pair(slip, load, transfer, tyre):
-    """(outer, inner) tyre force [N] with `transfer` [N] from the inner to the outer tyre, each loaded by `load` [N]."""
+def compute_tyre_forces(slip, load, transfer, tyre):
+    """(right, left) tyre force [N]. load: of each tyre without the transfer [N]. transfer: from left to right [N]."""
     return tyre_force(slip, load + transfer, tyre), tyre_force(slip, load - transfer, tyre)
 
 
@@ -62,11 +62,11 @@ class LateralLoadTransfer(Effect):
         front, rear = forces(slip_front, slip_rear, instant)
         car, track, part = theta.constants.tyres, theta.constants.track_width, theta.constants.load_transfer_front
         transfer = theta.share * (front + rear) * car.cg_height / track
-        outer, inner = tyre_pair(slip_front, prepared[0], part * transfer, car.tyre_front)
-        outer_rear, inner_rear = tyre_pair(slip_rear, prepared[1], (1.0 - part) * transfer, car.tyre_rear)
-        couple = 0.5 * track * (outer - inner) / (car.cg_to_front_axle + car.cg_to_rear_axle)
+        right, left = compute_tyre_forces(slip_front, prepared[0], part * transfer, car.tyre_front)
+        rear_right, rear_left = compute_tyre_forces(slip_rear, prepared[1], (1.0 - part) * transfer, car.tyre_rear)
+        couple = 0.5 * track * (right - left) / (car.cg_to_front_axle + car.cg_to_rear_axle)
         # The tangent, because the equations of motion multiply the front force by cos delta.
-        return (front + outer + inner - 2.0 * tyre_force(slip_front, prepared[0], car.tyre_front)
+        return (front + right + left - 2.0 * tyre_force(slip_front, prepared[0], car.tyre_front)
                 - couple * tan(instant.road_wheel_angle),
-                rear + outer_rear + inner_rear - 2.0 * tyre_force(slip_rear, prepared[1], car.tyre_rear)
+                rear + rear_right + rear_left - 2.0 * tyre_force(slip_rear, prepared[1], car.tyre_rear)
                 + couple * sin(instant.road_wheel_angle))

@@ -18,8 +18,7 @@ class Load(Effect):
     excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
-    combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass",
-                    "stability factor K")
+    combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass", "stability factor K")
     parameters = (
         Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
                   meaning="mass of a load over the rear axle",

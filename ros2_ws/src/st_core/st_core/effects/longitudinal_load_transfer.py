@@ -1,6 +1,6 @@
 """Load transfer between the axles under acceleration, and its effect on the tyre forces.
 
-    dF_z = m height a_x / l from the front to the rear axle,   F' = F + F_MF(F_z + dF_z) - F_MF(F_z),   a_x = v_x_dot
+    dF_z = m height v_x_dot / l from the front to the rear axle,   F' = F + F_MF(F_z -/+ dF_z) - F_MF(F_z)
 
 height is the CG height that the base model does not contain: the whole height for linear tyres, the excess above the
 height in the vehicle file for the nonlinear model. F_MF is the Magic Formula of the vehicle file for the two tyres of
@@ -13,7 +13,7 @@ from ..tyres import magic_formula_coefficients, magic_formula_force
 from ._base import Effect, Parameter, register
 
 
-def force_change(slip, before, after, tyre):
+def compute_force_change(slip, before, after, tyre):
     """Change of the force of the two tyres of an axle [N]; before, after: (B, D, E) at both loads."""
     return 2.0 * (magic_formula_force(slip, after[0], after[1], after[2], tyre)
                   - magic_formula_force(slip, before[0], before[1], before[2], tyre))
@@ -26,8 +26,8 @@ class LongitudinalLoadTransfer(Effect):
     excited_by = "braking and power in turns"
     kind, slot = "physics", "both axles"
     confounded_with = ("combined_slip", "steered_drive_force")
-    prepared = tuple(f"{what}_{axle}_{when}" for when in ("before", "after") for axle in ("front", "rear")
-                     for what in "bde")
+    prepared = tuple(f"{coefficient}_{axle}_{load}" for load in ("before", "after") for axle in ("front", "rear")
+                     for coefficient in "bde")
     costly = True
     order = 70
     parameters = (
@@ -51,5 +51,5 @@ class LongitudinalLoadTransfer(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        return (front + force_change(slip_front, prepared[0:3], prepared[6:9], theta.constants.tyre_front),
-                rear + force_change(slip_rear, prepared[3:6], prepared[9:12], theta.constants.tyre_rear))
+        return (front + compute_force_change(slip_front, prepared[0:3], prepared[6:9], theta.constants.tyre_front),
+                rear + compute_force_change(slip_rear, prepared[3:6], prepared[9:12], theta.constants.tyre_rear))

@@ -9,7 +9,7 @@ from ._base import Effect, Parameter, register
 class Mass(Effect):
     name = "mass"
     physics = "m = factor m of the file"
-    excited_by = "cornering; only relative to yaw_inertia if tyre force is proportional to load: weigh the car"
+    excited_by = "cornering; observable only relative to yaw_inertia if forces are proportional to load: weigh the car"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass")

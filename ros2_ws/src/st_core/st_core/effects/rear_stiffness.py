@@ -1,7 +1,7 @@
 """Error of the rear cornering stiffness in the vehicle file."""
 
 from ._base import Effect, register
-from .front_stiffness import stiffness_factor, with_stiffness
+from .front_stiffness import make_stiffness_parameter, scale_stiffness
 
 
 @register
@@ -13,8 +13,8 @@ class RearStiffness(Effect):
     confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (stiffness_factor(0.85),)
+    parameters = (make_stiffness_parameter(0.85),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return with_stiffness(vehicle, "rear", theta.factor)
+        return scale_stiffness(vehicle, "rear", theta.factor)

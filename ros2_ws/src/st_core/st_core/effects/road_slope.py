@@ -1,7 +1,5 @@
 """Planar road inclined in the map frame, on which gravity pulls in the same map direction at any heading.
 
-    a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw))
-
 The component of gravity along the car is part of the measured v_x_dot. An accelerometer measures the specific force,
 which does not contain gravity.
 """
@@ -11,7 +9,7 @@ from ..tyres import GRAVITY
 from ._base import Effect, Parameter, register
 
 
-def gradient(instant, theta):
+def compute_slope(instant, theta):
     """Slope of the road (forward, to the left) of the car [1], + for a rising road."""
     cosine, sine = cos(instant.yaw), sin(instant.yaw)
     east, north = sin(theta.slope_x), sin(theta.slope_y)
@@ -35,9 +33,9 @@ class RoadSlope(Effect):
     @staticmethod
     def acceleration(instant, prepared, theta):
         zero = 0.0 * instant.velocity_x
-        return zero, zero - GRAVITY * gradient(instant, theta)[1], zero
+        return zero, zero - GRAVITY * compute_slope(instant, theta)[1], zero
 
     @staticmethod
     def specific_force(instant, prepared, theta):
-        forward, left = gradient(instant, theta)
+        forward, left = compute_slope(instant, theta)
         return GRAVITY * forward, GRAVITY * left

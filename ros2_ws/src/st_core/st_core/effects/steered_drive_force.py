@@ -5,7 +5,7 @@ The published single-track models have the forward acceleration as input and do 
 
 from ..ops import tan
 from ._base import Effect, Parameter, register
-from .combined_slip import axle_drive_forces, drive_parameters
+from .combined_slip import compute_drive_forces, select_drive_parameters
 
 
 @register
@@ -20,11 +20,11 @@ class SteeredDriveForce(Effect):
         Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: full force", source="theory: 1"),
     )
 
-    constants = staticmethod(drive_parameters)
+    constants = staticmethod(select_drive_parameters)
 
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        drive_front, _ = axle_drive_forces(front, instant, theta.constants)
+        drive_front, _ = compute_drive_forces(front, instant, theta.constants)
         # The tangent, because the equations of motion multiply the front force by cos delta.
         return front + theta.share * drive_front * tan(instant.road_wheel_angle), rear

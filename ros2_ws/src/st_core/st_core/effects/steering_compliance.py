@@ -31,7 +31,7 @@ class SteeringCompliance(Effect):
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         slope = 1.0 + theta.compliance * theta.constants
         front, _ = forces(slip_front, slip_rear, instant)
-        once = slip_front + theta.compliance * front / slope
-        front, _ = forces(once, slip_rear, instant)
-        twice = once - (once - slip_front - theta.compliance * front) / slope
-        return forces(twice, slip_rear, instant)
+        first_iterate = slip_front + theta.compliance * front / slope
+        front, _ = forces(first_iterate, slip_rear, instant)
+        second_iterate = first_iterate - (first_iterate - slip_front - theta.compliance * front) / slope
+        return forces(second_iterate, slip_rear, instant)

@@ -22,8 +22,7 @@ class SteeringLag(Effect):
     order = 30
     parameters = (
         Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5), meaning="time to 63 % of a step",
-                  source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s",
-                  model_error=0.004),
+                  source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s", model_error=0.004),
     )
 
     @staticmethod

@@ -1,7 +1,5 @@
 """Slip of the tyres: the dynamic model with linear tyres replaces the kinematic model.
 
-    derivative of the state = (1 - share) kinematic + share dynamic
-
 A share between 0 and 1 has no physical meaning, but its fit detects missing slip.
 """
 

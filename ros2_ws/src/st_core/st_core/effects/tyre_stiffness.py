@@ -1,7 +1,7 @@
 """Error of both cornering stiffnesses in the vehicle file by a common factor, as with other tyres."""
 
 from ._base import Effect, register
-from .front_stiffness import stiffness_factor, with_stiffness
+from .front_stiffness import make_stiffness_parameter, scale_stiffness
 
 
 @register
@@ -13,8 +13,8 @@ class TyreStiffness(Effect):
     confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"
     members = ("front_stiffness", "rear_stiffness")
-    parameters = (stiffness_factor(0.85),)
+    parameters = (make_stiffness_parameter(0.85),)
 
     @staticmethod
     def vehicle(vehicle, theta):
-        return with_stiffness(with_stiffness(vehicle, "front", theta.factor), "rear", theta.factor)
+        return scale_stiffness(scale_stiffness(vehicle, "front", theta.factor), "rear", theta.factor)

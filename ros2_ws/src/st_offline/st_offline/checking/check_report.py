@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import SCHEMA, Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
+from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
+from st_core.checks.finding import SCHEMA
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import alignment_not_needed
 from st_core.vehicle import VehicleParameters

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from st_core.checks import AuxiliaryData, DriveCheck, Finding, Severity, check
-from st_core.checks.trial import step_too_long
+from st_core.checks.trial import check_step_length
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
@@ -42,7 +42,7 @@ def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryDat
               models: Sequence[str | Model] = (), step: float = STEP) -> DriveCheck:
     """Check a drive. models: checked for stable integration with `step` [s]; empty if nothing is predicted."""
     checked = check(log, vehicle, auxiliary)
-    too_long = step_too_long(models, vehicle, log, step) if models else None
+    too_long = check_step_length(models, vehicle, log, step) if models else None
     if too_long is None:
         return checked
     return replace(checked, findings=tuple(sorted((*checked.findings, too_long), key=check_report.severity_rank)))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from st_core.discovery.next_manoeuvre import REPETITIONS
-from st_core.effects import Effect, load_file, source_file, unload_folder
+from st_core.effects import Effect, find_source_file, load_file, unload_folder
 from st_core.model_file import Estimate, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.relations.candidates import ALL_TERMS, FILTERED, QUANTITIES, SENSOR_READINGS
@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 
 from . import quantities
 
-EFFECTS_FOLDER = Path(source_file(Effect)).parent
+EFFECTS_FOLDER = Path(find_source_file(Effect)).parent
 KNOTS = 21  # of the linear interpolation that approximates the fitted spline
 SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
@@ -182,7 +182,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
     effects.mkdir()
     file = effects / f"{effect_name(relation)}.py"
     file.write_text(effect_source(relation, runs, created), encoding="utf-8")
-    for user_folder in {Path(source_file(e)).parent for e in relation.model.effects} - {EFFECTS_FOLDER}:
+    for user_folder in {Path(find_source_file(e)).parent for e in relation.model.effects} - {EFFECTS_FOLDER}:
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from st_core.checks import AuxiliaryData, Finding
-from st_core.checks.sampling import rejected_frames_finding
+from st_core.checks.sampling import make_rejected_frames_finding
 from st_core.clock_types import Alignment, SharedSignal, Verdict, alignment_not_needed
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
@@ -166,8 +166,8 @@ def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Fi
     if message not in run.signals.rejected or not len(run.ins.time_ns):
         return ()
     time_ns = move_to_ins_clock(run, settings, run.signals.rejected[message])
-    return (rejected_frames_finding((time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns),
-                                    run.signals.faults[message]),)
+    return (make_rejected_frames_finding(
+        (time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns), run.signals.faults[message]),)
 
 
 def move_to_ins_clock(run: RawRun, settings: ReadSettings, time_ns: np.ndarray) -> np.ndarray:
