@@ -29,15 +29,12 @@ def test_sigterm_ends_the_node_with_status_0(tmp_path):
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("parameters", "text"),
-    [
-        ({"udp_prot": 3000}, "unknown parameter udp_prot"),
-        ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),
-        ({"origin_source": "given"}, "origin_latitude: is required when"),
-        ({"replay_file": __file__}, "no NCOM packet in"),
-    ],
-)
+@pytest.mark.parametrize(("parameters", "text"), [
+    ({"udp_prot": 3000}, "unknown parameter udp_prot"),
+    ({"udp_port": 70000}, "udp_port: 70000 is outside 1 to 65535"),
+    ({"origin_source": "given"}, "origin_latitude: is required when"),
+    ({"replay_file": __file__}, "no NCOM packet in"),
+])
 def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path):
     process = launch("oxts_bridge", parameters, tmp_path, free_domain())
     try:
@@ -50,18 +47,15 @@ def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path
     assert len(lines) == 1 and text in lines[0] and "oxts_bridge" in lines[0]
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "text"),
-    [
-        ("bind_address", "everywhere", "bind_address: 'everywhere' is not an IP address"),
-        ("sender_filter", "300.1.1.1", "sender_filter: '300.1.1.1' is not an IP address"),
-        ("base_to_ins", [1.0, 2.0], "base_to_ins: [1.0, 2.0] is not three lengths"),
-        ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),
-        ("topics", ["odometry", "odo"], "topics: 'odo' is not one of"),
-        ("odom_frame", "map", "must differ"),
-        ("replay_file", "missing.ncom", "replay_file: missing.ncom is not a file"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "text"), [
+    ("bind_address", "everywhere", "bind_address: 'everywhere' is not an IP address"),
+    ("sender_filter", "300.1.1.1", "sender_filter: '300.1.1.1' is not an IP address"),
+    ("base_to_ins", [1.0, 2.0], "base_to_ins: [1.0, 2.0] is not three lengths"),
+    ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),
+    ("topics", ["odometry", "odo"], "topics: 'odo' is not one of"),
+    ("odom_frame", "map", "must differ"),
+    ("replay_file", "missing.ncom", "replay_file: missing.ncom is not a file"),
+])
 def test_inconsistent_parameters_are_refused_by_name(key, value, text):
     settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in PARAMETERS})
     check(settings, "oxts_bridge")

@@ -230,16 +230,13 @@ def test_log_with_the_wrong_extension_is_read_by_its_content(tmp_path: Path) -> 
     assert len(read_can_logs([mf4]).frames) == 10
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("empty.MF4", b"", "the file is empty"),
-        ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
-        ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
-        ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
-        ("nothing.log", b"(1.0) can0 002#not hexadecimal\n", "it contains no usable frames"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "message"), [
+    ("empty.MF4", b"", "the file is empty"),
+    ("text.MF4", b"time,value\n1,2\n", "this is not an MF4 file"),
+    ("noise.log", bytes(range(256)) * 10, "this is not a CAN log of a known format"),
+    ("packets.asc", b"\xe7" + bytes(71), "this is not a CAN log of a known format"),
+    ("nothing.log", b"(1.0) can0 002#not hexadecimal\n", "it contains no usable frames"),
+])
 def test_file_that_is_not_a_can_log_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     file = tmp_path / name
     file.write_bytes(content)

@@ -75,17 +75,14 @@ def test_semicolons_and_other_column_orders(tmp_path: Path) -> None:
     assert (log.road_wheel_angle == 0.002).all()
 
 
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([""], "no column was recognised as t, x"),
-        (["t,x,y,yaw", "0,0,0,0"],
-         "no column was recognised as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
-        ([HEADER], "it contains fewer than two usable rows"),
-        ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
-        ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
-    ],
-)
+@pytest.mark.parametrize(("lines", "message"), [
+    ([""], "no column was recognised as t, x"),
+    (["t,x,y,yaw", "0,0,0,0"],
+     "no column was recognised as velocity_x, .*; its columns are t, x, y, yaw; .*columns: {velocity_x: NAME"),
+    ([HEADER], "it contains fewer than two usable rows"),
+    ([HEADER, *rows(3), *["1,2,3"] * 7, *rows(3)], "a row cannot be read"),
+    ([HEADER, *rows(1), *["a,b,c,d,e,f,g,h,i,j"] * 3], "it contains fewer than two usable rows"),
+])
 def test_unusable_file_is_refused(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(RunError, match=rf"drive\.csv: {message}"):
         read_csv(write(tmp_path, lines))

@@ -45,30 +45,27 @@ def write_damaged(tmp_path: Path, field: str, layout: str, value: object) -> Pat
     return file
 
 
-@pytest.mark.parametrize(
-    ("field", "layout", "value", "error"),
-    [
-        ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record of 21 bytes"),
-        ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
-        ("bits", "<I", 80, "invalid start bit 0 or length of 80 bits"),
-        ("bit", "<B", 9, "invalid start bit 9 or length of 11 bits"),
-        ("data type", "<B", 10, "the ID of its frames is not an integer"),
-        ("name", "<16s", b"CAN_DataFrame.II", "its frames have no ID"),
-        ("composition", "<Q", 0, "its frames have no ID"),
-        ("size", "<I", 2**30, "has impossible records of 1073741824 bytes"),
-        ("flags", "<H", 7, "has channels, but records of variable length"),
-        ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
-        ("next data group", "<Q", 64, "two links refer to the block at byte 64"),
-        ("next channel", "<Q", 0, "the log contains no CAN frames"),
-        ("next channel", "<Q", 2**63, "a block refers to byte 9223372036854775808"),
-        ("kind", "<B", 0, "its records have no time channel"),
-        ("type of time", "<B", 15, "the time channel at byte"),
-        ("factor", "<d", math.nan, "time conversion at byte .* is invalid"),
-        ("factor", "<d", 1e307, "the times of its frames are invalid"),
-        ("factor", "<d", 1e200, "the times of its frames are invalid"),
-        ("times", "<d", -1e12, "the times of its frames are invalid"),
-    ],
-)
+@pytest.mark.parametrize(("field", "layout", "value", "error"), [
+    ("byte", "<I", 34, r"the channel at byte \d+ ends at byte 36 of a record of 21 bytes"),
+    ("byte", "<I", 2**32 - 1, "ends at byte 4294967297 of a record"),
+    ("bits", "<I", 80, "invalid start bit 0 or length of 80 bits"),
+    ("bit", "<B", 9, "invalid start bit 9 or length of 11 bits"),
+    ("data type", "<B", 10, "the ID of its frames is not an integer"),
+    ("name", "<16s", b"CAN_DataFrame.II", "its frames have no ID"),
+    ("composition", "<Q", 0, "its frames have no ID"),
+    ("size", "<I", 2**30, "has impossible records of 1073741824 bytes"),
+    ("flags", "<H", 7, "has channels, but records of variable length"),
+    ("size of identifiers", "<B", 3, "has record identifiers of 3 bytes"),
+    ("next data group", "<Q", 64, "two links refer to the block at byte 64"),
+    ("next channel", "<Q", 0, "the log contains no CAN frames"),
+    ("next channel", "<Q", 2**63, "a block refers to byte 9223372036854775808"),
+    ("kind", "<B", 0, "its records have no time channel"),
+    ("type of time", "<B", 15, "the time channel at byte"),
+    ("factor", "<d", math.nan, "time conversion at byte .* is invalid"),
+    ("factor", "<d", 1e307, "the times of its frames are invalid"),
+    ("factor", "<d", 1e200, "the times of its frames are invalid"),
+    ("times", "<d", -1e12, "the times of its frames are invalid"),
+])
 def test_damaged_description_is_refused_in_one_sentence(tmp_path, capfd, field, layout, value, error):
     file = write_damaged(tmp_path, field, layout, value)
     with warnings.catch_warnings():

@@ -96,21 +96,18 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
         read(runs["one"], CAR)
 
 
-@pytest.mark.parametrize(
-    ("path", "message"),
-    [
-        ("missing.ncom", "the file or folder does not exist; looked for in /"),
-        ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
-        ("notes.doc", r"recordings with the extension \.doc are not supported; give files with .*\.ncom"),
-        ("table.lvm", r"recordings with the extension \.lvm are not supported; rename it to \.csv if it is a text"),
-        ("capture.pcap", "no CAN log has the same stem"),
-        ("unit.bin", r"recordings with the extension \.bin are not supported; rename it to \.ncom if"),
-        ("unit.rd", r"recordings with the extension \.rd are not supported; .* convert it to NCOM"),
-        ("logger.vbb", r"recordings with the extension \.vbb are not supported; export it as \.vbo"),
-        ("car.dbc", r"recordings with the extension \.dbc are not supported; give a DBC with --dbc"),
-        ("folder", "this folder contains no recording"),
-    ],
-)
+@pytest.mark.parametrize(("path", "message"), [
+    ("missing.ncom", "the file or folder does not exist; looked for in /"),
+    ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
+    ("notes.doc", r"recordings with the extension \.doc are not supported; give files with .*\.ncom"),
+    ("table.lvm", r"recordings with the extension \.lvm are not supported; rename it to \.csv if it is a text"),
+    ("capture.pcap", "no CAN log has the same stem"),
+    ("unit.bin", r"recordings with the extension \.bin are not supported; rename it to \.ncom if"),
+    ("unit.rd", r"recordings with the extension \.rd are not supported; .* convert it to NCOM"),
+    ("logger.vbb", r"recordings with the extension \.vbb are not supported; export it as \.vbo"),
+    ("car.dbc", r"recordings with the extension \.dbc are not supported; give a DBC with --dbc"),
+    ("folder", "this folder contains no recording"),
+])
 def test_path_that_is_not_a_run_is_refused(tmp_path: Path, path: str, message: str) -> None:
     touch(tmp_path, "notes.txt", "folder/notes.txt", "notes.doc", "table.lvm", "capture.pcap", "unit.rd", "unit.bin",
           "logger.vbb", "car.dbc")
@@ -247,26 +244,23 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     assert (pattern.name, len(pattern.can)) == ("other", 2)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("[", "invalid YAML"),
-        ("- a", "the file is not a YAML mapping"),
-        ("ins: x.ncom\ncan: 1.log\nspeed: 3", "unknown key speed; known keys are name, ins"),
-        ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),
-        ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
-        ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
-        ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
-        ("ins: x.ncom", "the key can names no CAN log"),
-        ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a valid pattern"),
-        ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a valid pattern"),
-        ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
-        ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: 'None' does not exist"),
-        ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
-        ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
-        ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
-    ],
-)
+@pytest.mark.parametrize(("content", "message"), [
+    ("[", "invalid YAML"),
+    ("- a", "the file is not a YAML mapping"),
+    ("ins: x.ncom\ncan: 1.log\nspeed: 3", "unknown key speed; known keys are name, ins"),
+    ("can: 1.log", "exactly one of the keys ins, bag, csv and vbo"),
+    ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
+    ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
+    ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
+    ("ins: x.ncom", "the key can names no CAN log"),
+    ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a valid pattern"),
+    ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a valid pattern"),
+    ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),
+    ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: 'None' does not exist"),
+    ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
+    ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
+    ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends"),
+])
 def test_invalid_run_yaml_is_refused(tmp_path: Path, content: str, message: str) -> None:
     touch(tmp_path, "x.ncom", "1.log", "d.csv")
     (run,) = find_runs(touch(tmp_path, "run.yaml", content=content))
