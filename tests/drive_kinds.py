@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from mcap.writer import Writer as McapWriter
-from raw_drives import LEAF
 from ros_messages import definition, header, odometry, serialise, stamp
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters
 from st_recordings.runs.bag import ODOMETRY, STEERING
+from support import read_car
 
-CAR = VehicleParameters.from_yaml(LEAF.read_text(), "leaf")
+CAR = read_car("leaf")
 NAMES = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "steering_wheel_angle")
 
 

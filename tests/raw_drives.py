@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from st_sim.run import main
-from support import ROOT
+from support import LEAF
 
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 # The runs provide high frequencies, longitudinal forces, and turns to both sides.
 PROGRAMME = (("sweep", 26.0), ("brake_in_turn", 20.0), ("lane_change", 18.0))
 

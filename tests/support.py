@@ -7,10 +7,10 @@ import pytest
 from st_core.vehicle import VehicleParameters
 
 ROOT = Path(__file__).resolve().parents[1]
-KEPT = ROOT / "tests" / "golden" / "data"
+GOLDEN_DATA = ROOT / "tests" / "golden" / "data"
 LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 EXAMPLES = ROOT / "examples" / "data"
-SETS = ("kept", "whole")
+SETS = ("excerpt", "complete")
 
 
 def read_car(name: str) -> VehicleParameters:
@@ -29,5 +29,5 @@ def shared(relative: str) -> Path:
 
 
 def vectors(which: str, relative: str) -> Path:
-    """A path in the NCOM and CAN vectors: the excerpt ("kept") in tests/golden/data, or the complete set ("whole")."""
-    return KEPT / relative if which == "kept" else shared(f"vectors/{relative}")
+    """A path in the NCOM and CAN vectors. which: "excerpt" in tests/golden/data, "complete" in the reference data."""
+    return GOLDEN_DATA / relative if which == "excerpt" else shared(f"vectors/{relative}")

@@ -16,11 +16,10 @@ from st_sim.run import check_arguments
 from st_sim.scenarios import load_plan
 from st_sim.settings import resolve_settings
 from st_sim.simulation import SimulatedCar
-from support import ROOT
+from support import LEAF as LEAF_FILE
 
 from bench.discovery import compiled, programmes
 
-LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 CAR = read_car(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
 HEALTHY = resolve_settings("realistic")

@@ -2,8 +2,8 @@
 
     t_ins = (t_can + 3.2170 s) (1 + 40e-6),    t_can: instant of the measurement since the start of the log
 
-Frames of the INS have latencies of 1.5 to 2.3 ms, those of the car none. The excerpt in tests/golden/data ("kept") has
-the complete CAN log and every fourth row of the INS log (25 Hz); the complete set ("whole") is reference data.
+Frames of the INS have latencies of 1.5 to 2.3 ms, those of the car none. The set "excerpt" in tests/golden/data has the
+whole CAN log and every fourth row of the INS log (25 Hz); the set "complete" is reference data.
 """
 
 import json

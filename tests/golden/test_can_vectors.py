@@ -1,6 +1,6 @@
 """CAN vectors: a synthetic drive and a real CANedge2 file, both as MF4, against the values read by other programs.
 
-Two sets (tests/support.py): an excerpt ("kept") in tests/golden/data, and the complete set ("whole"). The excerpt has
+Two sets (tests/support.py): "excerpt" in tests/golden/data, and "complete" in the reference data. The excerpt has
 every hundredth value of a signal of the drive, not every tenth, and the first 262 of 5588 frames of the real file, two
 of them with id 0x002.
 """
@@ -22,7 +22,7 @@ asammdf = pytest.importorskip("asammdf", reason="asammdf is an offline requireme
 DBC = ROOT / "config" / "can" / "leaf_ze0.dbc"
 TABLE = ROOT / "config" / "can" / "leaf_ze0.yaml"
 REAL = "canedge2_2F6913DB_00000004_00000001"
-EVERY = {"kept": 100, "whole": 10}  # the vector has one of this number of values of the drive
+EVERY = {"excerpt": 100, "complete": 10}  # the vector has one of this number of values of the drive
 
 
 def read_frames(path: Path) -> dict[str, np.ndarray]:
@@ -131,7 +131,7 @@ def test_messages_in_both_axes_conventions_give_equal_yaw(drive):
 def test_frames_of_a_real_canedge2_file_equal_the_vector(which, real):
     with vectors(which, f"can/{REAL}.frames.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(real["time"]) == len(rows) == {"kept": 262, "whole": 5588}[which]
+    assert len(real["time"]) == len(rows) == {"excerpt": 262, "complete": 5588}[which]
     assert np.abs(real["time"] - [float(r["t_rel_s"]) for r in rows]).max() < 1e-6
     for name, column, base in (("BusChannel", "bus", 10), ("Dir", "dir_tx", 10), ("IDE", "ide", 10),
                                ("ID", "id_hex", 16), ("DLC", "dlc", 10), ("DataLength", "len", 10)):
@@ -147,5 +147,5 @@ def test_no_frame_of_the_real_file_is_decoded_as_a_leaf_message(which, real):
                                                   strict=True):
         frame = can.Message(arbitration_id=int(identifier), is_extended_id=bool(extended), data=bytes(data[:length]))
         assert decoder.decode(frame, 0) is None
-    gnss = {"kept": 2, "whole": 44}[which]
+    gnss = {"excerpt": 2, "complete": 44}[which]
     assert decoder.statistics("Leaf_Steering").wrong_length == (real["ID"] == 0x002).sum() == gnss

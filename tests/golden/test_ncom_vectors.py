@@ -1,6 +1,6 @@
 """NCOM codec against the public vectors: values of the vendor's decoder, values of the manual, byte identity.
 
-Two sets (tests/support.py): an excerpt ("kept") in tests/golden/data, and the complete set ("whole"). A shortened case
+Two sets (tests/support.py): "excerpt" in tests/golden/data, and "complete" in the reference data. A shortened case
 ends after one of its packets; stream, packet rows and status rows end there as well, so every check applies to both.
 Tolerance: relative 1e-9; `time` and `tow` 1e-6 s (README of the vectors). Each `allow_*` function describes one
 property of the vendor's decoder by which the results may differ.
@@ -16,11 +16,11 @@ from oxts_bridge.channels import decode_channel
 from oxts_bridge.export import write_csv
 from oxts_bridge.file_decoder import KINDS, UNKNOWN_TIME, decode_file
 from oxts_bridge.stream import NcomParser
-from support import KEPT, SETS, vectors
+from support import GOLDEN_DATA, SETS, vectors
 
 CASES = {
-    "kept": ("startup", "extremes", "corrupt", "inner_checksums", "filters", "local_frame"),
-    "whole": (
+    "excerpt": ("startup", "extremes", "corrupt", "inner_checksums", "filters", "local_frame"),
+    "complete": (
         "startup",
         "all_channels",
         "extremes",
@@ -156,9 +156,9 @@ def test_status_changes_equal_those_of_the_vendor(which, case, written):
 
 
 def test_fields_have_the_values_of_the_manual(tmp_path):
-    file = KEPT / "ncom/manual_channels.ncom"
+    file = GOLDEN_DATA / "ncom/manual_channels.ncom"
     columns = decode_file(file)
-    table = rows(KEPT / "ncom/manual_channels.manual.csv")
+    table = rows(GOLDEN_DATA / "ncom/manual_channels.manual.csv")
     assert len(table) > 400
     write_csv(file, tmp_path / "packets.csv", tmp_path / "status.csv")
     status = changes(rows(tmp_path / "status.csv"))

@@ -13,17 +13,15 @@ from bags import nanoseconds, read_messages
 from drives import write_drive
 from st_core.bands import Bands, activity_instants, conditions_at
 from st_core.log_evaluation import EvaluationSettings
-from st_core.vehicle import VehicleParameters
 from st_process import run_st
 from st_recordings.runs.bag import read_bag
-from support import ROOT
+from support import LEAF, read_car
 from winding_road import Truth, winding_road
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(900),
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
-LEAF = ROOT / "config" / "vehicle" / "leaf.yaml"
 MODELS = ("kinematic", "linear", "nonlinear")
 WARN = 1
 MAX_NOT_COMPARED = 20  # predictions per model: the recorder may receive the inputs 2 s later than the predictor
@@ -31,7 +29,7 @@ MAX_NOT_COMPARED = 20  # predictions per model: the recorder may receive the inp
 
 def road(path: Path, seconds: float, seed: int, offset: float = 0.0) -> Path:
     """A drive of the Leaf on a winding road. offset: of the steering wheel [rad], not in the vehicle file."""
-    car = VehicleParameters.from_yaml(LEAF.read_text())
+    car = read_car("leaf")
     truth = Truth(offset, car.steering_ratio, 0.95)
     time, x, y, yaw, forward, across, rate, _ = winding_road(car, truth, seconds, seed, 0.0).T
     steering_wheel = winding_road(car, truth, seconds, seed, 0.5)[:, 7]

@@ -7,10 +7,10 @@ import pytest
 from st_sim.car import read_car
 from st_sim.driver import MAX_BRAKING, MAX_STEERING_WHEEL_RATE
 from st_sim.settings import PRESETS, resolve_settings
-from support import ROOT
+from support import LEAF, ROOT
 
 ControlledCar = runpy.run_path(str(ROOT / "examples" / "mpc" / "controlled_car.py"))["ControlledCar"]
-CAR = read_car(ROOT / "config/vehicle/leaf.yaml")
+CAR = read_car(LEAF)
 
 
 def make_car(speed=8.0, curvature=0.0):

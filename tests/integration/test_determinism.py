@@ -14,11 +14,9 @@ from drives import weave
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start
 from st_core.types import InsSample
-from st_core.vehicle import VehicleParameters
-from support import ROOT
+from support import read_car
 
-file = ROOT / "config" / "vehicle" / "leaf.yaml"
-vehicle, settings = VehicleParameters.from_yaml(file.read_text(), str(file)), PredictionSettings()
+vehicle, settings = read_car("leaf"), PredictionSettings()
 predictor = Predictor(vehicle, ["kinematic", "linear", "nonlinear"], settings)
 evaluator = Evaluator(vehicle, settings, 65.0)
 predictions, errors, count = hashlib.sha256(), hashlib.sha256(), 0
@@ -46,12 +44,10 @@ from drives import weave, write_drive
 from pathlib import Path
 import tempfile
 from st_core.log_evaluation import evaluate_log
-from st_core.vehicle import VehicleParameters
 from st_recordings.runs import csv
-from support import ROOT
+from support import read_car
 
-file = ROOT / "config" / "vehicle" / "leaf.yaml"
-vehicle = VehicleParameters.from_yaml(file.read_text(), str(file))
+vehicle = read_car("leaf")
 with tempfile.TemporaryDirectory() as name:
     log = csv.read_csv(write_drive(Path(name) / "drive.csv", weave(14.0))).log
 found = evaluate_log(["kinematic", "linear", "nonlinear"], vehicle, log)

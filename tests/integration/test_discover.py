@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from raw_drives import LEAF, write_drives
+from raw_drives import write_drives
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.reference import fit_healthy_car
@@ -24,10 +24,11 @@ from st_offline.discovery.discover_command import sensor_estimates, write_result
 from st_offline.discovery.drives import Drive, Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
+from support import LEAF, read_car
 from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow
-CAR = VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+CAR = read_car("leaf")
 
 # (settings of the plant, effect of the models, parameter, change from the healthy car; None: only the name is checked).
 # Steering offset and heading misalignment are in WITHOUT_REFERENCE.

@@ -17,9 +17,8 @@ from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import IDEAL
 from st_sim.simulation import SimulatedCar
-from support import ROOT
+from support import LEAF as LEAF_FILE
 
-LEAF_FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
 CAR = read_car(LEAF_FILE)
 # An effect that the virtual car always has and the models of the paper do not.

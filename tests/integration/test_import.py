@@ -21,11 +21,10 @@ from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.frames import ERROR, EXTENDED, REMOTE
 from st_sim.run import main as run_virtual_car
-from support import ROOT
+from support import LEAF, read_car
 from typer.testing import CliRunner
 
 OFFSET, DRIFT = 1.7, 30e-6  # s, 1: the clock of the logger is ahead of UTC and runs fast
-LEAF = ROOT / "config/vehicle/leaf.yaml"
 
 
 def simulate_drive(folder: Path, *more: str, can_format: str = "mf4", duration: float = 60.0) -> Path:
@@ -54,7 +53,7 @@ def imported(raw: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def leaf() -> VehicleParameters:
-    return VehicleParameters.from_yaml(LEAF.read_text(), str(LEAF))
+    return read_car("leaf")
 
 
 def read_only_run(path: Path, vehicle: VehicleParameters | None = None) -> LoadedRun:

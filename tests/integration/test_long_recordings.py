@@ -9,9 +9,8 @@ from oxts_bridge.ncom import Packet, encode
 from oxts_bridge.packet_time import MINUTE_MS
 from scipy.signal import butter, lfilter
 from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps
-from st_core.vehicle import VehicleParameters
 from st_recordings.runs import find_runs, read
-from support import ROOT
+from support import read_car
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -79,8 +78,7 @@ def test_ten_hours_are_aligned_to_3_ms_and_a_tenth_of_a_ppm(tmp_path: Path) -> N
     speed, rate = motion(seconds)
     write_ncom(tmp_path / "day.ncom", seconds, speed, rate)
     write_mf4(tmp_path / "day.mf4", seconds, speed, rate)
-    leaf = VehicleParameters.from_yaml((ROOT / "config/vehicle/leaf.yaml").read_text(), "leaf.yaml")
-    run = read(find_runs([tmp_path])[0], leaf)
+    run = read(find_runs([tmp_path])[0], read_car("leaf"))
     assert (run.alignment.method, run.alignment.verdict) == ("shared signals", "good"), run.alignment.reasons
     assert run.alignment.drift_ppm == pytest.approx(DRIFT * 1e6, abs=0.1)
     since = (run.alignment.at_ns - int(START.timestamp() * 1e9)) * 1e-9  # on the logger's clock

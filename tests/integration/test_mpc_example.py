@@ -12,10 +12,10 @@ from st_offline.model_export import export_model
 from st_sim.car import read_car
 from st_sim.scenarios import load_plan
 from st_sim.settings import PRESETS
+from support import LEAF as FILE
 from support import ROOT
 
 pytest.importorskip("casadi", reason="casadi is not installed")
-FILE = ROOT / "config" / "vehicle" / "leaf.yaml"
 LEAF = VehicleParameters.from_yaml(FILE.read_text(), str(FILE))
 NAMES = ("acados_example", "closed_loop", "controlled_car", "controller", "corridor", "drawing", "nmpc")
 

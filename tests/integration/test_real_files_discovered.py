@@ -12,19 +12,16 @@ from typing import Any
 
 import pytest
 from discovery_drives import recorded
-from raw_drives import LEAF
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
-from st_core.vehicle import VehicleParameters
 from st_offline.discovery.discover_command import sensor_estimates
 from st_offline.discovery.drives import read_drives
 from st_recordings.runs import ReadSettings, find_runs
-from support import ROOT, shared
+from support import LEAF, read_car, shared
 from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow
-GENESIS = ROOT / "config" / "vehicle" / "hyundai_genesis.yaml"
 RUNS = ("cpg_lap_medium", "cpg_lap_slow", "cpg_low_speed_a", "rfs_turn_a")
 SETTINGS = DiscoverySettings(where=False, windows=160)
 SCALE, OFFSET = 0.9, 0.02  # of the steering [1]; of the road wheel angle [rad]
@@ -49,7 +46,7 @@ def write_edited(folder: Path, edit: Callable[[Row, float], None]) -> list[Path]
 
 def discover_in_files(files: list[Path]) -> dict[str, Any]:
     """The content of discovery.json, from fewer predictions than the command uses."""
-    car = VehicleParameters.from_yaml(GENESIS.read_text(), str(GENESIS))
+    car = read_car("hyundai_genesis")
     drives = read_drives(find_runs(files), car, ReadSettings(), 1, lambda: None)
     assert not [d.problem for d in drives if d.problem]
     return discover([d.log for d in drives if d.log is not None], car, settings=SETTINGS,
@@ -95,7 +92,7 @@ def test_offset_that_starts_in_the_middle_of_runs_is_reported_as_varying(tmp_pat
 
 
 def test_no_effect_is_found_in_drives_of_the_base_model(tmp_path):
-    car = VehicleParameters.from_yaml(LEAF.read_text())
+    car = read_car("leaf")
     files = [write_csv(log, tmp_path / f"{log.name.replace(' ', '_')}.csv") for log in recorded(car, {}, 3)]
     out = tmp_path / "out"
     words = ["discover", *files, "--vehicle", LEAF, "--output", out, "--no-report", "--fresh"]

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support import ROOT
+from support import LEAF, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
@@ -31,7 +31,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from st_sim.run import main
 
     base = tmp_path_factory.mktemp("replay")
-    assert main(["--scenario", "S6", "--vehicle", str(ROOT / "config/vehicle/leaf.yaml"), "--duration", str(SECONDS),
+    assert main(["--scenario", "S6", "--vehicle", str(LEAF), "--duration", str(SECONDS),
                  "--to-files", str(base / "S6")]) == 0
     done = run_st("import", base / "S6", "--output", base / "S6_bag")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -6,7 +6,7 @@ import psutil
 import pytest
 from ros_processes import Processes, wait_for
 from st_live import suite
-from support import ROOT
+from support import LEAF, ROOT
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytest.importorskip("st_msgs", reason="needs the built workspace")
@@ -37,7 +37,7 @@ def test_loopback_environment_respects_the_settings_of_the_user():
 
 @pytest.mark.ros
 def test_nodes_use_udp_on_the_loopback_interface_only(processes):
-    node = processes.node("st_predictor", "predictor", f"vehicle_file:={ROOT / 'config/vehicle/leaf.yaml'}")
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
     wait_for(lambda: len(psutil.Process(node.pid).net_connections("udp")) > 3, what="discovery and data ports")
     addresses = {connection.laddr.ip for connection in psutil.Process(node.pid).net_connections("udp")}
     assert "127.0.0.1" in addresses
@@ -50,5 +50,5 @@ def test_nodes_use_udp_on_the_loopback_interface_only(processes):
 def test_discovery_range_alone_does_not_prevent_shared_memory(processes):
     """The reason for the profile: if this fails, the ROS layer has changed and the profile can be removed."""
     processes.environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    node = processes.node("st_predictor", "predictor", f"vehicle_file:={ROOT / 'config/vehicle/leaf.yaml'}")
+    node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
     wait_for(lambda: shared_memory_segments(node.pid), what="a segment")

@@ -21,14 +21,13 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 from bags import nanoseconds, read_messages
 from circle_feeder import pose_at
 from ros_processes import Processes, wait_for
-from support import ROOT
+from support import LEAF, ROOT
 
 pytestmark = [
     pytest.mark.ros, pytest.mark.slow,
     pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
 ]
 MODELS = ("kinematic", "linear", "nonlinear")
-VEHICLE = ROOT / "config" / "vehicle" / "leaf.yaml"
 RADIUS, SPEED, ANGLE, DURATION = 30.0, 8.0, 0.09, 9.0
 
 
@@ -80,7 +79,7 @@ def test_hung_and_killed_passenger_page_does_not_reduce_the_prediction_rate(tmp_
 
 def test_view_of_a_recording_uses_no_processor_time_and_cleans_up_after_a_signal(circle, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="not available with a sourced ROS")
-    command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE)]
+    command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(LEAF)]
     view = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                             env=os.environ | {"TMPDIR": str(tmp_path)}, start_new_session=True)
     wait_for(lambda: descendants(view, "--serve-web") and list(tmp_path.glob("st-view-*")), 90, "the server")
@@ -102,7 +101,7 @@ def circle(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path]:
     folder = tmp_path_factory.mktemp("markers")
     processes = Processes(folder)
     try:
-        vehicle = f"vehicle_file:={VEHICLE}"
+        vehicle = f"vehicle_file:={LEAF}"
         nodes = [processes.node("st_predictor", name, vehicle) for name in ("predictor", "evaluator", "markers")]
         nodes.append(processes.node("st_predictor", "recorder", f"output_directory:={folder / 'bag'}",
                                     "topics:=[ins/*, vehicle/*, predictor/*, evaluator/*, view/*]"))
@@ -127,7 +126,7 @@ def recorded(circle) -> tuple[int, dict]:
 def test_saved_view_of_a_recording_has_all_entities(circle, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="not available with a sourced ROS")
     file = tmp_path / "view.rrd"
-    command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(VEHICLE), "--save", str(file)]
+    command = [str(ROOT / "st"), "view", str(circle[1]), "--vehicle", str(LEAF), "--save", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert int(re.search(r"(\d+) frames", done.stdout).group(1)) > 5 * DURATION
     entities = subprocess.run(["rerun", "rrd", "print", str(file)], capture_output=True, text=True, check=True).stdout
@@ -198,7 +197,7 @@ def test_relay_serves_messages_and_schema_on_loopback_only(tmp_path: Path) -> No
 
     processes = Processes(tmp_path)
     try:
-        processes.node("st_predictor", "predictor", f"vehicle_file:={VEHICLE}")
+        processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")
         relay = processes.start([sys.executable, "-m", "st_live.nodes.relay", "--port", "0"], "relay")
         wait_for(lambda: "/predictor/status (" in processes.log("relay"), 60, "topic found")
         port = int(re.search(r"serving on 127.0.0.1:(\d+)", processes.log("relay")).group(1))

@@ -14,7 +14,7 @@ pytest.importorskip("st_msgs.msg", reason="the workspace is not built")
 from canedge_bridge.transport import open_bus
 from node_rig import NodeRig
 from st_msgs.msg import CanFrames, Steering, WheelSpeeds
-from support import ROOT
+from support import LEAF
 from vcan import REMOTE_FLAG
 
 pytestmark = [pytest.mark.socketcan, pytest.mark.ros]
@@ -36,7 +36,7 @@ class Rig(NodeRig):
         dbc, signals = can_files
         super().__init__("canedge_bridge", TOPICS, {
             "interface": "socketcan", "channel": interface.name, "dbc_file": dbc, "signals_file": signals,
-            "vehicle_file": ROOT / "config" / "vehicle" / "leaf.yaml", "silence_after": 0.5, **parameters}, log_folder)
+            "vehicle_file": LEAF, "silence_after": 0.5, **parameters}, log_folder)
 
     def wait_for(self, condition, seconds=150.0):
         if not self.spin(condition, seconds):

@@ -9,7 +9,7 @@ import yaml
 from st_core.errors import ConfigurationError
 from st_core.provenance import Provenance
 from st_core.vehicle import OPTIONAL_QUANTITIES, TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
-from support import KEPT, ROOT
+from support import GOLDEN_DATA, ROOT
 
 LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()
 
@@ -42,7 +42,7 @@ def test_steering_formula_and_its_sign(leaf):
 
 def test_genesis_contains_the_published_values():
     car = VehicleParameters.from_yaml((ROOT / "config" / "vehicle" / "hyundai_genesis.yaml").read_text())
-    published = yaml.safe_load((KEPT / "genesis_published.yaml").read_text())
+    published = yaml.safe_load((GOLDEN_DATA / "genesis_published.yaml").read_text())
     values = {"m": car.mass, "Iz": car.yaw_inertia, "lf": car.cg_to_front_axle, "lr": car.cg_to_rear_axle,
             "Cf": car.cornering_stiffness_front, "Cr": car.cornering_stiffness_rear,
             "steering_ratio": car.steering_ratio, "ref_ahead_of_rear_axle": car.cg_to_rear_axle + car.cg_to_ins_x}

@@ -13,7 +13,7 @@ from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, SENT, Frames
 from st_recordings.runs.mf4 import parse_session, read_mf4
-from support import KEPT, SETS, vectors
+from support import GOLDEN_DATA, SETS, vectors
 
 REAL = "can/canedge2_2F6913DB_00000004_00000001.MF4"
 START_NS = 1_700_000_000_000_000_000
@@ -41,7 +41,7 @@ def test_real_file_frame_by_frame(which: str) -> None:
     frames = log.frames
     with vectors(which, REAL.replace(".MF4", ".frames.csv")).open() as stream:
         expected = list(csv.DictReader(stream))
-    assert len(frames) == len(expected) == {"kept": 262, "whole": 5588}[which]
+    assert len(frames) == len(expected) == {"excerpt": 262, "complete": 5588}[which]
     for k, row in enumerate(expected):
         found = (
             f"{(frames.time_ns[k] - log.start_ns) * 1e-9:.6f}", str(frames.bus[k]), str(frames.flags[k] & SENT),
@@ -53,7 +53,7 @@ def test_real_file_frame_by_frame(which: str) -> None:
         assert found == reference, f"frame {k}"
 
 
-@pytest.mark.parametrize(("which", "middle"), [("kept", 20_000), ("whole", 60_000)])
+@pytest.mark.parametrize(("which", "middle"), [("excerpt", 20_000), ("complete", 60_000)])
 def test_truncated_real_file_gives_the_frames_before_its_end(which: str, middle: int, tmp_path: Path) -> None:
     complete = read_mf4(vectors(which, REAL)).frames
     content = vectors(which, REAL).read_bytes()
@@ -72,7 +72,7 @@ def test_truncated_real_file_gives_the_frames_before_its_end(which: str, middle:
 @pytest.mark.parametrize(("name", "end"), [(REAL, 5000), ("can/synthetic_leaf_rt.mf4", -5000)])
 def test_file_truncated_inside_its_index_is_refused(tmp_path: Path, name: str, end: int) -> None:
     file = tmp_path / "truncated.MF4"
-    file.write_bytes((KEPT / name).read_bytes()[:end])
+    file.write_bytes((GOLDEN_DATA / name).read_bytes()[:end])
     with pytest.raises(RunError, match=r"truncated\.MF4: the file is truncated or damaged: .* copy it again from the"):
         read_mf4(file)
 

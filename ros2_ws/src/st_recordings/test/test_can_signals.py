@@ -12,14 +12,14 @@ from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import SignalTable, decode_signals, find_steering, load_signal_table
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import REMOTE, Frames, merge_by_time
-from support import KEPT, ROOT
+from support import GOLDEN_DATA, ROOT
 
 DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
 
 
 @pytest.fixture(scope="module")
 def frames() -> Frames:
-    return read_can_logs([KEPT / "can/synthetic_leaf_rt.mf4"]).frames
+    return read_can_logs([GOLDEN_DATA / "can/synthetic_leaf_rt.mf4"]).frames
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_log_without_steering_is_refused_with_the_messages_it_contains(frames: F
     with pytest.raises(RunError, match=r"drive\.mf4: the steering message Leaf_Steering \(0x002\) is not in the log; "
                                        r"known messages in the log: Leaf_WheelSpeedFront, .*; name the"):
         find_steering(without, "drive.mf4", table)
-    real = read_can_logs([KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"]).frames
+    real = read_can_logs([GOLDEN_DATA / "can/canedge2_2F6913DB_00000004_00000001.MF4"]).frames
     with pytest.raises(RunError, match=r"2 of 2 frames \(100 %\) have \d bytes instead of 5 .* 2 frames are not used"):
         find_steering(decode_signals(real, table), "real.mf4", table)
 

@@ -11,7 +11,7 @@ from st_recordings.runs.csv import MOTION_SIGNALS, build_ins_log, has_drive_colu
 from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ins_log import yaw_from_quaternion
-from support import EXAMPLES, KEPT
+from support import EXAMPLES, GOLDEN_DATA
 
 HEADER = "t,x,y,yaw,vx,vy,yaw_rate,ax,ay,delta"
 
@@ -45,7 +45,7 @@ def test_yaw_of_quaternions_does_not_depend_on_their_length(length: float) -> No
 
 
 def test_table_without_positions_gives_an_ins_log_for_alignment() -> None:
-    file = KEPT / "can/synthetic_rt_own_log.csv"
+    file = GOLDEN_DATA / "can/synthetic_rt_own_log.csv"
     ins = build_ins_log(read_table(file, Layout()), MOTION_SIGNALS)
     assert not ins.absolute
     yaw_rate = np.gradient(np.unwrap(ins.yaw), ins.time_ns * 1e-9)

@@ -9,9 +9,9 @@ import pytest
 from mdf_files import LogFrame, write_layout_2
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.mf4 import read_mf4
-from support import KEPT
+from support import GOLDEN_DATA
 
-REAL = KEPT / "can/canedge2_2F6913DB_00000004_00000001.MF4"
+REAL = GOLDEN_DATA / "can/canedge2_2F6913DB_00000004_00000001.MF4"
 START_NS = 1_700_000_000_000_000_000
 FRAMES = [LogFrame(500 * k, 1, 0x002, bytes(5)) for k in range(20)]
 

@@ -29,7 +29,7 @@ def packets(times: list[float], status: int = 4, minutes: bool = True, east: flo
 
 
 # The two cases with the derived values of the vendor; the shorter one is part of the repository.
-drives = pytest.mark.parametrize(("which", "case"), [("kept", "filters"), ("whole", "drive_100hz")])
+drives = pytest.mark.parametrize(("which", "case"), [("excerpt", "filters"), ("complete", "drive_100hz")])
 
 
 @drives
