@@ -40,7 +40,7 @@ class Recording:
 
 
 class LogBatch:
-    """Starts in one drive, sampled once, to be predicted with any models, cars and parameter values.
+    """Starts in one drive, whose inputs are sampled once, to be predicted with any models, cars and parameter values.
 
     starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest: quantities
     that depend only on the inputs are then computed once for the log, not for each start.
@@ -99,9 +99,9 @@ class LogBatch:
         return numbers
 
     def predict(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
-        """States of one model at the CG, (n, k, 6), columns as STATE_NAMES; NaN from an unknown input or start on.
+        """States of one model at the CG, (n, k, 6), columns as STATE_NAMES; NaN from the first unknown input on.
 
-        n: starts. k: points of the horizon.
+        n: starts; all NaN for an unknown start. k: points of the horizon.
         """
         model = get_model(model)
         for name in model.signals:
@@ -195,7 +195,7 @@ class LogBatch:
         return [block.arrange(v) for v in (angle, acceleration, *extra)]
 
     def _table(self, block: GridBlock, values: list[np.ndarray], model: Model, p: Any) -> np.ndarray:
-        """w at all instants of a block."""
+        """Quantities w that depend only on inputs (`Model.inputs`), at all instants of a block."""
         return block.tabulate(model.inputs(*values[:2], p, *values[2:]))
 
     def _advance(self, block: GridBlock, values: list[np.ndarray], states: np.ndarray, model: Model, p: Any,

@@ -58,18 +58,18 @@ class Channel:
         if self.noise:
             return self.noise(log, *motion)
         values = getattr(log, self.name)
-        known = np.isfinite(values)
-        averaged = moving_average_noise_ratio(log.ins_time_ns[known], SMOOTHING_NS) if self.smoothed else 1.0
-        return (averaged * white_noise(values),)
+        finite = np.isfinite(values)
+        ratio = moving_average_noise_ratio(log.ins_time_ns[finite], SMOOTHING_NS) if self.smoothed else 1.0
+        return (ratio * white_noise(values),)
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
-    """Spread of measured displacement minus dead reckoning, plus the effect of white noise in initial yaw and speed."""
+    """(left, ahead) spread of measured displacement minus dead reckoning, and white noise in initial yaw and speed."""
     east, north = (_integrate(values, step) for values in body_to_map(v_x, v_y, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
-    at_start = white_noise(log.yaw) * horizon * float(np.nanmean(v_x)), white_noise(log.velocity_x) * horizon
-    return float(np.hypot(_spread(left), at_start[0])), float(np.hypot(_spread(ahead), at_start[1]))
+    from_start = white_noise(log.yaw) * horizon * float(np.nanmean(v_x)), white_noise(log.velocity_x) * horizon
+    return float(np.hypot(_spread(left), from_start[0])), float(np.hypot(_spread(ahead), from_start[1]))
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz s
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
 FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
-DRIFT_PRIOR_PPM = 100.0  # two quartz clocks differ by 20 to 50 ppm
+DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks differ by 20 to 50 ppm
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
@@ -116,7 +116,7 @@ class Fit:
     drift: float  # s/s
     offset_deviation: float  # standard deviation [s]
     drift_deviation: float  # standard deviation [s/s]
-    middle: float  # s, other clock
+    middle: float  # instant at which the offset applies [s, other clock]
     residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
 
@@ -128,7 +128,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm)
-    limits the drift. Raises ValueError if less than 2 s are known on both sides, or if the signals do not vary.
+    limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the signals do not vary.
     """
     splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])
@@ -161,7 +161,7 @@ class _SignalFit(NamedTuple):
     """Fit of one signal; residual and correlation as in `Fit`."""
 
     time: np.ndarray
-    score: np.ndarray  # (2, n), derivatives without gain and bias, times weighted residual
+    score: np.ndarray  # (2, n), derivatives orthogonal to gain and bias, times weighted residual
     residual: float
     correlation: float
 
@@ -176,7 +176,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
         rows, mapped = select_common_samples(pair, parameters, middle)
         time, other = pair.other.time[rows], pair.other.values[rows]
         if len(time) * STEP < 2.0:
-            raise ValueError(f"{pair.name}: less than 2 s are known in both recordings")
+            raise ValueError(f"{pair.name}: less than 2 s with usable values in both recordings")
         reference, slope = spline(mapped), spline(mapped, 1)
         weight = np.ones(len(time))  # soft-L1 weights of the squares
         for _ in range(2):

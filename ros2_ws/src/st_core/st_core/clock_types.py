@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
-MAX_SPAN = 48 * 3600.0  # s; a longer recording means that a clock was set while recording
+MAX_SPAN = 48 * 3600.0  # s, duration of a recording; a longer one means that a clock was set while recording
 
 
 class Verdict(StrEnum):
@@ -107,6 +107,6 @@ def refused_alignment(*reasons: str) -> Alignment:
 
 
 def describe_step(size: float, time: float) -> str:
-    """Reason for a verdict: a clock steps by `size` [s] at a time [s] after the middle of the common time."""
+    """Reason for a verdict: reference minus other time steps by `size` [s], at `time` [s] from the common middle."""
     return (f"a clock steps by {size * 1e3:+.0f} ms about {round(time):+d} s from the middle of the common time: "
             "align the parts before and after it separately")

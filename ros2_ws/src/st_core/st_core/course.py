@@ -25,7 +25,7 @@ from .yaml_text import check_keys, load
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
 SMOOTHING_LENGTH = 3.0  # m, moving average of curvature and direction: about one wheelbase
 MAX_DISTANCE = 4.0  # m, largest distance of a pass from the car: one lane and its neighbour
-MAX_HEADING_DIFFERENCE = 0.5  # rad between car and pass; a larger one means the opposite direction or a crossing
+MAX_HEADING_DIFFERENCE = 0.5  # rad, course angle of car minus pass; above it: the opposite direction or a crossing
 PAUSE_SPEED = 0.5  # m/s; slower driving is left out, because curvature is undefined at standstill
 MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
@@ -143,8 +143,8 @@ class Course:
             raise ConfigurationError("not a course file; write one with st course build")
         check_keys("", document, keys, required=keys)
         if (document["schema"], document["spacing"], document["columns"]) != (SCHEMA, SPACING, list(COLUMNS)):
-            raise ConfigurationError(f"schema: {document['schema']} with spacing {document['spacing']} is not readable "
-                                     f"(expected {SCHEMA} with {SPACING:g}); build it with this version")
+            raise ConfigurationError(f"schema: {document['schema']}, spacing: {document['spacing']} or other columns "
+                                     f"(expected {SCHEMA} with {SPACING:g}); run st course build again")
         if _digest(text.replace(f"hash: {document['hash']}\n", "", 1).rstrip("\n")) != document["hash"]:
             raise ConfigurationError("hash: the content was edited or cut off; run st course build again")
         entries = document["passes"] or []
@@ -170,11 +170,11 @@ def _digest(text: str) -> str:
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     """The parts of a drive between pauses, gaps and position jumps. Raises StCoreError, one line, if there is none."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
-    spacing = np.diff(time)
+    intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
-    travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * spacing
+    travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * intervals
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
-    breaks = slow | (spacing > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
+    breaks = slow | (intervals > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
@@ -192,5 +192,5 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
         passes.append(Pass(log.name, tuple(digests), np.stack([east, north, direction, curvature, speed], axis=1)))
     if not passes:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
-                          "leave it out of the course")
+                          "leave this recording out of the course")
     return passes

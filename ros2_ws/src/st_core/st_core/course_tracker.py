@@ -33,7 +33,7 @@ from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
 RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a driver returns to the line within about 10 s
-SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
+DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
 RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
@@ -44,7 +44,7 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 """Initial E [m^2], in the order of the forecasts in the module docstring, from errors of real laps held out in turn."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m, largest difference between displacement and distance driven; with a larger one the tracker restarts
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car, and that are used of it
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car; horizons of it that are used
 MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 
 
@@ -77,8 +77,8 @@ class CourseForecast:
     """Inputs predicted from a course."""
 
     inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
-    curvature_share: float = 0.0  # weight of the course in the mixture, 0 to 1
-    speed_share: float = 0.0  # weight of the course in the mixture, 0 to 1
+    curvature_share: float = 0.0  # weight of the course in the curvature, 0 to 1
+    speed_share: float = 0.0  # weight of the course in the speed, 0 to 1
     speed_deviation: float = math.nan  # standard deviation of the candidates at the end of the horizon [m/s]
     reason: str = ""  # why the course is not used, or ""
 
@@ -129,11 +129,11 @@ class CourseTracker:
         near = self.course.find_near(ego.x, ego.y, ego.direction)
         candidates = [prediction for point in near if (prediction := self._predict_from_pass(point, ego))]
         if not candidates:
-            return CourseForecast(None, reason="course: it ends within the horizon" if near else
+            return CourseForecast(None, reason="course: the earlier drives end within the horizon" if near else
                                   "course: no earlier drive near the car in its direction")
         squares = np.array([candidate.squared_difference for candidate in candidates])
         if squares.min() > MAX_DIFFERENCE**2:
-            return CourseForecast(None, reason="course: no earlier drive agrees with this one in line and speed")
+            return CourseForecast(None, reason="course: no earlier drive has a similar path and speed")
         weights = np.exp(-0.5 * squares)
         return self._mix(candidates, weights / weights.sum(), ego)
 
@@ -191,7 +191,7 @@ class CourseTracker:
         differences = {"position": point.distance, "direction": direction_error,
                        "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / recorded[:, 4])).mean())),
                        "curvature": float(np.sqrt(np.square(driven[:, 1] - recorded[:, 3]).mean()))}
-        square = sum((differences[name] / scale) ** 2 for name, scale in SCALES.items())
+        square = sum((differences[name] / scale) ** 2 for name, scale in DIFFERENCE_SCALES.items())
         # e(0) [m] and e'(0) [rad] determine A and B of e(s).
         lateral_offset = math.cos(direction[0]) * (ego.y - y[0]) - math.sin(direction[0]) * (ego.x - x[0])
         (l_1, l_2), s = RETURN_LENGTHS, SPACING * np.arange(len(curvature))

@@ -15,7 +15,7 @@ from ..vehicle import VehicleParameters
 from .conditions import conditions_at
 from .scale import select_evenly
 
-STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
+MAX_STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
 
 
@@ -25,7 +25,7 @@ class NotFiniteError(StCoreError):
 
 @dataclass(frozen=True, eq=False)
 class ErrorSamples:
-    """Samples of one run, without the start, where errors are 0."""
+    """Error curves of the starts of one run, without the point at time 0, where errors are 0."""
 
     name: str
     conditions: np.ndarray  # (n, 4) as `conditions.CONDITIONS`
@@ -47,7 +47,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
 def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals,
                           settings: EvaluationSettings) -> ErrorSamples:
-    """Error curves of one drive from at most STARTS_PER_RUN starts with known conditions and a measured horizon.
+    """Error curves of one drive from at most MAX_STARTS_PER_RUN starts with known conditions and a measured horizon.
 
     Raises a one-line StCoreError for a drive without such a start, and NotFiniteError.
     """
@@ -60,9 +60,9 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
                               settings.prediction.minimum_speed)
     conditions = conditions_at(signals, starts)
     starts = starts[np.isfinite(conditions).all(axis=1) & _is_measured(models, signals, starts, settings)]
-    starts = starts[select_evenly(len(starts), STARTS_PER_RUN)]
+    starts = starts[select_evenly(len(starts), MAX_STARTS_PER_RUN)]
     scored: list[np.ndarray] = []
-    parts: dict[ModelMode, list[np.ndarray]] = {}
+    curves_of: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
         complete = np.isfinite(block.conditions["speed"])  # finite only if the whole horizon was measured
         scored.append(starts[rows][complete])
@@ -74,11 +74,12 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
                 raise NotFiniteError(f"errors of {pair[0]} are not finite for {int(bad.sum())} starts, the first "
                                      f"at {first:.1f} s, though all inputs were measured: correct the model or use a "
                                      "shorter --step")
-            parts.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
-    found = np.concatenate(scored) if scored else starts[:0]
-    if not len(found):
+            curves_of.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
+    scored_starts = np.concatenate(scored) if scored else starts[:0]
+    if not len(scored_starts):
         raise StCoreError(f"no prediction has a completely measured horizon of {horizon:g} s; leave the run out")
-    return ErrorSamples(log.name, conditions_at(signals, found), {q: np.concatenate(p) for q, p in parts.items()})
+    return ErrorSamples(log.name, conditions_at(signals, scored_starts),
+                        {pair: np.concatenate(curves) for pair, curves in curves_of.items()})
 
 
 def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
@@ -90,7 +91,7 @@ def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
 def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
                  settings: EvaluationSettings) -> np.ndarray:
     """Mask (n,) of starts with a completely measured horizon, also after the models' own corrections of the drive."""
-    known = np.ones(len(starts_ns), bool)
+    measured = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
     own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
     for log in {id(log): log for log in (signals.log, *own_logs)}.values():
@@ -98,5 +99,5 @@ def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.nda
         state, = own.ins_at(starts_ns, "x")
         acceleration, = own.ins_at(times, "velocity_x_dot")
         angle = own.road_wheel_angle_at(times)
-        known &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
-    return known
+        measured &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
+    return measured

@@ -3,8 +3,8 @@
     s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE_FACTOR n_a)^2 + (FLOOR_SHARE e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     linear in log t between the knots t_k
 
-a: along, across [m] or yaw [rad]; phi: `features` of the conditions z. C is the penalised maximum likelihood estimate
-for normal errors of mean 0, and also measures the scale of other distributions; runs have equal weights:
+a: along, across [m] or yaw [rad]; phi: `compute_features` of the conditions z. C is the penalised maximum likelihood
+estimate for normal errors of mean 0, and also measures the scale of other distributions; runs have equal weights:
 
     minimise over C[a, k]   mean_w( log sigma + e^2 / (2 sigma^2) ) + RIDGE |C[a, k, 1:]|^2          (convex in C)
 
@@ -28,15 +28,15 @@ KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proporti
 NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
 FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
-RIDGE = 1.0e-2
+RIDGE = 1.0e-2  # weight of the penalty above; the constant term is not penalised
 MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
 MAX_STEPS, MAX_HALVINGS = 100, 20
 TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the mean squares, below their uncertainty
-FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
+MAX_FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 
 # Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
-_FLOORS, _OFFSETS, _UNITS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
+_FLOORS, _OFFSETS, _DIVISORS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
 _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
 _LEFT, _RIGHT = np.array(_PAIRS).T
 
@@ -48,19 +48,19 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
     log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
     """
     z = np.asarray(conditions, float)
-    logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _UNITS)
+    logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _DIVISORS)
     splines = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - SPLINE_KNOTS) / SPLINE_KNOTS[0])
     return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], splines], axis=-1)
 
 
 def compute_scalar_features(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
                             largest: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """`features` of the four conditions of one start as floats, in half the time (a third with cold caches).
+    """`compute_features` of the four conditions of one start as floats, in half the time (a third with cold caches).
 
     log, largest: functions for another number type, such as CasADi's symbols.
     """
-    logs = [log((largest(value, floor) + offset) / unit)
-            for value, floor, offset, unit in zip(condition, _FLOORS, _OFFSETS, _UNITS, strict=True)]
+    logs = [log((largest(value, floor) + offset) / divisor)
+            for value, floor, offset, divisor in zip(condition, _FLOORS, _OFFSETS, _DIVISORS, strict=True)]
     splines = [largest(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOTS[0]) for knot in SPLINE_KNOTS]
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *splines]
 
@@ -83,7 +83,7 @@ def compute_floor(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """A fitted scale."""
+    """Scale s of the errors, fitted by `fit_scale`."""
 
     coefficients: np.ndarray  # C (3, knots, features)
     floor: np.ndarray  # (2, 3), NOISE_FACTOR n and FLOOR_SHARE e [m, m, rad]
@@ -143,18 +143,18 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
         if np.abs(slope).max() < TOLERANCE:
             return c
         hessian = np.stack([phi.T @ ((2.0 * weights * column)[:, None] * phi) for column in ratio.T]) + regularisation
-        step, share = np.linalg.solve(hessian, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
+        step, fraction = np.linalg.solve(hessian, slope.T[:, :, None])[:, :, 0].T, np.ones(c.shape[1])
         for _ in range(MAX_HALVINGS):
-            tried, tried_slope, tried_ratio = evaluate_loss(c - share * step)
-            worse = ~(tried <= value + 1.0e-12)
+            new_value, new_slope, new_ratio = evaluate_loss(c - fraction * step)
+            worse = ~(new_value <= value + 1.0e-12)
             if not worse.any():
                 break
-            share = np.where(worse, 0.5 * share, share)
-        c, value, slope, ratio = c - share * step, tried, tried_slope, tried_ratio
-    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_STEPS} steps; are errors "
-                      "of a few starts larger by orders of magnitude?")
+            fraction = np.where(worse, 0.5 * fraction, fraction)
+        c, value, slope, ratio = c - fraction * step, new_value, new_slope, new_ratio
+    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_STEPS} steps; look for "
+                      "starts whose errors are larger by orders of magnitude")
 
 
-def select_evenly(count: int, limit: int = FIT_STARTS) -> np.ndarray:
+def select_evenly(count: int, limit: int = MAX_FIT_STARTS) -> np.ndarray:
     """Indices of at most `limit` of `count` rows, evenly spaced."""
     return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).round().astype(int)

@@ -30,7 +30,7 @@ from ..vehicle import VehicleParameters, value_of
 from .scale import select_evenly
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
-STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
+MAX_STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
 Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
@@ -48,7 +48,7 @@ def sum_squared_contributions(
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),
                               settings.prediction.minimum_speed)
-    starts = starts[select_evenly(len(starts), STARTS)]
+    starts = starts[select_evenly(len(starts), MAX_STARTS)]
 
     def make_batch(drive: LogSignals) -> LogBatch:
         return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
