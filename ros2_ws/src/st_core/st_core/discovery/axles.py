@@ -36,8 +36,8 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 
 class Axles:
     """Forces of both axles in a fitted model. noise_ratio [1]: ratio of residual to noise, by which bands and intervals
-    are widened. near: vectors of sets that fit nearly as well; the bands include their curves. Raises StCoreError for a
-    base model without tyres, or drives without slip."""
+    are widened. near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises
+    StCoreError for a base model without tyres, drives too short, and values too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, noise_ratio: float, near: Sequence[np.ndarray] = ()):
@@ -71,7 +71,8 @@ class Axles:
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values."""
+        """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values. Raises
+        StCoreError for drives without slip."""
         curves = (make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
                                   self.near) for r in self.regressions)
         return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
@@ -80,8 +81,8 @@ class Axles:
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""
         value, file = _combination_values(self.model, self.vehicle), _combination_values(base, self.vehicle)
-        drawn = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [value])
-        low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+        draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [value])
+        low, high = np.quantile(draws, (0.025, 0.975), axis=0)
         low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
         changing = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
         return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), changing[name])

@@ -24,7 +24,7 @@ FALSE_ALARM_DRAWS, FLIPS = 100, 100  # simulated drives without an effect; draws
 
 def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
     """Power from the curvature at the final fit. Twice the gain divided by the design effect has a noncentral
-    chi-square distribution."""
+    chi-square distribution with one degree of freedom."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     powers = []
     for effect in problem.space.hypotheses:
@@ -33,15 +33,15 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
         indices = problem.space.indices(effect)
         best = int(np.argmax(information))
         free = problem.space.free[indices[best]]
-        for share in SIZES:
-            powers.append(Power(effect, free.parameter, free.unit, share * free.scale,
-                                _power(problem, fit, indices[best], share, information[best], scores, limits), 0))
+        for size in SIZES:
+            powers.append(Power(effect, free.parameter, free.unit, size * free.scale,
+                                _power(problem, fit, indices[best], size, information[best], scores, limits), 0))
     return Certificate(tuple(powers), 0, 0, measured=False)
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect`: if its values were known, a change by one parameter scale of
-    `effect` would be detected; "" if there is none."""
+    """Name of the effect of the fit that masks `effect`: if the values of the masking effect were known, a change of
+    `effect` by one parameter scale would be detected; "" if there is none."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, masking, largest = problem.space.indices(effect), "", limits.detection_power
@@ -54,23 +54,23 @@ def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Sco
     return masking
 
 
-def _power(problem: Problem, fit: Fit, index: int, share: float, information: float, scores: Scores,
+def _power(problem: Problem, fit: Fit, index: int, size: float, information: float, scores: Scores,
            limits: Limits) -> float:
-    """Probability of detecting a change of a parameter by `share` times its scale."""
+    """Probability of detecting a change of a parameter by `size` times its scale."""
     library = len(problem.space.hypotheses)
     threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
     sensitivities = problem.all_sensitivities(fit.vector).values[index]
     rows = problem.errors.at(fit.vector)
-    before, after = problem.position_error(rows), problem.position_error(rows + share * sensitivities)
+    before, after = problem.position_error(rows), problem.position_error(rows + size * sensitivities)
     reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
     required = _required_gain(problem, rows, reduction, limits)
     threshold = max(threshold, 2.0 * required * problem.residual_count / scores.design_effect)
-    return float(stats.ncx2.sf(threshold, 1, max(2.0 * share**2 * information / scores.design_effect, 1e-9)))
+    return float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
     """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: decrease of
-    the mean position error due to the effect [m]."""
+    the mean position error when the effect is added to the model [m]."""
     required = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
     return max(required, limits.unexplained_share) if unexplained else required
@@ -87,14 +87,14 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         indices = problem.space.indices(effect)
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         free = problem.space.free[index]
-        for share in SIZES:
-            moved = problem.take_step(fit.vector, np.array([index]), share * problem.space.sign[[index]])
+        for size in SIZES:
+            moved = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(moved))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required_gain(problem, rows, reduction, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
                         for _ in range(DRAWS))
-            powers.append(Power(effect, free.parameter, free.unit, share * free.scale, detections / DRAWS, DRAWS))
+            powers.append(Power(effect, free.parameter, free.unit, size * free.scale, detections / DRAWS, DRAWS))
         tick()
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
                  for _ in range(FALSE_ALARM_DRAWS))
@@ -104,8 +104,8 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
     """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if the best
-    is not significant. change: (n, m) change of the residuals due to the simulated effect. required: minimum gain per
-    residual."""
+    is not significant or gains less than `required` per residual. change: (n, m) change of the residuals due to the
+    simulated effect."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).sum_groups(problem.block, problem.blocks)

@@ -18,7 +18,7 @@ from . import certificate, decision, result, waterfall
 from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
 from .decision import Rival
-from .error_regions import MIN_TURNING, find_error_regions
+from .error_regions import MIN_TURNING_ACCELERATION, find_error_regions
 from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
 from .fit import Fit, Problem
 from .loss import Errors, Loss
@@ -48,9 +48,9 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
     runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
     the healthy car; with them the search starts from the values fitted to these drives and finds later changes.
-    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, by the
-    name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard deviation of the error of
-    the steering clock [s], by run; clocks of other runs count as exact.
+    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, with a
+    95 % interval, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard
+    deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
 
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
     the base model. Checked by: test_discovery*.py, bench/discovery.
@@ -264,7 +264,7 @@ class _Analysis:
         else:
             warning += ": its error"
         self.warnings.append(f"{warning} looks like steering delay or lag, yaw inertia or tyre relaxation (log INS "
-                             "frames on CAN, or give the offset)")
+                             "frames on CAN, or give the clock offset)")
         return apply_clock_corrections(runs, corrections)
 
     def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
@@ -287,7 +287,7 @@ class _Analysis:
             count = f"{self.problem.blocks} block{'' if self.problem.blocks == 1 else 's'}"
             self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
         lateral_acceleration = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
-        left, right = (lateral_acceleration > MIN_TURNING).mean(), (lateral_acceleration < -MIN_TURNING).mean()
+        left, right = ((side * lateral_acceleration > MIN_TURNING_ACCELERATION).mean() for side in (1.0, -1.0))
         if left + right < MIN_TURNING_SHARE:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
         elif min(left, right) < MIN_TURNING_SHARE * (left + right):
@@ -351,8 +351,8 @@ class _Analysis:
 
     def _find_varying(self, state: SearchState,
                       parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
-        """At most one significant effect that varies between parts of the drives: one that the search rejected for this
-        reason, and its fit; otherwise the one with the largest gain from separate values, and None."""
+        """(at most one significant effect that varies between parts of the drives, its fit): an effect that the search
+        rejected for this reason; otherwise the one with the largest gain from separate values, and None."""
         varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         rivals = [r for others in state.rivals.values() for r in others]
@@ -435,11 +435,11 @@ class _Analysis:
             largest = max(powers, key=lambda p: p.size)
             manoeuvre = most_informative(problem, name, curvatures)
             other = certificate.find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
-            why = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
+            why = f"in these drives the effect cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(
-                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; {why}it "
-                f"is visible in {get_effect(name).excited_by}", manoeuvre))
+                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; {why}it is "
+                f"visible in {get_effect(name).excited_by}", manoeuvre))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             untestable.append(result.UntestableEffect(name, f"it needs the signal {signals}, which is not recorded"))
@@ -498,8 +498,8 @@ def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, floa
 
 
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """Add the alternatives of its effects, such as tyre relaxation, to the total delay. If only one effect of the model
-    contributes to it, its interval also covers the interval of this effect. Other combinations are unchanged."""
+    """The total delay with the alternatives of its effects, such as tyre relaxation, added to the effects. If only one
+    effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
     if not delay.is_time:
         return delay
     contributing = [e for e in effects if e.name in delay.effects]
@@ -536,7 +536,7 @@ def excludes_null(effect: result.FoundEffect) -> bool:
 
 def replace_interval(fitted: result.FittedParameter,
                      sensors: tuple[float, float, float] | None) -> result.FittedParameter:
-    """The fitted value with an interval as wide as that of the redundant sensors (value, low, high), if the fitted
+    """The fitted value with an interval as wide as that of the redundant sensors (`discover`), if the fitted
     interval contains the null, and the sensors agree with the value and exclude the null; otherwise unchanged."""
     _, low, high = sensors or (0.0, -np.inf, np.inf)
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]

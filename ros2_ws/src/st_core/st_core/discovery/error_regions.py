@@ -37,7 +37,7 @@ from .windows import MAX_GAP, STEP, Windows
 
 ROAD_WHEEL_ANGLE_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad, magnitude
 FORWARD_ACCELERATION_EDGES = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
-MIN_TURNING = 0.5  # m/s^2 of lateral acceleration; driving with less counts as straight
+MIN_TURNING_ACCELERATION = 0.5  # m/s^2, lateral; driving with less counts as straight
 MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
 FALSE_DISCOVERY_RATE = 0.05  # among the significant bins or cells
 MIN_EXCESS = 1.25  # minimum ratio of the error in a significant bin to the expected error
@@ -51,8 +51,8 @@ CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, along each axis, between cells of one place
 MIN_STRETCH_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
-MIN_ERROR_RATIO = 1.5  # minimum ratio of RMS errors for a reported stretch or cell
-MAX_CHANGES = 3  # maximum number of change points per run and channel
+MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported Stretch or Cell
+MAX_CHANGE_POINTS = 3  # maximum number of change points per run and channel
 PERMUTATIONS = 299  # enough to resolve a p-value of 0.01
 EVERYWHERE = "everywhere"
 
@@ -86,9 +86,9 @@ class Range:
 
 @dataclass(frozen=True)
 class BinExcess:
-    """Error of one channel in one range. excess [1]: ratio to the expected error; interval: 95 %. p: p-value of the
-    hypothesis that the error is not larger than expected. blocks: their number. covered: whether the reference has
-    enough driving in the range; True without a reference."""
+    """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %. p:
+    p-value of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
+    reference has enough driving in the range; True without a reference."""
 
     channel: str
     range: Range
@@ -103,7 +103,8 @@ class BinExcess:
 @dataclass(frozen=True)
 class Stretch:
     """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: RMS
-    error divided by the RMS error in the rest of the run under similar conditions."""
+    error divided by the RMS error in the rest of the run under similar conditions. p: largest p-value of the change
+    points of the run, of the hypothesis that the errors do not change there."""
 
     channel: str
     run: int
@@ -116,7 +117,8 @@ class Stretch:
 @dataclass(frozen=True)
 class Cell:
     """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the RMS error
-    to the value expected under the same conditions; interval: 95 %."""
+    to the value expected under the same conditions; interval: 95 %. p: p-value of the hypothesis that the error is not
+    larger than expected."""
 
     channel: str
     x: float
@@ -140,8 +142,8 @@ def assign_ranges(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
             ranges.append(Range(quantity, range_text(quantity, unit, low, high), low, high))
             columns.append((values >= low) & (values < high))
-    for label, rows in (("left", lateral >= MIN_TURNING), ("straight", np.abs(lateral) < MIN_TURNING),
-                        ("right", lateral <= -MIN_TURNING)):
+    limit = MIN_TURNING_ACCELERATION
+    for label, rows in (("left", lateral >= limit), ("straight", abs(lateral) < limit), ("right", lateral <= -limit)):
         ranges.append(Range("direction", label))
         columns.append(rows)
     return tuple(ranges), np.stack(columns, axis=1)
@@ -196,16 +198,15 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
     by_run = [_positions_and_conditions(log, windows.seconds[windows.run == number], float(windows.time[-1]))
               for number, log in enumerate(runs)]
     conditions = {name: np.concatenate([c[name] for c in by_run]) for name in by_run[0]}
-    known = np.isfinite(np.stack([*squares.values(), *conditions.values()])).all(axis=0)
-    x, y, time = (conditions.pop(name)[known] for name in ("x", "y", "time"))
-    return Samples(windows.names, windows.run[known], time, x, y, windows.block[known],
-                   {name: values[known] for name, values in conditions.items()},
-                   {channel: values[known] for channel, values in squares.items()})
+    finite = np.isfinite(np.stack([*squares.values(), *conditions.values()])).all(axis=0)
+    x, y, time = (conditions.pop(name)[finite] for name in ("x", "y", "time"))
+    return Samples(windows.names, windows.run[finite], time, x, y, windows.block[finite],
+                   {name: values[finite] for name, values in conditions.items()},
+                   {channel: values[finite] for channel, values in squares.items()})
 
 
 def _positions_and_conditions(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Positions, times and conditions of the windows of one run. seconds: their starts, since both INS and steering
-    are measured."""
+    """Positions, times and conditions of the windows of one run. seconds: their starts, as in `Windows` [s]."""
     signals = LogSignals(log, MAX_GAP, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
@@ -343,12 +344,12 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng:
                resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each column of
     `members`. The bootstrap resamples whole blocks."""
-    known = np.isfinite(squares)
-    _, index = np.unique(block[known], return_inverse=True)
-    weights = members[known].astype(float)
+    finite = np.isfinite(squares)
+    _, index = np.unique(block[finite], return_inverse=True)
+    weights = members[finite].astype(float)
     count = int(index.max()) + 1 if len(index) else 0
     sums, counts = np.zeros((count, members.shape[1])), np.zeros((count, members.shape[1]))
-    np.add.at(sums, index, weights * squares[known][:, None])
+    np.add.at(sums, index, weights * squares[finite][:, None])
     np.add.at(counts, index, weights)
     blocks, deviation = (counts > 0).sum(axis=0), np.full(members.shape[1], np.nan)
     if not count:
@@ -373,18 +374,18 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
                      np.abs(c["forward_acceleration"])], axis=1)
     values = np.log(squares + noise * noise)
-    known = np.isfinite(values) & np.isfinite(rows).all(axis=1)
+    finite = np.isfinite(values) & np.isfinite(rows).all(axis=1)
     residual = np.full(len(squares), np.nan)
-    if known.sum() > 4 * rows.shape[1]:
-        fitted, *_ = np.linalg.lstsq(rows[known], values[known], rcond=None)
-        residual[known] = values[known] - rows[known] @ fitted
+    if finite.sum() > 4 * rows.shape[1]:
+        coefficients, *_ = np.linalg.lstsq(rows[finite], values[finite], rcond=None)
+        residual[finite] = values[finite] - rows[finite] @ coefficients
     return residual
 
 
 def find_stretches(samples: Samples, channel: str, noise: float, block: float, seed: int,
                    permutations: int) -> list[Stretch]:
     """Find the stretches with larger errors than the other parts of their run, by binary segmentation. A change point
-    is significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks. block [s]."""
+    is significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks of `block` [s]."""
     residual = log_residuals(samples, samples.squares[channel], noise)
     rng = np.random.default_rng((seed, 17))
     stretches = []
@@ -395,7 +396,7 @@ def find_stretches(samples: Samples, channel: str, noise: float, block: float, s
         time, index = np.unique(np.floor(samples.time[rows]), return_inverse=True)  # means over whole seconds
         values = np.bincount(index, residual[rows]) / np.bincount(index)
         changes = sorted(_find_change_points(values, 0, len(values), max(1, round(block)), rng, permutations,
-                                             MAX_CHANGES))
+                                             MAX_CHANGE_POINTS))
         if not changes:
             continue
         p = max(p_value for _, p_value in changes)
@@ -411,16 +412,16 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
                         permutations: int, max_changes: int) -> list[tuple[int, float]]:
     """(index, p-value) of at most `max_changes` significant change points in values[first:last]. block: number of
     values that are shuffled together."""
-    part = values[first:last]
+    segment = values[first:last]
     shortest = round(MIN_STRETCH_DURATION)
-    if max_changes < 1 or len(part) < 2 * shortest:
+    if max_changes < 1 or len(segment) < 2 * shortest:
         return []
-    cusum = _cusum(part[None])[0]
-    change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(part) > 2 * shortest else shortest
-    length = len(part) // block * block
+    cusum = _cusum(segment[None])[0]
+    change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(segment) > 2 * shortest else shortest
+    length = len(segment) // block * block
     if length < 4 * block:
         return []
-    pieces = part[:length].reshape(-1, block)
+    pieces = segment[:length].reshape(-1, block)
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(permutations)])
     largest = _cusum(shuffled).max(axis=1)
     p = (1 + int((largest >= cusum[change]).sum())) / (1 + permutations)
@@ -441,12 +442,12 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
     """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions."""
     residual = log_residuals(samples, samples.squares[channel], noise)
-    known = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
-    grid = np.stack([np.floor(samples.x[known] / CELL_SIZE), np.floor(samples.y[known] / CELL_SIZE)], axis=1)
+    finite = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
+    grid = np.stack([np.floor(samples.x[finite] / CELL_SIZE), np.floor(samples.y[finite] / CELL_SIZE)], axis=1)
     unique, index = np.unique(grid, axis=0, return_inverse=True)
     cells = []
     for k, (column, row) in enumerate(unique):
-        visits = np.flatnonzero(known)[index.ravel() == k]
+        visits = np.flatnonzero(finite)[index.ravel() == k]
         block = samples.block[visits]
         means = np.array([residual[visits[block == b]].mean() for b in np.unique(block)])
         if len(means) < MIN_BLOCKS:

@@ -39,7 +39,8 @@ def weight(z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Quadratic approximation of the loss of each window: cost (n,), gradient g (n, p), hessian H (n, p, p)."""
+    """Quadratic approximation of the loss of each window: cost (n,), gradient g (n, p) and hessian H (n, p, p). By the
+    formula in the module docstring, g is half the negative gradient, and H half the Hessian."""
 
     cost: np.ndarray
     gradient: np.ndarray
@@ -115,15 +116,16 @@ class Loss:
         return float(self.window_losses(vector).sum())
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
+        """(p, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
         difference quotients; 0 where a prediction diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step
         step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
-        before, size = self.errors.at(vector), step / self.space.scale[indices]
-        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
+        before, scaled_step = self.errors.at(vector), step / self.space.scale[indices]
+        after = self.errors.at_all(list(moved))
+        sensitivities = [(before - rows) / d for rows, d in zip(after, scaled_step, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:

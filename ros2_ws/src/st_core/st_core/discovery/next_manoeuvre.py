@@ -121,16 +121,17 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
     separabilities = []
     for effect in effects:
         others = tuple(n for n in fit.names if n != effect.name)
-        separabilities += [Separability(effect.name, rival, *separation(h, problem, others, effect.name, rival, values,
-                                                               design_effect)) for rival in effect.alternatives]
+        for rival in effect.alternatives:
+            similarity = separation(h, problem, others, effect.name, rival, values, design_effect)
+            separabilities.append(Separability(effect.name, rival, *similarity))
     return tuple(separabilities)
 
 
 def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,
                      design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
-    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair, since more driving does not
-    reduce the error of the model."""
+    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
+    errors of the model, which more driving does not reduce."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
     values = (fit.vector - problem.space.null) / problem.space.scale
 
