@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from st_core.identification.cg_height import Lift
+from st_core.identification.cg_height import LiftRows
 from st_core.identification.magic_formula import FlatPlank
 from st_core.identification.mass_and_cg import Weighings
 from st_core.identification.steering_ratio import Turntable
@@ -29,7 +29,7 @@ def weighings(car: VehicleParameters, seed: int, count: int = 3) -> Weighings:
     return Weighings(np.round(read / SCALE_STEP) * SCALE_STEP, names, ("driver",) * count)
 
 
-def axle_lift(car: VehicleParameters, seed: int, lifts: int = 2) -> Lift:
+def axle_lift(car: VehicleParameters, seed: int, lifts: int = 2) -> LiftRows:
     """Front axle lifted in steps; exact statics with elastic rear tyres, noise of scales and inclinometer."""
     random = np.random.default_rng(seed)
     pitch = np.tile(np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 15.0]), lifts)
@@ -40,7 +40,7 @@ def axle_lift(car: VehicleParameters, seed: int, lifts: int = 2) -> Lift:
     measured = load + random.normal(0.0, SCALE_NOISE, len(load)) + random.normal(0.0, SCALE_ERROR)
     off = random.normal(0.0, RADIUS_NOISE, 2)
     names = tuple(np.repeat([f"lift {k + 1}" for k in range(lifts)], 6).tolist())
-    return Lift(pitch + random.normal(0.0, PITCH_NOISE, len(pitch)) * (pitch > 0),
+    return LiftRows(pitch + random.normal(0.0, PITCH_NOISE, len(pitch)) * (pitch > 0),
                 np.round(measured / SCALE_STEP) * SCALE_STEP,
                 names, np.full(len(pitch), RADII[0] + off[0]), rear + off[1])
 

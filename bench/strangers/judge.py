@@ -46,7 +46,7 @@ def _error(folder: Path, model: Any, vehicle: VehicleParameters) -> float:
 
 def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
                    answer: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
-    """By axle, in steady cornering over the driven slip angles: slip angle [rad] and lateral forces [N, against the
+    """By axle, in steady cornering over the measured slip angles: slip angle [rad] and lateral forces [N, against the
     slip].
 
     Forces of the car, of the file of the owner, of the answer (its named and minor effects at their stated values), and

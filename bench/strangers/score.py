@@ -78,8 +78,8 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
 
 
 def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
-    """By axle: rms error of the implied force of the answer over that of the file [1], over the driven slip angles; and
-    `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
+    """By axle: rms error of the implied force of the answer over that of the file [1], over the measured slip;
+    and `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
     found = {}
     for axle, curve in (result.get("forces") or {}).items():
         true, peak = np.array(curve["true"]), max(np.abs(curve["true"]))

@@ -122,7 +122,7 @@ def _dynamics(car) -> dict[str, list[float] | None]:
 
 def _stiffness(curve: dict) -> list[float]:
     """Range of the stiffness factor of an axle, including elasticity: between the fits to the smallest third of the
-    driven slip angles and to all of them."""
+    measured slip angles and to all of them."""
     force, file = np.array(curve["force"]), np.array(curve["file"])
     small = slice(0, max(2, len(force) // 3))
     slope, fitted = (float(force[part] @ file[part] / (file[part] @ file[part])) for part in (small, slice(None)))

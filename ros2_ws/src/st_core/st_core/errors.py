@@ -2,7 +2,7 @@
 
 
 class StCoreError(ValueError):
-    """Base of all errors raised by st_core."""
+    """Data or settings that st_core cannot use."""
 
 
 class ConfigurationError(StCoreError):

@@ -116,16 +116,16 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of the predictions whose horizon both signals cover, or ended SIGNAL_TIMEOUT before newest_ns.
+        """Scores of predictions with a horizon that both signals cover or that ended SIGNAL_TIMEOUT before newest_ns.
 
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """
         scores, self._abandoned = self._abandoned, []
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
-        late = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
+        timeout_ns = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
         for key in sorted(self._waiting):
             end = key[0] + round(key[1] * key[2] / NANOSECOND)
-            if end <= min(ins, steering - self._ahead_ns) or end <= late:
+            if end <= min(ins, steering - self._ahead_ns) or end <= timeout_ns:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
 
@@ -185,7 +185,7 @@ class Evaluator:
         if not len(unknown):
             return ""
         time_ns = int(times[unknown[0]])
-        reason = ("acceleration not known after a gap" if series.row_at(time_ns) is not None
+        reason = ("acceleration unknown after a gap" if series.row_at(time_ns) is not None
                   else series.describe_unknown(time_ns))
         return f"{name}: {reason} at {(time_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
 

@@ -58,7 +58,7 @@ def test_saturation_limits_and_compliance_softens_the_axle(leaf):
     assert (soft_force < stiff_force).all()
 
 
-def test_curve_band_spans_the_draws_over_the_driven_slip(leaf):
+def test_curve_band_spans_the_draws_over_the_measured_slip(leaf):
     model = augment("nonlinear", {"front_tyre_curve": {"peak": 0.8, "curvature": 1.0},
                                    "front_stiffness": {"factor": 1.1}})
     spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
@@ -74,7 +74,7 @@ def test_curve_band_spans_the_draws_over_the_driven_slip(leaf):
     stiff = make_axle_curve(model, leaf, "front", driven, "nonlinear", alternatives=[alternative])
     assert (stiff.low == stiff.force).all() and stiff.high[1] / stiff.file[1] == pytest.approx(1.5, rel=0.02)
     assert (np.diff(curve.high - curve.low) > -1e-9).all() and curve.low[1] == pytest.approx(curve.high[1], rel=1e-3)
-    with pytest.raises(StCoreError, match="0 driven slip angles"):
+    with pytest.raises(StCoreError, match="0 measured slip angles"):
         make_axle_curve(model, leaf, "front", np.zeros(0), "nonlinear")
 
 

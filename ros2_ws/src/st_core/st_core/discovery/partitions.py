@@ -20,12 +20,12 @@ def make_partitions(windows: Windows) -> dict[str, Partition]:
     longest = np.zeros(len(windows.names))
     np.maximum.at(longest, windows.run, windows.seconds)
     third = np.minimum((3.0 * windows.seconds / np.maximum(longest[windows.run], 1e-9)).astype(int), 2)
-    parts = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
-             "time": (third, list(TIMES)), "place": divide_by_place(driving["x"], driving["y"]),
-             "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
+    partitions = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
+                  "time": (third, list(TIMES)), "place": divide_by_place(driving["x"], driving["y"]),
+                  "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
     if site.max() + 1 == len(windows.names):
-        del parts["site"]  # each run is a site
-    return {name: partition for name, partition in parts.items() if len(np.unique(partition[0])) > 1}
+        del partitions["site"]  # each run is a site
+    return {name: partition for name, partition in partitions.items() if len(np.unique(partition[0])) > 1}
 
 
 def divide_by_run(windows: Windows) -> Partition:

@@ -51,8 +51,8 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     q = problem.full_quadratic(vector)
     h = q.hessian.sum(axis=0) + prior
     design_effects = np.ones(len(h))  # at least 1; see `Problem.update_design_effect`
-    for part in (windows.block, windows.run):
-        gradient = q.sum_groups(part).gradient
+    for group in (windows.block, windows.run):
+        gradient = q.sum_groups(group).gradient
         count = len(gradient)
         if count > 2:
             widening = (float(stats.t.ppf(0.975, count - 1)) / Z95) ** 2  # for few blocks or runs

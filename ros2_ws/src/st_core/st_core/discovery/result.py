@@ -165,7 +165,7 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, in the final model or in addition to it. gain [1]: relative reduction of the RMS
+    """One effect of the library, as part of the final model or added to it. gain [1]: relative reduction of the RMS
     error. verdict: the rule of `decision` that applied. why: the reason in words, with numbers."""
 
     name: str
@@ -282,7 +282,7 @@ class Separability:
 @dataclass(frozen=True)
 class Run:
     """A drive of the discovery. site: index of its site; runs with overlapping tracks share a site. windows: number of
-    scored predictions."""
+    scored predictions. seconds: duration with both INS and steering."""
 
     name: str
     role: Literal["suspect", "reference"]
@@ -357,9 +357,9 @@ def unseparated_combinations(combinations: Sequence[Combination],
     """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
     stiffness to mass or, if none differs, the first of stability factor and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
-    found = [c for c in combinations if c.differs and not names.intersection(c.effects)]
-    delay = [c for c in found if c.is_time]
-    others = [c for c in found if not c.is_time]
+    unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
+    delay = [c for c in unexplained if c.is_time]
+    others = [c for c in unexplained if not c.is_time]
     return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
 
 

@@ -17,7 +17,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted by simulation in one step
-CONTENDER_SHARE = 0.5  # fraction of the best gain; effects with a smaller gain are not refitted
+CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; half of it before it is refitted
 JOINT_DEVIATION = 3.0  # prior standard deviation in a joint fit of many effects [parameter scales]
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
@@ -203,10 +203,11 @@ class Search:
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         gains = state.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        relevant = max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
+        # Lower than for refitted effects, because these gains are approximate.
+        required = CONTENDER_SHARE * max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
         # Additions, such as a load, are tried only as rivals of effects already in the set.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > CONTENDER_SHARE * relevant and e not in p.space.additions]
+                  if gains[e][0].sum() > required and e not in p.space.additions]
         # Significant effects are preferred: with much noise, others can gain more by chance.
         library, by_effect = len(p.space.hypotheses), state.scores.by_effect
         significant = [e for e in ranked if library_p_value(by_effect[e], gains[e][0], state.scores, library)
@@ -217,10 +218,10 @@ class Search:
         if not fits:
             return None
         without, fits = self._refine(state.fit, fits)
-        best, state.refused = 0.0, {}  # best: largest gain of a significant effect that was refused
+        largest_refused, state.refused = 0.0, {}  # largest gain of a significant effect that was refused
         for effect in self._order_members_first(fits, without):
             gain = self._gain(without, fits[effect])
-            if gain < CONTENDER_SHARE * best:
+            if gain < CONTENDER_SHARE * largest_refused:
                 break
             e = self._evidence(without, fits[effect], effect, state.scores)
             verdict = self._judge(e, limits)
@@ -228,7 +229,7 @@ class Search:
                 return fits[effect]
             state.refused[effect] = e, verdict, fits[effect]
             if verdict.rule not in (GAIN_INSIGNIFICANT, NULL):
-                best = max(best, gain)
+                largest_refused = max(largest_refused, gain)
         # An effect that redundant sensors confirm is added whatever its gain.
         for effect in (n for n in gains if n not in fits and p.prior is None):
             null = sensors_null_p_value(p.space, effect, self.sensors)
@@ -238,13 +239,13 @@ class Search:
                     return fit
         return None
 
-    def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, around: Sensitivities | None = None) -> Fit:
-        """A fit with a further effect, from the initial vector with the lower loss: `start` or that of `fit`. around:
-        sensitivities, by default those at `fit`."""
+    def _refit_with(self, fit: Fit, effect: str, start: np.ndarray, sensitivities: Sensitivities | None = None) -> Fit:
+        """A fit with a further effect, from the initial vector with the lower loss: `start` or that of `fit`.
+        sensitivities: by default those at `fit`."""
         p = self.problem
         self.tick()
         better = p.loss.total(start) < p.loss.total(fit.vector)
-        sensitivities = p.all_sensitivities(fit.vector) if around is None else around
+        sensitivities = sensitivities or p.all_sensitivities(fit.vector)
         return self._remember(p.fit((*fit.names, effect), sensitivities, start if better else fit.vector, (effect,), 2))
 
     @staticmethod
@@ -388,7 +389,7 @@ class Search:
     def _exchange(self, state: SearchState) -> Fit | None:
         """Fill in `rivals`. Returns the best fit with one effect exchanged if significantly better, else `_merge`."""
         p, better = self.problem, None
-        around = p.all_sensitivities(state.fit.vector)
+        sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)
         indices = np.arange(len(p.space))
         state.rivals, alternatives = {}, defaultdict(list)
@@ -403,7 +404,7 @@ class Search:
             for other in sorted(others, key=lambda n: others[n][0])[:CONTENDERS // 2]:
                 if others[other][0] > (1.0 - 0.5 * self.limits.min_rival_gain) * gain:
                     continue
-                fit = self._refit_with(without, other, others[other][1], around)
+                fit = self._refit_with(without, other, others[other][1], sensitivities)
                 difference = fit.held_out - state.fit.held_out
                 deficit = float(difference.sum())
                 rival = Rival(other, name, 1.0 - deficit / max(gain, 1e-12), p_no_worse(difference),

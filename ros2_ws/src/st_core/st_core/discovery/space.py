@@ -50,10 +50,10 @@ class Space:
                  library: Collection[str] | None = None):
         base = get_model(base)
         equations = base.base if isinstance(base, AugmentedModel) else base
-        known = tuple(n for n in find_applicable_effects(equations.name) if library is None or n in library)
-        self.without_signal = tuple(n for n in known if get_effect(n).signals)
-        usable = [n for n in known if n not in self.without_signal]
-        self.hypotheses = _choose_effects(usable, settings, known)
+        available = tuple(n for n in find_applicable_effects(equations.name) if library is None or n in library)
+        self.without_signal = tuple(n for n in available if get_effect(n).signals)
+        usable = [n for n in available if n not in self.without_signal]
+        self.hypotheses = _choose_effects(usable, settings, available)
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
@@ -102,19 +102,19 @@ def typical_size(effect: str, unit: str) -> float:
     return max(abs(p.initial - p.null) for p in get_effect(effect).parameters if p.fit and p.unit == unit)
 
 
-def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, known: Sequence[str]) -> tuple[str, ...]:
-    """Names of the effects to search. known: names that apply to the base model. Raises ConfigurationError if a
+def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, available: Sequence[str]) -> tuple[str, ...]:
+    """Names of the effects to search. available: names that apply to the base model. Raises ConfigurationError if a
     requested effect does not apply, or if no effect remains."""
     requested = settings.effects
     for name in requested or ():
         get_effect(name)
-        if name not in known:
+        if name not in available:
             raise ConfigurationError(f"effects: {name} does not apply to this base model; available are "
-                                     f"{', '.join(known)}")
+                                     f"{', '.join(available)}")
     chosen = tuple(n for n in usable if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
-        raise ConfigurationError("effects: none of those requested can be tried on this base with these channels")
+        raise ConfigurationError("effects: none that is requested applies to this base model with these channels")
     return chosen
 
 
@@ -185,6 +185,6 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
 
 def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
     """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
-    deviation, entry, known = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
-    return FileQuantity(key, known.si_unit if known else "1", value_of(vehicle, key), deviation, slope,
+    deviation, entry, quantity = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
+    return FileQuantity(key, quantity.si_unit if quantity else "1", value_of(vehicle, key), deviation, slope,
                         bool(entry and entry.uncertainty), without_effect) if deviation else None

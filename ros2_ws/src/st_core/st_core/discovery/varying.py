@@ -20,9 +20,9 @@ from .partitions import Partition
 @dataclass(frozen=True)
 class VaryingFit:
     """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
-    of the loss per residual compared with one common value. p_value [1]: p-value of the gain, corrected for all effects
-    and partitions. parameter: the parameter with the most information. values: (value, standard deviation) of this
-    parameter by part [its unit]. steps: by part, (p,) step of all parameters [parameter scales]."""
+    of the loss per residual compared with one common value. p_value [1]: of the hypothesis that the value is the same
+    in all parts, corrected for all effects and partitions. parameter: with the most information. values: (value,
+    standard deviation) of this parameter by part. steps: by part, (p,) step of all parameters [parameter scales]."""
 
     name: str
     varies_with: str
@@ -40,9 +40,9 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
     usable = {name: partition for name, partition in partitions.items()
               if len(np.unique(partition[0])) < problem.blocks / 2}
     library = [n for n in problem.space.hypotheses if not get_effect(n).members]
-    found = [_fit_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
-             for name, partition in usable.items() for effect in library]
-    return sorted((v for v in found if v), key=lambda v: -v.gain)
+    fits = [_fit_by_part(problem, fit, q, effect, name, partition, len(library) * len(usable))
+            for name, partition in usable.items() for effect in library]
+    return sorted((v for v in fits if v), key=lambda v: -v.gain)
 
 
 def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
@@ -71,11 +71,11 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
     gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
-    remaining = gradient.copy()  # at the separate values; the scores of its blocks give the design effect
+    separate_gradient = gradient.copy()  # at the separate values; its sums over blocks give the design effect
     for k, gk, hk in parts:
-        remaining[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
+        separate_gradient[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)
     scores = np.zeros((problem.blocks, len(indices)))
-    np.add.at(scores, problem.block, remaining)
+    np.add.at(scores, problem.block, separate_gradient)
     scatter = float(np.trace(inverse(curvature.sum(axis=0)) @ scores.T @ scores))
     design_effect = max(2.0 * scatter / len(indices), 1.0) * problem.blocks / blocks
     ratio = 2.0 * gain / design_effect / degrees_of_freedom

@@ -111,8 +111,8 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 class Windows:
     """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
-    and of the block. seconds: (n,) time from the start of the run to the start of the window [s]. time: (k,) time of
-    the scored points after the start of a window [s]. columns: (c,) names of the errors."""
+    and of the block. seconds: (n,) starts after both INS and steering of the run began [s]. time: (k,) time of the
+    scored points after the start of a window [s]. columns: (c,) names of the errors."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
@@ -271,7 +271,7 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 
 def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
                    settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(start [ns], run, seconds since the start of the run) of all windows with speeds above MIN_SPEED at both ends."""
+    """(starts_ns, run, seconds) of `Windows`, for all windows with speeds above MIN_SPEED at both ends."""
     length = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)

@@ -21,7 +21,7 @@ from .cornering_stiffness import AXLES, SLIP_QUANTILE, AxleSamples
 
 EVALUATION_SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20
-SECANT_STEPS = 6  # largest number, for the lateral acceleration; error below 0.1 % at the bounds of roll steer
+MAX_SECANT_STEPS = 6  # for the lateral acceleration; error of the force below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
@@ -30,7 +30,7 @@ class AxleCurve:
     """Force curve of one axle."""
 
     axle: str
-    slip: np.ndarray  # (m,) from 0 to the driven slip [rad]
+    slip: np.ndarray  # (m,) from 0 to the largest slip of the drives [rad]
     force: np.ndarray  # (m,) opposing the slip [N]
     low: np.ndarray  # (m,) lower end of the 90 % band [N]; equal to force without draws
     high: np.ndarray  # (m,) upper end [N]
@@ -67,7 +67,7 @@ def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
 
     a_y, (resulting, yaw_acceleration, angle) = zero, compute_accelerations(zero)
     slope = zero
-    for _ in range(SECANT_STEPS):
+    for _ in range(MAX_SECANT_STEPS):
         last_a_y, last_resulting = a_y, resulting
         a_y = a_y + (resulting - a_y) / (1.0 - slope)
         resulting, yaw_acceleration, angle = compute_accelerations(a_y)
@@ -86,19 +86,19 @@ def compute_axle_force(model: str | Model, vehicle: VehicleParameters, axle: str
     return compute_axle_forces(model, vehicle, slip)[AXLES.index(axle)]
 
 
-def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, driven_slip: np.ndarray,
+def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, measured_slip: np.ndarray,
                     original: str | Model, draws: Iterable[Model] = (),
                     alternatives: Iterable[Model] = ()) -> AxleCurve:
-    """The force curve of one axle with its band, at 41 slip angles up to the driven slip.
+    """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
-    driven_slip: (n,) measured slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
+    measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
     their central 90 % at each slip, extended to the curves of `alternatives`. original: model of the vehicle file.
-    Raises StCoreError for fewer than two driven slip angles.
+    Raises StCoreError for fewer than two measured slip angles.
     """
-    abs_slip = np.abs(np.asarray(driven_slip, float))
+    abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
-        raise StCoreError(f"{axle} axle: {len(abs_slip)} driven slip angles; at least two above 0 are needed")
+        raise StCoreError(f"{axle} axle: {len(abs_slip)} measured slip angles; at least two above 0 are needed")
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
     force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
@@ -127,12 +127,12 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
 
 def select_valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParameters) -> list[AugmentedModel]:
     """The models with values within the limits of a vehicle file."""
-    found = []
+    valid = []
     for candidate in models:
         with suppress(ConfigurationError):
             candidate.parameters(vehicle)
-            found.append(candidate)
-    return found
+            valid.append(candidate)
+    return valid
 
 
 def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
@@ -140,7 +140,7 @@ def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples:
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
 
-    The bins of `AxleSamples.bin_forces` divide the driven |slip| evenly, so that straights do not outweigh bends.
+    The bins of `AxleSamples.bin_forces` divide the measured |slip| evenly, so that straights do not outweigh bends.
     """
     slip, force = samples.bin_forces()
     return float(np.sqrt(np.mean((compute_axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

@@ -50,16 +50,16 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
     best_start = min(rough, key=lambda result: result.cost).x if rough else starts[0]
-    found = _solve(residuals, best_start, low, high, 1e-10, 200)
-    n, k = found.jac.shape
-    deviation = math.sqrt(2.0 * found.cost / (n - k)) if n > k else math.nan
+    result = _solve(residuals, best_start, low, high, 1e-10, 200)
+    n, k = result.jac.shape
+    deviation = math.sqrt(2.0 * result.cost / (n - k)) if n > k else math.nan
     margin = BOUND_TOLERANCE * (high - low)
-    free = (found.x > low + margin) & (found.x < high - margin)
+    free = (result.x > low + margin) & (result.x < high - margin)
     covariance = np.zeros((k, k))
     if free.any():
-        jacobian = found.jac[:, free]
+        jacobian = result.jac[:, free]
         covariance[np.ix_(free, free)] = deviation**2 * np.linalg.pinv(jacobian.T @ jacobian)
-    return CurveFit(found.x, covariance, found.fun, deviation, n - k, low, high)
+    return CurveFit(result.x, covariance, result.fun, deviation, n - k, low, high)
 
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
@@ -98,9 +98,9 @@ def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: flo
             return residuals(np.insert(free, index, fixed, axis=-1))
 
         # At an end of the interval, S is larger by F / (n - k), 5 % for n - k = 80; 0.01 % is a sufficient tolerance.
-        found = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)
-        start = found.x
-        root = math.sqrt(max(2.0 * found.cost - minimum, 0.0) / threshold)
+        result = _solve(compute_residuals, start, fit.lower[others], fit.upper[others], 1e-4, 60)
+        start = result.x
+        root = math.sqrt(max(2.0 * result.cost - minimum, 0.0) / threshold)
         if distance >= to_bound and root < 1.0:
             return bound, True
         if abs(root - 1.0) < END_TOLERANCE or distance == last_distance:

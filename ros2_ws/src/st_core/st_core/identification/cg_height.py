@@ -34,8 +34,8 @@ MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, d
 
 
 @dataclass(frozen=True)
-class Lift:
-    """Rows (n,) of one or more lifts."""
+class LiftRows:
+    """Measurements (n,) of one or more lifts."""
 
     pitch: np.ndarray  # rad relative to the level car, nose up
     rear_load: np.ndarray  # kg, both wheels
@@ -71,7 +71,7 @@ def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.nd
     return angle - angle[0]
 
 
-def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
+def identify_cg_height(data: LiftRows, car: LiftedCar) -> Identification:
     """Estimate of cg_height [m]. Raises IdentificationError for unusable rows."""
     level = _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
@@ -93,14 +93,14 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
     degrees_of_freedom = effective_degrees_of_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2,
                                                       uncertainty**2, line.degrees_of_freedom)
     interval = symmetric_interval(height, uncertainty, degrees_of_freedom)
-    used = tuple(dict.fromkeys(data.lifts))
-    method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(used)} lift{'s' * (len(used) != 1)} up to "
+    lifts = tuple(dict.fromkeys(data.lifts))
+    method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(lifts)} lift{'s' * (len(lifts) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
     deflection_note = "" if deflection is None else (
         f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
         "change the height of the level car.")
     estimate = Estimate(
-        "cg_height", height, "m", uncertainty, interval, method, used,
+        "cg_height", height, "m", uncertainty, interval, method, lifts,
         f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
         f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
@@ -112,10 +112,10 @@ def identify_cg_height(data: Lift, car: LiftedCar) -> Identification:
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
     figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
               "average": average, "slope": line.slope, "intercepts": line.intercepts, "radius": radius}
-    return Identification("cg-height", (estimate,), used, (), None, (coverage,), tuple(warnings), figure)
+    return Identification("cg-height", (estimate,), lifts, (), None, (coverage,), tuple(warnings), figure)
 
 
-def _check_rows(data: Lift) -> np.ndarray:
+def _check_rows(data: LiftRows) -> np.ndarray:
     """Mask (n,) of the level rows. Raises IdentificationError for unusable rows."""
     pitch = data.pitch
     if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
@@ -139,8 +139,8 @@ def _check_rows(data: Lift) -> np.ndarray:
     return level
 
 
-def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
-    """(height of the line of wheel centres below the CG, further deflection of the lifted car's rear tyres) [m]."""
+def _compute_radii(data: LiftRows, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
+    """(height of the line between the wheel centres at the CG, further deflection of the lifted rear tyres) [m]."""
     front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
@@ -156,22 +156,23 @@ def _compute_radii(data: Lift, car: LiftedCar, level: np.ndarray) -> tuple[float
     return height, float(rear.mean() - lifted) if math.isfinite(lifted) and not level[steepest] else None
 
 
-def _compute_single_heights(data: Lift, car: LiftedCar, level: np.ndarray, radius: float,
+def _compute_single_heights(data: LiftRows, car: LiftedCar, level: np.ndarray, radius: float,
                             line: Line) -> tuple[np.ndarray, np.ndarray]:
     """(height from each row alone (n,), mask of the rows that determine a height). The level load of a lift is the
     mean of its level rows."""
     groups = np.asarray(data.lifts)
-    zero = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
-                     else line.intercepts[name] for name in data.lifts])
+    level_load = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
+                           else line.intercepts[name] for name in data.lifts])
     usable = data.pitch >= MIN_PITCH_RANGE
     if not usable.any():
         usable = data.pitch == data.pitch.max()
     single = np.full(len(data.pitch), np.nan)
-    single[usable] = radius + (car.wheelbase * (data.rear_load - zero) / car.mass)[usable] / np.tan(data.pitch[usable])
+    transfer = (data.rear_load - level_load)[usable] / car.mass
+    single[usable] = radius + car.wheelbase * transfer / np.tan(data.pitch[usable])
     return single, usable
 
 
-def _describe_unordered_rows(data: Lift) -> list[str]:
+def _describe_unordered_rows(data: LiftRows) -> list[str]:
     sentences, groups = [], np.asarray(data.lifts)
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[groups == name])
@@ -184,7 +185,7 @@ def _describe_unordered_rows(data: Lift) -> list[str]:
     return sentences
 
 
-def _describe_load_difference(data: Lift, car: LiftedCar, level: np.ndarray) -> list[str]:
+def _describe_load_difference(data: LiftRows, car: LiftedCar, level: np.ndarray) -> list[str]:
     measured = float(data.rear_load[level].mean())
     expected = car.mass * car.cg_to_front_axle / car.wheelbase
     if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:

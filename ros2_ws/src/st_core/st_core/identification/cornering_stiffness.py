@@ -40,7 +40,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8  # of mean slip angles, lower / full range; above it, extrapolation multiplies errors by over 5
+MAX_RANGE_RATIO = 0.8  # mean slip in the lower / in the full range; above it, extrapolation multiplies errors by over 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
@@ -69,7 +69,7 @@ class AxleSamples:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
         The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are left out
-        if they have less than 1 % of the samples that a uniform distribution would have there.
+        if they have fewer than 5 samples, or less than 1 % of those that a uniform distribution would have there.
         """
         slip = self.slip - self.find_zero_force_slip()
         size, force = np.abs(slip), -self.force * np.sign(slip)
@@ -196,9 +196,9 @@ def _fit_slope(samples: AxleSamples) -> Slope:
     """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
     group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
-    found, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
-                                                       samples.force[samples.used])
-    return Slope(float(found[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
+    solution, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
+                                                          samples.force[samples.used])
+    return Slope(float(solution[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
 
 
 def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
@@ -240,7 +240,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
 
-    A stiffness with zero inside its interval is NaN and unidentifiable. Raises IdentificationError.
+    A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]

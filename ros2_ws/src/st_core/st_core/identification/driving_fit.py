@@ -41,43 +41,43 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale if converged."""
 BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range between both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # of the loss to its Gauss-Newton approximation; 0.7 for the assumed distribution of errors
+MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's distribution
 Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class FreeParameter:
+class Quantity:
     """A quantity that can be identified from driving, and the effect that represents it in the fit; SI units."""
 
     effect: str
     unit: str
     value: Callable[[VehicleParameters, Values], float]  # from the vehicle and values by "effect.parameter"
     relative: bool = False  # whether it is judged by its relative uncertainty
-    max_uncertainty: float = 0.0  # otherwise [unit]
+    max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
 
 
-def _make_scaled_parameter(effect: str, key: str, unit: str) -> FreeParameter:
-    return FreeParameter(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
+def _make_scaled_parameter(effect: str, key: str, unit: str) -> Quantity:
+    return Quantity(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
-FREE_PARAMETERS: Mapping[str, FreeParameter] = {
+QUANTITIES: Mapping[str, Quantity] = {
     "cornering_stiffness_front": _make_scaled_parameter(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
     "cornering_stiffness_rear": _make_scaled_parameter(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
     "yaw_inertia": _make_scaled_parameter(YawInertia.name, "yaw_inertia", "kg m^2"),
     "steering_ratio": _make_scaled_parameter(SteeringRatio.name, "steering_ratio", "1"),
     # delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file.
-    "steering_wheel_offset": FreeParameter(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
+    "steering_wheel_offset": Quantity(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
         car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * car.steering_ratio
         * values.get(f"{SteeringRatio.name}.factor", 1.0))),
-    "cg_to_ins_x": FreeParameter(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
+    "cg_to_ins_x": Quantity(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.
-    MISALIGNMENT: FreeParameter(HeadingMisalignment.name, "rad",
+    MISALIGNMENT: Quantity(HeadingMisalignment.name, "rad",
                                 lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay from the measured angle to the wheels.
-    DELAY: FreeParameter(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
+    DELAY: Quantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
-    RELAXATION: FreeParameter(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
+    RELAXATION: Quantity(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
 }
 
 
@@ -111,7 +111,7 @@ class _LimitedWindows(Windows):
             curvature = np.square(rate / speed)[self.used]
         driven = weight.sum() > 0.0
         self.mean_squared_curvature = float(np.average(curvature, weights=weight)) if driven else 0.0
-        self.peaks = np.sqrt(weight.max(axis=1))
+        self.peak_accelerations = np.sqrt(weight.max(axis=1))
         self.acceleration = float(np.average(np.sqrt(weight), weights=weight)) if driven else 0.0
 
     @cached_property
@@ -121,7 +121,7 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """Result of a fit: names and their values (p,) [SI].
+    """Result of a fit: names and values of p quantities [SI], from q parameters of effects.
 
     hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. mean_squared_curvature and
     acceleration are means weighted by (v_x r)^2.
@@ -131,7 +131,7 @@ class DrivingFit:
     values: np.ndarray
     spread: Spread  # covariance over blocks of driving
     at_bound: tuple[str, ...]  # names of values at a bound
-    slopes: np.ndarray  # (p, q) change of each value [SI] with each parameter of the fit
+    slopes: np.ndarray  # (p, q) derivative of each value [SI] by each parameter in units of its scale
     hessian: np.ndarray
     residuals: np.ndarray  # (n, c) predicted minus measured `columns` [SI]
     columns: tuple[str, ...]
@@ -140,7 +140,7 @@ class DrivingFit:
     windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
     mean_squared_curvature: float  # 1/m^2
     acceleration: float  # mean |v_x r| [m/s^2]
-    peaks: np.ndarray  # largest |v_x r| of each used window [m/s^2]
+    peak_accelerations: np.ndarray  # largest |v_x r| of each used window [m/s^2]
 
     @property
     def prediction_count(self) -> int:
@@ -150,16 +150,16 @@ class DrivingFit:
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
                 base: str | Model = "nonlinear", settings: DrivingFitSettings = DrivingFitSettings()) -> DrivingFit:
-    """Fit the values of `names`, which are in FREE_PARAMETERS and distinct; all others remain fixed.
+    """Fit the values of `names`, which are in QUANTITIES and distinct; all others remain fixed.
 
     logs: from `run_samples.prepare_drives`. base: linear, nonlinear, or either with known effects. Raises
     IdentificationError for an unknown name, too few windows, and values that the drives do not determine.
     """
     for name in names:
-        if name not in FREE_PARAMETERS:
-            known = ", ".join(FREE_PARAMETERS)
+        if name not in QUANTITIES:
+            known = ", ".join(QUANTITIES)
             raise IdentificationError(f"{name}: not identifiable from driving; choose from {known}")
-    effects = tuple(dict.fromkeys(FREE_PARAMETERS[name].effect for name in names))
+    effects = tuple(dict.fromkeys(QUANTITIES[name].effect for name in names))
     model = get_model(base)
     library = {*effects, *(model.values if isinstance(model, AugmentedModel) else ())}
     try:
@@ -208,7 +208,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
 
     def to_quantities(vector: np.ndarray) -> np.ndarray:
         fitted = {f"{e}.{p}": value for e in effects for p, value in space.values(e, vector).items()}
-        return np.array([FREE_PARAMETERS[name].value(windows.vehicle, fitted) for name in names])
+        return np.array([QUANTITIES[name].value(windows.vehicle, fitted) for name in names])
 
     values, step = to_quantities(vector), 1e-4
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
@@ -220,6 +220,6 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
         tuple(names), values, group.make_spread(influence @ change.T),
-        tuple(name for name in names if FREE_PARAMETERS[name].effect in effects_at_bound), change, total, residuals,
+        tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound), change, total, residuals,
         windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
-        windows.mean_squared_curvature, windows.acceleration, windows.peaks)
+        windows.mean_squared_curvature, windows.acceleration, windows.peak_accelerations)

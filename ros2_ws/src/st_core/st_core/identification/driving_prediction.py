@@ -2,15 +2,15 @@
 
 Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
 Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
-file, and the linear model the secant that predicts best in the driven slip range. For a tyre with another curve the
-value depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
+file, and the linear model the secant that predicts best in the slip range of the drives. For a tyre with another curve
+the value depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
     L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for another ratio. An error of the wheelbase changes it in proportion.
+fitted too, since a lag would be mistaken for another ratio. An error of the wheelbase changes i in proportion.
 
 Yaw inertia, from transients:
 
@@ -35,7 +35,7 @@ from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
-from .driving_fit import DELAY, FREE_PARAMETERS, MISALIGNMENT, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
+from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import Estimate, Identification, IdentificationError, Status, describe_contradiction, describe_correlations
 from .run_samples import measure_coverage, measure_driving_coverage, prepare_drives, require_coverage, sample_run
 
@@ -61,7 +61,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
-    also: further parameters to fit and report, from `driving_fit.FREE_PARAMETERS` (steering_ratio needs low and high
+    also: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
     speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
     names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
@@ -76,7 +76,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), systematic)
     kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
     estimates = []
-    for estimate, slip in zip(result.estimates, find_driven_slip(logs, vehicle, settings), strict=False):
+    for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
         relative_error = systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range, model error +/- {100.0 * relative_error:.1f} % included"
                        if systematic else
@@ -90,14 +90,14 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
 def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model,
                                     settings: DrivingFitSettings, fit: DrivingFit) -> dict[str, float]:
     """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
-    median of the peaks (`regression.extrapolation_uncertainty`); empty if the drives do not cover two ranges of slip.
+    median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do not cover two slip ranges.
 
     The measure of the slip range is the mean |v_x r| weighted by its square, with which the secant of a brush tyre
     decreases about linearly.
     """
     try:
-        low = fit_driving(logs, vehicle, fit.names, base, replace(
-            settings, maximum_acceleration=float(np.median(fit.peaks)), min_windows=settings.min_windows // 2))
+        low = fit_driving(logs, vehicle, fit.names, base, replace(settings,
+            maximum_acceleration=float(np.median(fit.peak_accelerations)), min_windows=settings.min_windows // 2))
     except IdentificationError:
         return {}
     if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:
@@ -108,14 +108,14 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
             for name, k in indices.items()}
 
 
-def find_driven_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
+def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
     """SLIP_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
-    driven = []
+    slips = []
     for run in (sample_run(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
                 & (np.abs(run.velocity_x * run.yaw_rate) <= settings.maximum_acceleration))
-        driven.append(np.abs(compute_slip_angles(run, vehicle))[:, used])
-    return np.quantile(np.concatenate(driven, axis=1), SLIP_QUANTILE, axis=1)
+        slips.append(np.abs(compute_slip_angles(run, vehicle))[:, used])
+    return np.quantile(np.concatenate(slips, axis=1), SLIP_QUANTILE, axis=1)
 
 
 def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -185,13 +185,13 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
-        Estimate(fit.names[i], float(fit.values[i]), FREE_PARAMETERS[fit.names[i]].unit, float(uncertainty[i]),
+        Estimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
                  spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
                  *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{total - used} of {total} predictions are too slow, beyond the limit of lateral acceleration "
                  "or with gaps") for name, (used, total) in fit.windows.items() if used < total]
-    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {FREE_PARAMETERS[n].unit} was fitted too."
+    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {QUANTITIES[n].unit} was fitted too."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
@@ -210,9 +210,9 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     if name in fit.at_bound:
         return (f"The fit stopped at the bound {value:.4g}: the drives do not determine the value, or contradict other "
                 "values of the vehicle file."), "unidentifiable"
-    if not FREE_PARAMETERS[name].relative:
-        return (f"{value:.4g} +/- {uncertainty:.2g} {FREE_PARAMETERS[name].unit}, from {basis}.",
-                "identified" if uncertainty < FREE_PARAMETERS[name].max_uncertainty else "doubtful")
+    if not QUANTITIES[name].relative:
+        return (f"{value:.4g} +/- {uncertainty:.2g} {QUANTITIES[name].unit}, from {basis}.",
+                "identified" if uncertainty < QUANTITIES[name].max_uncertainty else "doubtful")
     relative = uncertainty / abs(value)
     grade, status = next((grade, status) for limit, grade, status in UNCERTAINTY_GRADES if not relative > limit)
     return f"{grade} to +/- {100.0 * relative:.1f} %, from {basis}.", status

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from st_core.checks import Finding
 from st_core.errors import StCoreError
 from st_core.identification.cornering_stiffness import identify_stiffness
-from st_core.identification.driving_fit import FREE_PARAMETERS
+from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Estimate, Identification, IdentificationError, describe_contradiction
@@ -195,7 +195,7 @@ def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 def _get_display_unit(parameter: str) -> tuple[float, str]:
-    unit = FREE_PARAMETERS[parameter].unit
+    unit = QUANTITIES[parameter].unit
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification import mass_and_cg
-from st_core.identification.cg_height import Lift, LiftedCar, compute_pitch, identify_cg_height
+from st_core.identification.cg_height import LiftedCar, LiftRows, compute_pitch, identify_cg_height
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
 from st_core.identification.result import Identification
@@ -151,7 +151,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
     weighed = masses.pop() if masses else None
     car = LiftedCar(weighed or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
                     0.0 if weighed else setup.get_uncertainty("mass"), setup.get_uncertainty("wheelbase"))
-    return (identify_cg_height(Lift(pitch, load, tuple(names), front, rear), car),)
+    return (identify_cg_height(LiftRows(pitch, load, tuple(names), front, rear), car),)
 
 
 def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
