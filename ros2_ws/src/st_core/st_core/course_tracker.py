@@ -241,9 +241,8 @@ def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameter
         columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            forecast = tracker.update(EgoMotion(time_ns, *values)).inputs
-            if forecast is not None:
-                inputs[:, k] = forecast.road_wheel_angle, forecast.velocity_x_dot, forecast.signals[SLIP_FREE]
+            if (ahead := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
+                inputs[:, k] = ahead.road_wheel_angle, ahead.velocity_x_dot, ahead.signals[SLIP_FREE]
         return tuple(inputs)
 
     return predict_inputs

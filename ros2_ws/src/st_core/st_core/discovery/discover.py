@@ -300,9 +300,8 @@ class _Analysis:
 
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""
-        known = {q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
-                 for q in self.problem.quantities if q is not None}
-        return tuple(known.values())
+        return tuple({q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
+                      for q in self.problem.quantities if q is not None}.values())
 
     def _analyse_axles(
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,

@@ -233,9 +233,8 @@ def _channel_regions(channel: str, bins: Sequence[BinExcess], stretches: Sequenc
     overall = next(b for b in of_channel if b.range.quantity == EVERYWHERE)
     ranges = [_range_region(group, of_channel, overall, has_reference) for group in _group_neighbours(of_channel)]
     # Ranked by the lower bound, because a range with few observations can have a large error by chance.
-    clear = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
-                   key=lambda r: -r.interval[0])
-    regions = clear[:MAX_RANGES]
+    regions = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
+                     key=lambda r: -r.interval[0])[:MAX_RANGES]
     if overall.significant:
         regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
     regions += [_stretch_region(s, overall, samples) for s in stretches if s.channel == channel]

@@ -123,17 +123,15 @@ class Loss:
         step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
-        before, scaled_step = self.errors.at(vector), step / self.space.scale[indices]
-        after = self.errors.at_all(list(moved))
-        sensitivities = [(before - rows) / d for rows, d in zip(after, scaled_step, strict=True)]
+        before, size = self.errors.at(vector), step / self.space.scale[indices]
+        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
         """The approximation from residuals `rows` (n, m) [SI] and `sensitivities` (p, n, m) at one vector."""
         z = self.scale_residuals(rows)
         j = self._scaled_sensitivities(sensitivities, z)
-        w = weight(z)
-        jw = np.moveaxis(j * w, 1, 0)  # (n, p, m)
+        jw = np.moveaxis(j * weight(z), 1, 0)  # (n, p, m)
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
     def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:

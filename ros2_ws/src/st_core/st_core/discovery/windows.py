@@ -158,8 +158,7 @@ class Windows:
 
     def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Measured signals at times [ns], smoothed for channels with `smoothed`."""
-        log = self.joined
-        signals = Signals(log, MAX_GAP)
+        log, signals = self.joined, Signals(self.joined, MAX_GAP)
         smoothed = dict.fromkeys(("x", "y", "yaw", "velocity_x"), False) | {
             name: channel.smoothed for channel in self.channels for name in channel.signals}
         sampled = {}
