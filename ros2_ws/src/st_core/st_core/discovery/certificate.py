@@ -93,7 +93,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required_gain(problem, rows, reduction, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
-                        for _ in range(DRAWS))
+                             for _ in range(DRAWS))
             powers.append(Power(effect, free.parameter, free.unit, size * free.scale, detections / DRAWS, DRAWS))
         tick()
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
