@@ -47,10 +47,11 @@ class Score:
 def make_score(model: str, mode: Mode, start_ns: int, step: float, errors: Sequence[np.ndarray],
                reason: str = "") -> Score:
     """The score of three error series (longitudinal, lateral, yaw); complete if all errors are finite."""
+    longitudinal, lateral, yaw = errors
     finite = all(bool(np.isfinite(e).all()) for e in errors)
     means = [float(np.mean(e)) if finite else math.nan for e in errors]
     return Score(model, mode, start_ns, finite, "" if finite else reason or "the prediction is not finite",
-                 step * np.arange(len(errors[0])), *errors, *means)
+                 step * np.arange(len(longitudinal)), longitudinal, lateral, yaw, *means)
 
 
 _PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) to be scored after its horizon

@@ -203,7 +203,6 @@ class Search:
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         gains = state.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        # Lower than for refitted effects, because these gains are approximate.
         required = CONTENDER_SHARE * max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
         # Additions, such as a load, are tried only as rivals of effects already in the set.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
