@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import COMPRESSED_MARKS, format_share, shorten
+from .mdf_table import is_signal_table
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
@@ -276,6 +277,8 @@ def is_can_log(file: Path) -> bool:
     A .log file that is empty, compressed or unreadable is taken as a CAN log, so that its reader reports that.
     """
     extension = file.suffix.lower()
+    if extension in MF4_EXTENSIONS:
+        return not is_signal_table(file)
     if extension not in SHARED_EXTENSIONS:
         return extension in EXTENSIONS
     try:

@@ -25,6 +25,7 @@ from .columns import (
     normalise,
 )
 from .errors import RunError, check_readable, format_share, shorten
+from .mdf_table import is_signal_table, read_names, read_signals
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 ROWS_OF_TIMES = 500  # number of rows in which the time columns of a table are compared
@@ -91,7 +92,9 @@ def _decode(file: Path, size: int) -> str:
 
 
 def read_header(file: Path) -> list[str]:
-    """Reads the names of the columns; empty for a file that cannot be read as text."""
+    """Reads the names of the columns; empty for a file that cannot be read as text or MDF."""
+    if is_signal_table(file):
+        return read_names(file)
     try:
         lines = read_text(file, 1 << 16).splitlines()
         return _split_header(lines[_find_header_line(lines)])[0] if lines else []
@@ -100,10 +103,14 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Reads a CSV file. Raises RunError for a binary file, unreadable times, or rows that do not fit the header."""
+    """Reads a CSV file, or the signals of an MDF file. Raises RunError for another binary file, unreadable times, or
+    rows that do not fit the header."""
     check_readable(file)
-    text = read_text(file)
     warnings: list[str] = []
+    if is_signal_table(file):
+        names, body = read_signals(file, layout)
+        return replace(parse_table(file, names, body, ",", layout, warnings), names=tuple(read_names(file)))
+    text = read_text(file)
     skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *above, header, body = (text + "\n").split("\n", skipped + 1)
     if skipped > 1 or (skipped and not _SEPARATOR.match(above[0])):

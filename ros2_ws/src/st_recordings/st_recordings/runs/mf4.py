@@ -75,7 +75,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     """
     warnings: list[str] = []
     decoded_signals: list[str] = []
-    with _open_quietly(path, warnings) as log:
+    with _open_log(path, warnings) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
             raise DamageError("the session start time is invalid")
@@ -96,7 +96,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     if not parts and decoded_signals:
         raise RunError(path, "the log contains no raw CAN frames, only decoded signals: "
                        f"{', '.join(decoded_signals)[:200]}",
-                       "give the log with the raw frames, or export the signals as CSV (asammdf) and give the CSV file")
+                       "give the log with the raw frames; name a file of signals in a run.yaml with csv")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was connected to the right bus")
     warnings += frames.describe_clock_steps(clock_steps)
@@ -105,14 +105,27 @@ def read_mf4(path: Path) -> frames.CanLog:
 
 
 @contextmanager
-def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
-    """Opens the file with asammdf and suppresses its output, because it also prints the errors that it raises."""
+def quiet_asammdf() -> Iterator[None]:
+    """Suppresses the output of asammdf, because it also prints the errors that it raises."""
+    from asammdf.blocks.mdf_v4 import MDF4
+
+    # It closes the file, as the readers do themselves, and complains on stderr after a failed __init__.
+    MDF4.__del__ = lambda mdf: None  # type: ignore[method-assign]
     logger = logging.getLogger("asammdf")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
-    log = None
     try:
         with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
+def _open_log(path: Path, warnings: list[str]) -> Iterator[Any]:
+    log = None
+    try:
+        with quiet_asammdf():
             log = _open_readable_part(path, warnings)
             yield log
     except RunError:
@@ -126,16 +139,13 @@ def _open_quietly(path: Path, warnings: list[str]) -> Iterator[Any]:
     finally:
         if log is not None:
             log.close()
-        logger.setLevel(level)
 
 
 def _open_readable_part(path: Path, warnings: list[str]) -> Any:
     from asammdf import MDF
-    from asammdf.blocks.mdf_v4 import MDF4
 
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         layout = mdf_blocks.check_blocks(data)
-    MDF4._file = None  # otherwise its __del__ complains on stderr after a failed __init__
     log: Any = None
     try:
         log = MDF(path, **MDF_OPTIONS)

@@ -1,4 +1,4 @@
-"""Registers the readers of CSV and Racelogic VBOX files: tables of a drive, or of the INS in a drive with CAN logs."""
+"""Registers the readers of CSV, MDF and VBOX files: tables of a drive, or of the INS in a drive with CAN logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +11,7 @@ from .. import csv
 from ..columns import Layout
 from ..csv_table import Table, join_tables, read_table
 from ..ins_log import InsLog
+from ..mf4 import MF4_EXTENSIONS
 from ..run_types import LoadedRun, ReadSettings, RunSource
 from ..vbo import lacks_steering, read_vbo
 from . import Reader, register
@@ -34,6 +35,6 @@ def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, 
     register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **tests))
 
 
-_register("csv", (".csv", ".tsv", ".txt", ".dat"), read_table, has_drive=csv.has_drive_columns,
+_register("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS), read_table, has_drive=csv.has_drive_columns,
           is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
 _register("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)

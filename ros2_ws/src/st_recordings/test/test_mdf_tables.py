@@ -1,0 +1,84 @@
+"""MDF files of measured signals, as INCA, CANape and asammdf write them, are read as tables."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asammdf import MDF, Signal
+from drive_kinds import CAR, assert_same, to_degrees
+from mdf_files import LogFrame, write_layout_2
+from raw_drives import write_drives
+from st_core.log import DriveLog
+from st_recordings.runs import ReadSettings, find_runs, read
+from st_recordings.runs.can_formats import is_can_log
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.mdf_table import is_signal_table
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> DriveLog:
+    folder = write_drives(tmp_path_factory.mktemp("raw"), {}, 4, (("sweep", 12.0),))
+    (source,) = find_runs([folder])
+    return read(source, CAR, ReadSettings(offset=0.0, accept_doubtful=True)).log
+
+
+def write_signals(file: Path, log: DriveLog, version: str = "4.10", steering: bool = True, device: str = "",
+                  yaw: str = "INS_Yaw", invalid: int = 0) -> Path:
+    """INS and steering in groups of their own, with their own times. invalid: number of yaw rates marked as invalid."""
+    start_ns = int(log.ins_time_ns[0])
+    time, steering_time = (log.ins_time_ns - start_ns) * 1e-9, (log.steering_time_ns - start_ns) * 1e-9
+    latitude, longitude = to_degrees(log)
+    values = {"INS_Latitude": (latitude, "deg"), "INS_Longitude": (longitude, "deg"), yaw: (log.yaw, "rad"),
+              "INS_VelForward": (3.6 * log.velocity_x, "km/h"), "INS_VelLateral": (log.velocity_y, "m/s")}
+    signals = [Signal(samples, time, name=name + device, unit=unit) for name, (samples, unit) in values.items()]
+    mask = (np.arange(len(time)) >= 500) & (np.arange(len(time)) < 500 + invalid)
+    rate = Signal(np.where(mask, 9.0, log.yaw_rate), time, name=f"INS_YawRate{device}", unit="rad/s",
+                  invalidation_bits=mask if invalid else None)
+    with MDF(version=version) as mdf:
+        mdf.start_time = mdf.start_time.fromtimestamp(start_ns * 1e-9, mdf.start_time.tzinfo)
+        mdf.append([*signals, rate])
+        if steering:
+            wheel = np.degrees(log.steering_wheel_angle)
+            mdf.append([Signal(wheel, steering_time, name=f"SteeringWheelAngle{device}", unit="deg")])
+        mdf.append([Signal(np.arange(50.0), np.arange(50.0) * 0.1, name="EngineSpeed", unit="1/min")])
+        return Path(mdf.save(file, overwrite=True))
+
+
+@pytest.mark.parametrize(("name", "options"), [
+    ("drive.mf4", {}), ("inca.mf4", {"device": "\\CAN-Monitoring:1"}), ("old.mdf", {"version": "3.30"}),
+    ("inca.dat", {"version": "3.30"}), ("invalid.mf4", {"invalid": 20})])
+def test_signals_are_read_with_their_units_and_times(drive, tmp_path, name, options):
+    file = write_signals(tmp_path / "x", drive, **options).rename(tmp_path / name)
+    (source,) = find_runs([file])
+    run = read(source, CAR)
+    assert_same(run.log, drive, options.get("invalid", 0) + 2, steering=1e-4, rotated=True)
+    np.testing.assert_allclose(run.log.steering_time_ns, drive.steering_time_ns, atol=2000)
+    assert abs(int(run.log.ins_time_ns[0]) - int(drive.ins_time_ns[0])) < 1e9 * (1 + options.get("invalid", 0))
+
+
+def test_missing_channels_are_listed_with_all_signals_of_the_file(drive, tmp_path):
+    file = write_signals(tmp_path / "drive.mf4", drive, steering=False)
+    (source,) = find_runs([file])
+    with pytest.raises(RunError, match=r"no column was recognised as .*steering_wheel_angle.*EngineSpeed \[1/min\]"):
+        read(source, CAR)
+
+
+def test_layout_of_a_run_file_names_signals(drive, tmp_path):
+    write_signals(tmp_path / "drive.mf4", drive, yaw="Kurs")
+    (tmp_path / "drive.run.yaml").write_text("csv: drive.mf4\ncolumns: {yaw: Kurs}\n")
+    (source,) = find_runs([tmp_path / "drive.run.yaml"])
+    assert_same(read(source, CAR).log, drive, 2, steering=1e-4, rotated=True)
+
+
+def test_logs_of_frames_remain_can_logs(tmp_path):
+    frames = [LogFrame(10_000 * k, 1, 0x002, bytes(8)) for k in range(100)]
+    log = write_layout_2(tmp_path / "frames.mf4", 1_700_000_000 * 10**9, frames)
+    assert not is_signal_table(log) and is_can_log(log)
+
+
+def test_damaged_file_is_refused(drive, tmp_path):
+    file = write_signals(tmp_path / "drive.mf4", drive)
+    file.write_bytes(file.read_bytes()[:3000])
+    (source,) = find_runs([file])
+    with pytest.raises(RunError, match="asammdf cannot read the file"):
+        read(source, CAR)
