@@ -48,30 +48,31 @@ class DriveWarnings:
 
 def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, domain: CalibrationDomain) -> DriveWarnings:
     """Warnings of the evaluator during a drive; a score becomes known one horizon after its start."""
-    signals, counts = SETTINGS.signals(log), CoverageMonitor()
+    signals, monitor = SETTINGS.signals(log), CoverageMonitor()
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
                               SETTINGS.prediction.minimum_speed)
     found, horizon = DriveWarnings(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
-    before = dict.fromkeys(bands, False)
+    warned = dict.fromkeys(bands, False)
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
-        here = conditions_at(signals, starts[rows])
-        known = domain(here)
-        widths = {key: {level: np.pad(factor * band.scale(here[known]), ((0, 0), (1, 0), (0, 0)))
+        conditions = conditions_at(signals, starts[rows])
+        in_domain = domain(conditions)
+        widths = {key: {level: np.pad(factor * band.scale(conditions[in_domain]), ((0, 0), (1, 0), (0, 0)))
                         for level, factor in band.factors.items() if level in (0.5, 0.9)}
                   for key, band in bands.items()}
-        place = np.cumsum(known) - 1
-        for row in np.flatnonzero(known):
+        width_row = np.cumsum(in_domain) - 1
+        for row in np.flatnonzero(in_domain):
             start = int(starts[rows][row])
-            for (model, mode), stated in widths.items():
-                counts.expect(model, start, {(mode, level): one[place[row]] for level, one in stated.items()})
+            for (model, mode), by_level in widths.items():
+                monitor.expect(model, start, {(mode, level): half_widths[width_row[row]]
+                                              for level, half_widths in by_level.items()})
                 errors = list(block.errors[model, mode][row].T)
-                counts.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
-                one = counts.by_pair.get((model, mode))
-                if one and one.warns and not before[model, mode]:
+                monitor.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
+                coverage = monitor.by_pair.get((model, mode))
+                if coverage and coverage.warns and not warned[model, mode]:
                     found.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
-                before[model, mode] = bool(one and one.warns)
-    found.coverage = {key: one.coverage_at(0.9) for key, one in counts.by_pair.items()}
+                warned[model, mode] = bool(coverage and coverage.warns)
+    found.coverage = {key: coverage.coverage_at(0.9) for key, coverage in monitor.by_pair.items()}
     return found
 
 
@@ -119,9 +120,9 @@ def _measure_style(number: int, style: str) -> list[Row]:
 
 def _healthy_rows(style: str, drives: Sequence[DriveWarnings]) -> list[Row]:
     hours = sum(one.seconds for one in drives) / 3600.0
-    return [_row(style, f"nothing, {hours:.1f} h", key,
+    return [_row(style, f"none, {hours:.1f} h", key,
                  f"{sum(len(one.begins[key]) for one in drives)} false warnings",
-                 f"90 % kept {np.mean([one.coverage[key] for one in drives]):.1%}") for key in drives[0].begins]
+                 f"coverage at 90 %: {np.mean([one.coverage[key] for one in drives]):.1%}") for key in drives[0].begins]
 
 
 def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> list[Row]:
@@ -131,10 +132,10 @@ def _changed_rows(style: str, name: str, drives: Sequence[DriveWarnings]) -> lis
         delays = [min((t - 0.5 * one.seconds for t in one.begins[key] if t > 0.5 * one.seconds), default=np.inf)
                   for one in drives]
         early = sum(any(t <= 0.5 * one.seconds for t in one.begins[key]) for one in drives)
-        middle, soon = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
+        median, soon = float(np.median(delays)), sum(delay <= 60.0 for delay in delays)
         before = f", {early} before the change" if early else ""
         rows.append(_row(style, name, key, f"{soon} of {len(drives)}{before}",
-                         f"{middle:.0f} s" if np.isfinite(middle) else "none"))
+                         f"{median:.0f} s" if np.isfinite(median) else "none"))
     return rows
 
 

@@ -7,7 +7,7 @@ from _pages import format_records, format_table, read_part, replace_part
 from st_recordings.paths import project_root
 
 PAGE = project_root() / "docs" / "measurements" / "bands.md"
-ROWS_PART, AIMS_PART = "table of held-out runs", "held against the aims"
+ROWS_PART, AIMS_PART = "table of held-out runs", "comparison with the aims"
 AIMS = {"90 % covers": (86.0, 94.0), "50 % covers": (45.0, 55.0), "worst cell of 200 starts": (80.0, 100.0)}
 """Column -> lower and upper bound of the coverage [%]."""
 MAX_SCORE_RATIO = 1.15

@@ -139,7 +139,7 @@ def score_genesis() -> dict[str, Row]:
                                 tuple(METHODS))
         found |= score_held_out(f"Genesis, {model}, by day", runs, DAYS, model)
         found |= score_held_out(f"Genesis, {model}, by site", runs, SITES, model)
-    replace_part(PAGE, "days that count as one", format_records(score_days(runs)))
+    replace_part(PAGE, "days as runs", format_records(score_days(runs)))
     return found | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, rear_axle,
                                   "linear")
 
