@@ -50,7 +50,8 @@ class Issued:
     compute: int
 
 
-def collect_instants(start: int, odometry: Stream, steering: Stream, made: Sequence[Issued]) -> dict[str, int] | None:
+def collect_instants(start: int, odometry: Stream, steering: Stream,
+                     predictions: Sequence[Issued]) -> dict[str, int] | None:
     """Instants of a tick and processor time of its models [ns]; None if one of its samples was not received.
 
     start: time of the predicted state, the newest at which both inputs were known.
@@ -58,13 +59,13 @@ def collect_instants(start: int, odometry: Stream, steering: Stream, made: Seque
     ins, angle = odometry.first_from(start), steering.first_from(start)
     if ins is None or angle is None:
         return None
-    last = max(made, key=lambda one: one.issued)
+    last = max(predictions, key=lambda one: one.issued)
     found = {
         "packet": int(odometry.kernel[ins]), "odometry_written": int(odometry.written[ins]),
         "odometry_received": int(odometry.received[ins]), "frame": int(steering.kernel[angle]),
         "steering_written": int(steering.written[angle]), "steering_received": int(steering.received[angle]),
-        "begun": min(one.issued - one.compute for one in made), "issued": last.issued, "written": last.written,
-        "received": max(one.received for one in made), "compute": sum(one.compute for one in made),
+        "begun": min(one.issued - one.compute for one in predictions), "issued": last.issued, "written": last.written,
+        "received": max(one.received for one in predictions), "compute": sum(one.compute for one in predictions),
     }
     return found | {"known": max(found["packet"], found["frame"]),
                     "complete": max(found["odometry_received"], found["steering_received"])}

@@ -146,9 +146,9 @@ def compare_drives(*drives: Scored) -> list[dict]:
     """
     first = drives[0].time
     rows = [np.abs(drive.time - first[:, None]).argmin(axis=1) for drive in drives]
-    apart = [np.abs(drive.time[row] - first) for drive, row in zip(drives, rows, strict=True)]
-    here = np.max(apart, axis=0) <= PERIOD / 2
-    return [{"starts": int(here.sum()), "lateral": {model: float(np.sqrt(np.mean(np.square(errors[row[here]]))))
+    offsets = [np.abs(drive.time[row] - first) for drive, row in zip(drives, rows, strict=True)]
+    common = np.max(offsets, axis=0) <= PERIOD / 2
+    return [{"starts": int(common.sum()), "lateral": {model: float(np.sqrt(np.mean(np.square(errors[row[common]]))))
                                                     for model, errors in drive.lateral.items()}}
             for drive, row in zip(drives, rows, strict=True)]
 

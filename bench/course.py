@@ -39,13 +39,14 @@ def measure_course(run: Path) -> dict[str, dict]:
     for model in MODELS:
         ends = {}
         for mode in ("forecast", "course", "hindsight"):
-            one = scores[model, mode]
-            ends[mode] = dict(zip(one.starts_ns[one.complete].tolist(),
-                                  np.hypot(*one.errors[one.complete, -1, :2].T).tolist(), strict=True))
+            evaluated = scores[model, mode]
+            ends[mode] = dict(zip(evaluated.starts_ns[evaluated.complete].tolist(),
+                                  np.hypot(*evaluated.errors[evaluated.complete, -1, :2].T).tolist(), strict=True))
         common = sorted(set.intersection(*map(set, ends.values())))
-        held, remembered, hindsight = (float(np.mean([one[start] for start in common])) for one in ends.values())
+        constant, course, hindsight = (float(np.mean([by_start[start] for start in common]))
+                                       for by_start in ends.values())
         rows[model] = {
-            "starts": len(common), "held, m": held, "course, m": remembered, "ratio": remembered / held,
+            "starts": len(common), "constant inputs, m": constant, "course, m": course, "ratio": course / constant,
             "hindsight, m": hindsight,
             **{f"{mode}, inside 90 | 50 %": " | ".join(f"{100.0 * summary[model][mode]['bands'][level]:.0f}"
                                                          for level in ("0.9", "0.5"))

@@ -34,7 +34,7 @@ class Listener(Node):
         self.packets: list[tuple[int, bytes]] = []  # (received [ns], as sent)
         self.steering: list[int] = []  # received [ns]
         self.predictions: list[tuple[int, int, int]] = []  # (start, issued, received) [ns]
-        self.made: dict[int, list[Issued]] = {}  # by start
+        self.issued_predictions: dict[int, list[Issued]] = {}  # by start
         self.odometry: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         self.angles: list[tuple[int, int, int]] = []  # (stamp, written, received) [ns]
         qos = QoSProfile(depth=1000)
@@ -46,17 +46,17 @@ class Listener(Node):
     def take(self) -> None:
         self.packets += [(to_nanoseconds(message.header.stamp), bytes(message.raw_packet))
                          for message, _, _ in self._packets.take()]
-        self.odometry += [(read_header_stamp(data), sent, arrived) for data, arrived, sent in self._odometry.take()]
-        angles = [(to_nanoseconds(message.header.stamp), sent, arrived) for message, arrived, sent
+        self.odometry += [(read_header_stamp(data), sent, received) for data, received, sent in self._odometry.take()]
+        angles = [(to_nanoseconds(message.header.stamp), sent, received) for message, received, sent
                   in self._steering.take()]
         self.angles += angles
         self.steering += [stamp for stamp, _, _ in angles]
         for subscription in self._models:
-            for message, arrived, sent in subscription.take():
+            for message, received, sent in subscription.take():
                 start, issued = to_nanoseconds(message.header.stamp), to_nanoseconds(message.issued_at)
-                self.predictions.append((start, issued, arrived))
-                made = Issued(issued, sent, arrived, round(message.compute_time * 1e9))
-                self.made.setdefault(start, []).append(made)
+                self.predictions.append((start, issued, received))
+                prediction = Issued(issued, sent, received, round(message.compute_time * 1e9))
+                self.issued_predictions.setdefault(start, []).append(prediction)
 
 
 def run() -> dict:
@@ -100,8 +100,8 @@ def measure_hops(node: Listener) -> dict[str, dict[str, float]]:
                             if stamp in kernel]).T)
     # The latency is zero, so that the stamp of a sample is that of the kernel.
     steering = Stream(*np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]).T)
-    found = [collect_instants(start, ins, steering, made) for start,
-             made in node.made.items() if len(made) == len(MODELS)]
+    found = [collect_instants(start, ins, steering, issued) for start, issued in node.issued_predictions.items()
+             if len(issued) == len(MODELS)]
     return hop_durations([tick for tick in found if tick is not None])
 
 
@@ -110,20 +110,20 @@ def measure_latencies(node: Listener) -> tuple[list[float], list[float]]:
     published, and until it is received."""
     packets = decode_file(b"".join(raw for _, raw in node.packets))
     kernel = np.array([stamp for stamp, _ in node.packets])
-    of_start: dict[int, list[tuple[int, int]]] = {}
+    by_start: dict[int, list[tuple[int, int]]] = {}
     for start, issued, received in node.predictions:
-        of_start.setdefault(start, []).append((issued, received))
+        by_start.setdefault(start, []).append((issued, received))
     to_published, to_received = [], []
-    for start, three in of_start.items():
+    for start, predictions in by_start.items():
         # A start is the newest instant at which both inputs are known: from the first packet and the first steering
         # angle that were measured at that instant or later.
         packet = int(np.searchsorted(packets.utc_ns, start))
         angle = int(np.searchsorted(node.steering, start))
         # Row 0 is the first sample that was received, but earlier ones may have been sent.
-        if len(three) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
+        if len(predictions) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
             known = max(kernel[packet], node.steering[angle])
-            to_published.append((max(issued for issued, _ in three) - known) * 1e-6)
-            to_received.append((max(received for _, received in three) - known) * 1e-6)
+            to_published.append((max(issued for issued, _ in predictions) - known) * 1e-6)
+            to_received.append((max(received for _, received in predictions) - known) * 1e-6)
     return to_published, to_received
 
 
