@@ -8,7 +8,7 @@ from discovery_drives import fit_problem, linear_problem
 from st_core.discovery.evidence import compare_with_file, covariance
 from st_core.discovery.fit import Problem
 from st_core.discovery.settings import DiscoverySettings
-from st_core.discovery.space import FileQuantity, Space, known_quantities, prior_deviations
+from st_core.discovery.space import FileQuantity, Space, find_file_quantities, prior_deviations
 from st_core.provenance import Provenance
 from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES
 
@@ -32,7 +32,7 @@ def test_default_uncertainties_belong_to_vehicle_parameters_and_have_a_source(le
     ("nonlinear", "friction", "tyre_front.lambda_muy", 1.0)])
 def test_effect_is_linked_to_the_file_quantity_it_changes(leaf, base, effect, key, slope):
     space = Space(base, DiscoverySettings())
-    known = known_quantities(space, leaf)[space.indices(effect)[0]]
+    known = find_file_quantities(space, leaf)[space.indices(effect)[0]]
     scale = leaf.mass if key == "mass" else 1.0
     assert known.key == key and known.slope == pytest.approx(slope * scale)
     assert known.z_score(3.0 * known.deviation / known.slope) == pytest.approx(3.0)
@@ -41,13 +41,13 @@ def test_effect_is_linked_to_the_file_quantity_it_changes(leaf, base, effect, ke
 def test_load_is_added_to_the_mass_in_the_file(leaf):
     space = Space("nonlinear", DiscoverySettings())
     i = space.indices("load")[0]
-    assert known_quantities(space, leaf)[i] is None and space.additions == ("load",)
+    assert find_file_quantities(space, leaf)[i] is None and space.additions == ("load",)
     assert space.deviation[i] * space.scale[i] == 250.0 and np.isinf(np.delete(space.deviation, i)).all()
 
 
 def test_linear_base_has_no_prior_on_the_cg_height(leaf):
     space = Space("linear", DiscoverySettings())
-    known = known_quantities(space, leaf)
+    known = find_file_quantities(space, leaf)
     i = space.indices("longitudinal_load_transfer")[0]
     assert known[i].z_score(leaf.cg_height) == 0.0 and known[i].z_score(-0.2) > 3.0
     assert prior_deviations(known, space.scale)[i] == np.inf

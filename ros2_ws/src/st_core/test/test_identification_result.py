@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
-from st_core.identification.bounded_fit import find_interval_end, fit_curve
+from st_core.identification.bounded_fit import find_interval_end, fit_within_bounds
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.result import (
     Coverage,
@@ -139,7 +139,7 @@ def test_profile_interval_of_a_straight_line_equals_student_t_interval():
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + random.normal(0.0, 0.3, len(x))
     residuals = line_residuals(x, y)
-    fit = fit_curve(residuals, [[0.0, 0.0]], [-10.0, -10.0], [10.0, 10.0])
+    fit = fit_within_bounds(residuals, [[0.0, 0.0]], [-10.0, -10.0], [10.0, 10.0])
     slope, cov = np.polyfit(x, y, 1, cov=True)
     assert fit.values[1] == pytest.approx(slope[0], rel=1e-6)
     assert fit.standard_errors[1] == pytest.approx(math.sqrt(cov[0, 0]), rel=1e-4)
@@ -152,7 +152,7 @@ def test_profile_interval_of_a_straight_line_equals_student_t_interval():
 def test_parameter_at_bound_has_open_interval_and_no_standard_error():
     x = np.linspace(0.0, 10.0, 12)
     y = 1.0 + 0.5 * x + np.random.default_rng(3).normal(0.0, 0.3, len(x))
-    fit = fit_curve(line_residuals(x, y), [[0.0, 0.1]], [-10.0, -10.0], [10.0, 0.45])
+    fit = fit_within_bounds(line_residuals(x, y), [[0.0, 0.1]], [-10.0, -10.0], [10.0, 0.45])
     assert fit.is_at_bound(1) and fit.standard_errors[1] == 0.0
     assert find_interval_end(line_residuals(x, y), fit, 1, 1.0) == (0.45, True)
 

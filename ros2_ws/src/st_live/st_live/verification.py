@@ -37,7 +37,7 @@ RESTART_PAUSE = 1.0
 
 @dataclass
 class Comparison:
-    """Counts of the compared predictions and scores of one model, and the largest absolute differences."""
+    """Counts of the compared predictions and scores of one model; largest |recorded - recomputed|."""
 
     model: str
     n_starts: int = 0  # forecasts compared

@@ -25,7 +25,7 @@ class RunComparison:
     runs: int  # number of runs with an estimate
     reported: int  # number of runs with this finding
     mean: float  # by random effects (DerSimonian and Laird 1986)
-    interval: tuple[float, float]  # of the mean, including the variance between runs
+    interval: tuple[float, float]  # 95 % interval of the mean, including the variance between runs
     between: float  # standard deviation between runs in excess of their uncertainties
     lowest: float  # estimate of one run
     highest: float
@@ -71,7 +71,7 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimates (value, low, high) of each quantity, pooled over the runs by random effects."""
+    """Estimates (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = np.array([run[name] for run in runs if name in run], float)

@@ -125,7 +125,7 @@ class DriveCheck:
     findings: tuple[Finding, ...]  # the most severe first
     channels: Mapping[str, Channel]
     comparisons: tuple[Comparison, ...]  # in the order of the checks
-    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # (value, low, high), by finding
+    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # value, 95 % limits; by finding
 
     def with_severity(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""

@@ -18,7 +18,7 @@ from .fit import Problem
 from .loss import Errors, Loss
 from .reference import fit_library, weak_prior
 from .settings import DiscoverySettings
-from .space import Space, known_quantities
+from .space import Space, find_file_quantities
 from .windows import Windows
 
 MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; a third of a typical delay
@@ -37,7 +37,7 @@ def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParamet
     if len(runs) < 2 or not free or not len(space.indices(SteeringDelay.name)):
         return {}
     k, correction = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
-    scale, vector, quantities = space.scale[k], space.null, known_quantities(space, vehicle)
+    scale, vector, quantities = space.scale[k], space.null, find_file_quantities(space, vehicle)
     for _ in range(ITERATIONS):
         by_run = {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
         windows = Windows(apply_clock_corrections(runs, by_run), vehicle, settings)

@@ -27,7 +27,7 @@ from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
 from .reference import fit_healthy_car
 from .search import Search, SearchState
 from .settings import DiscoverySettings
-from .space import FreeParameter, Space, known_quantities
+from .space import FreeParameter, Space, find_file_quantities
 from .varying import VaryingFit, collect_varying_evidence, find_varying_effects
 from .windows import MARGIN_NS, Windows, noise_floor
 
@@ -66,7 +66,7 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
     space = Space(base, settings)
     windows = Windows(runs, vehicle, settings)
     loss = Loss(Errors(windows, space), space.null)
-    problem = Problem(loss, space.null, windows.block, quantities=known_quantities(space, vehicle))
+    problem = Problem(loss, space.null, windows.block, quantities=find_file_quantities(space, vehicle))
     problem.update_design_effect(space.null)
     fit = problem.fit((), problem.all_sensitivities(space.null))
     for _ in range(3):
@@ -234,7 +234,7 @@ class _Analysis:
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
                        np.array([by_column[c] for c in self.windows.columns]), gain_between_drives,
-                       known_quantities(space, self.vehicle) if prior is None else None), by_column
+                       find_file_quantities(space, self.vehicle) if prior is None else None), by_column
 
     def _select_usable(self, runs: Sequence[DriveLog], role: str) -> list[DriveLog]:
         """The runs that are long enough; warns about the others."""

@@ -13,7 +13,7 @@ from .evidence import Z95, inverse
 from .fit import Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
-from .space import Quantities, Space, known_quantities, prior_deviations
+from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import Windows
 
 JOINT_DEVIATION = 3.0  # parameter scales, prior standard deviation of every parameter of the healthy car
@@ -41,7 +41,7 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     covariance is that of the values, times the design effect, times 2 because the reference and the new drive are both
     uncertain."""
     windows = Windows(runs, vehicle, settings)
-    prior, quantities = weak_prior(space), known_quantities(space, vehicle)
+    prior, quantities = weak_prior(space), find_file_quantities(space, vehicle)
     fits = []
     for start in (space.null, theoretical_values(space)):
         loss = Loss(Errors(windows, space, threads), start)

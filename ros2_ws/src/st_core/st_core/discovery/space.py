@@ -145,7 +145,7 @@ class FileQuantity:
 Quantities = tuple[FileQuantity | None, ...]
 
 
-def known_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
+def find_file_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
     """(p,) quantity of the vehicle file that each parameter changes most, in standard deviations, or None."""
     return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 

@@ -24,8 +24,8 @@ BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fr
 
 
 @dataclass(frozen=True)
-class CurveFit:
-    """Result of `fit_curve`."""
+class BoundedFit:
+    """Result of `fit_within_bounds`."""
 
     values: np.ndarray  # (k,)
     covariance: np.ndarray  # (k, k), zero for parameters at a bound
@@ -44,8 +44,8 @@ class CurveFit:
         return not self.lower[index] + margin < self.values[index] < self.upper[index] - margin
 
 
-def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
-              upper: Sequence[float]) -> CurveFit:
+def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
+                      upper: Sequence[float]) -> BoundedFit:
     """Least squares from the best of several starts, every parameter within its bounds."""
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     rough = [_solve(residuals, start, low, high, 1e-3, 40) for start in starts] if len(starts) > 1 else []
@@ -59,7 +59,7 @@ def fit_curve(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Se
     if free.any():
         jacobian = result.jac[:, free]
         covariance[np.ix_(free, free)] = deviation**2 * np.linalg.pinv(jacobian.T @ jacobian)
-    return CurveFit(result.x, covariance, result.fun, deviation, n - k, low, high)
+    return BoundedFit(result.x, covariance, result.fun, deviation, n - k, low, high)
 
 
 def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.ndarray, high: np.ndarray,
@@ -76,7 +76,7 @@ def _solve(residuals: Residuals, start: Sequence[float] | np.ndarray, low: np.nd
                          ftol=tolerance, gtol=1e-12, max_nfev=max_evaluations)
 
 
-def find_interval_end(residuals: Residuals, fit: CurveFit, index: int, side: float) -> tuple[float, bool]:
+def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: float) -> tuple[float, bool]:
     """(lower or upper end of the interval of a parameter, whether it is open), by the secant method.
 
     side: -1 lower, 1 upper. The secant method is applied to the square root of the increase of S.

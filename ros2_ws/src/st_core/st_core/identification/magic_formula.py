@@ -22,7 +22,7 @@ import numpy as np
 from ..regression import correlation_matrix
 from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
-from .bounded_fit import CurveFit, Residuals, find_interval_end, fit_curve
+from .bounded_fit import BoundedFit, Residuals, find_interval_end, fit_within_bounds
 from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
 
 MAX_SLIP = math.radians(40.0)
@@ -131,7 +131,7 @@ class TyreFit:
 
     tyre: MagicFormula  # its fitted Magic Formula
     names: tuple[str, ...]  # fitted parameters, SHIFT last
-    fit: CurveFit  # simultaneous fit, with the parameters in this order
+    fit: BoundedFit  # simultaneous fit, with the parameters in this order
     staged: MagicFormula  # the tyre after the paper's two stages
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
@@ -243,13 +243,13 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
 
     low, high = _get_bounds(free)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
-    return make_tyre(fit_curve(compute_residuals, [[start[k] for k in free]], low, high).values.tolist())
+    return make_tyre(fit_within_bounds(compute_residuals, [[start[k] for k in free]], low, high).values.tolist())
 
 
-def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> CurveFit:
+def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> BoundedFit:
     low, high = _get_bounds(names)
     first = [[0.0 if name == SHIFT else getattr(start, name) for name in names] for start in starts]
-    return fit_curve(_make_residuals(data, starts[0], names), first, low, high)
+    return fit_within_bounds(_make_residuals(data, starts[0], names), first, low, high)
 
 
 def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:

@@ -131,7 +131,7 @@ class Candidate:
 
 
 def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
-    """Time since the start of the run [s], at instants of the common clock [ns]."""
+    """Time since both INS and steering of the run began [s], at instants of the common clock [ns]."""
     runs, first = np.unique(windows.run, return_index=True)
     begins = windows.starts_ns[first] - np.round(windows.seconds[first] / NANOSECOND).astype(np.int64)
     order = np.argsort(begins)

@@ -62,7 +62,7 @@ class RelationFit:
 
 
 class RunWindows(Windows):
-    """Windows with the time since the start of the run as a signal."""
+    """Windows with the time in the run (`compute_run_time`) as a signal."""
 
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         super().__init__(runs, vehicle, settings)

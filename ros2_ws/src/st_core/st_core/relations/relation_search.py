@@ -34,11 +34,11 @@ class Relation:
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
     the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
-    [1]: reduction of the held-out loss per residual. p_value [1]: of this gain, corrected for the candidates tried.
-    position_5s [m]: held-out position error after 5 s (without, with); runs: the same by run. model: the model without
-    the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of their
-    effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size of the
-    relation by run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
+    [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for the tried
+    candidates. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
+    without the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of
+    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size by
+    run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
     each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
