@@ -30,20 +30,21 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
     """Ranges over all models for each held-out group and mode, in bold if they miss the aim."""
     groups: dict[str, dict[str, list[Mapping[str, str]]]] = {}
     for row in (one for one in rows if one["interval score"] != "-"):
-        title, mode, way = _split_title(row["held out"])
+        title, mode, method = _split_title(row["held out"])
         name = ", ".join(word for word in title.split(", ") if word not in MODELS)
-        groups.setdefault(f"{name}: {mode}", {}).setdefault(way, []).append(row)
+        groups.setdefault(f"{name}: {mode}", {}).setdefault(method, []).append(row)
     found = []
-    for name, ways in groups.items():
+    for name, methods in groups.items():
         entry = {"held out": name}
         for column, (low, high) in AIMS.items():
-            shares = [_leading_percent(row[column]) for row in ways[BAND] if _leading_percent(row[column]) is not None]
+            percents = (_leading_percent(row[column]) for row in methods[BAND])
+            shares = [percent for percent in percents if percent is not None]
             text = _format_range(shares, "{:.0f}", " %")
             entry[column] = f"**{text}**" if shares and not low <= min(shares) <= max(shares) <= high else text
-        calibrated = {way: of for way, of in ways.items() if way.endswith(CALIBRATED)}
-        others = {way: of for way, of in ways.items() if way not in calibrated and way != BAND}
-        entry["score over the best at its level"] = _format_ratios(ways[BAND], calibrated)
-        entry["score over the best uncalibrated"] = _format_ratios(ways[BAND], others)
+        calibrated = {method: of for method, of in methods.items() if method.endswith(CALIBRATED)}
+        others = {method: of for method, of in methods.items() if method not in calibrated and method != BAND}
+        entry["score over the best at its level"] = _format_ratios(methods[BAND], calibrated)
+        entry["score over the best uncalibrated"] = _format_ratios(methods[BAND], others)
         entry["which covers"] = _format_range([_leading_percent(row["90 % covers"]) for row in _best_rows(others)],
                                               "{:.0f}", " %")
         found.append(entry)
@@ -67,9 +68,9 @@ def _best_rows(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mappin
 def _split_title(title: str) -> tuple[str, str, str]:
     """(held-out group, mode, method) of a title."""
     for mode in ("hindsight", "forecast"):
-        before, found, way = title.partition(f", {mode}, ")
+        before, found, method = title.partition(f", {mode}, ")
         if found:
-            return before, mode, way
+            return before, mode, method
     raise ValueError(f"{title}: no mode")
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from _band_adaptive import Drive, Score, evaluate_drive, join_drives
 from _band_changes import measure_changes
 from _band_corrected import correct_files
+from _band_methods import LEVELS, METHODS, SEED
 from _band_page import PAGE, write_rows
-from _band_ways import LEVELS, METHODS, SEED
 from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
 from _drawn_bands import SETTINGS, TIME
@@ -251,12 +251,12 @@ def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[
     return compute_error_samples([get_model(model) for model in models], vehicle, SETTINGS.signals(log), SETTINGS)
 
 
-def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Sequence[str] = CALIBRATED) -> dict[str,
-                                                                                                                  Row]:
+def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
+                   methods: Sequence[str] = CALIBRATED) -> dict[str, Row]:
     """Tests each group of runs with bands of all other groups; one row for each mode and method."""
     found = {}
     for mode in MODES:
-        entries: dict[str, list] = {way: [] for way in ways}
+        entries: dict[str, list] = {method: [] for method in methods}
         refused = []
         for group, names in groups.items():
             known = [one for key, one in runs.items() if key not in names]
@@ -265,12 +265,12 @@ def score_held_out(title: str, runs: Runs, groups: Mapping, model: str, ways: Se
             except StCoreError as error:
                 refused.append(f"{group}: {error}")
                 continue
-            for way in ways:
-                entries[way] += sum_scores(METHODS[way](band, known, (model, mode)), known,
+            for method in methods:
+                entries[method] += sum_scores(METHODS[method](band, known, (model, mode)), known,
                                            [runs[key] for key in names], (model, mode))
-        for way, sums in entries.items():
-            found[f"{title}, {mode}, {way}"] = format_cells(sums, refused)
-            print(title, mode, way, found[f"{title}, {mode}, {way}"], flush=True)
+        for method, sums in entries.items():
+            found[f"{title}, {mode}, {method}"] = format_cells(sums, refused)
+            print(title, mode, method, found[f"{title}, {mode}, {method}"], flush=True)
     return found
 
 

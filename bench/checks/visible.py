@@ -60,8 +60,8 @@ def bends_slowly(r: Recording, size: float = 0.0) -> bool:
 
 
 def moves_in_x_and_y(r: Recording, size: float = 0.0) -> bool:
-    ways = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
-    return moves(r) and min(ways) > MIN_AXIS_SHARE * sum(ways)
+    distances = [np.abs(np.diff(r.log.x)).sum(), np.abs(np.diff(r.log.y)).sum()]
+    return moves(r) and min(distances) > MIN_AXIS_SHARE * sum(distances)
 
 
 def accelerates(r: Recording, size: float = 0.0) -> bool:

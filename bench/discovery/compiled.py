@@ -121,8 +121,8 @@ def control_pedals(pedal, speed, acceleration, motion, rear, wheelbase):
     bend = abs(vx * r * sin(steer)) * rear / wheelbase
     target = acceleration + SPEED_GAIN * (speed - vx) + bend - vy * r
     target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
-    most = JERK * DECIDE * STEP
-    return pedal + min(max(target - pedal, -most), most)
+    max_change = JERK * DECIDE * STEP
+    return pedal + min(max(target - pedal, -max_change), max_change)
 
 
 def _tuple(s):

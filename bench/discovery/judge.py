@@ -52,8 +52,8 @@ def judge_answer(case: Case, drives: Drives, found: Discovery) -> Record:
     oracle = Oracle(drives.suspect, drives.vehicle, names, start, settings)
     judge.sized_by(oracle.best)
     record = _measure_points(judge, base=oracle.base, found=answer, oracle=oracle.best)
-    least = judge.loss(oracle.best)
-    record["worth"] = {n: judge.loss(oracle.without([n])) / least for n in case.hidden}
+    best_loss = judge.loss(oracle.best)
+    record["worth"] = {n: judge.loss(oracle.without([n])) / best_loss for n in case.hidden}
     record["shares"] = _shares(judge, oracle, names)
     record["fitted"] = {n: {p: v for p, v in oracle.best.model.values[n].items()} for n in case.hidden}
     return _round(record)
@@ -79,10 +79,10 @@ def _shares(judge: Judge, oracle: Oracle, names: set[str]) -> Record:
     base, best = judge.position(oracle.base), judge.position(oracle.best)
     shares = {}
     for part in PARTS[:4]:
-        mine = [n for n in names if get_effect(n).kind == part]
-        if mine:
-            shares[part] = [(judge.position(oracle.without(mine)) - best) / base,
-                            (base - judge.position(oracle.only(mine))) / base]
+        of_part = [n for n in names if get_effect(n).kind == part]
+        if of_part:
+            shares[part] = [(judge.position(oracle.without(of_part)) - best) / base,
+                            (base - judge.position(oracle.only(of_part))) / base]
     return shares
 
 

@@ -109,18 +109,18 @@ def _position_error(windows: Windows, vehicle: VehicleParameters, answer: Augmen
     state = tuple(answer.start_state(tuple(np.asarray(signals.states_at(windows.starts_ns, car)).T), rows[0], p))
     with np.errstate(all="ignore"):
         for k in range(0, 2 * steps, 2):
-            aside, turning = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
-            state = _integrate_step(answer, state, rows[k:k + 3], p, aside, turning)
+            lateral, yaw_acceleration = push(np.stack(state[:6]), angle[:, k], a_x[:, k])
+            state = _integrate_step(answer, state, rows[k:k + 3], p, lateral, yaw_acceleration)
         x, y = cg_to_ins_position(state[0], state[1], state[4], car.cg_to_ins_x, car.cg_to_ins_y)
-        there_x, there_y = windows.measured_at(times[:, -1], "x", "y")
-        off = np.hypot(x - there_x, y - there_y)
-    return float(np.mean(np.minimum(np.nan_to_num(off, nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
+        measured_x, measured_y = windows.measured_at(times[:, -1], "x", "y")
+        distance = np.hypot(x - measured_x, y - measured_y)
+    return float(np.mean(np.minimum(np.nan_to_num(distance, nan=MAX_ERROR, posinf=MAX_ERROR), MAX_ERROR)))
 
 
-def _integrate_step(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, aside, turning) -> tuple:
+def _integrate_step(model: AugmentedModel, state: tuple, w: Sequence[tuple], p, lateral, yaw_acceleration) -> tuple:
     def rates(s, row):
         f = model.rhs(s, row, p)
-        return (*f[:3], f[3] + aside, f[4], f[5] + turning, *f[6:])
+        return (*f[:3], f[3] + lateral, f[4], f[5] + yaw_acceleration, *f[6:])
 
     half = STEP / 2
     a = rates(state, w[0])

@@ -162,15 +162,15 @@ def page_table(lines: Sequence[Mapping[str, Any]]) -> str:
     newest = {(line["case"], line["number"], line["factor"]): line for line in lines}
     rows = []
     for number, factor in dict.fromkeys((number, factor) for _, number, factor in newest):
-        mine = [line for key, line in newest.items() if key[1:] == (number, factor)]
-        total = {key: sum(line[key] for line in mine) for key in mine[0] if isinstance(mine[0][key], int)}
+        matching = [line for key, line in newest.items() if key[1:] == (number, factor)]
+        total = {key: sum(line[key] for line in matching) for key in matching[0] if isinstance(matching[0][key], int)}
         rows.append({"number": f"`{number}` × {factor:g}" if number else "unchanged",
                      "hidden errors named": f"{total['named']} of {total['hidden']}",
                      "false statements": f"{total['false']} of {total['statements']}",
                      "values inside": f"{total['inside']} of {total['values']}",
                      "points in the band": f"{total['in band']} of {total['points']}",
                      "error regions": str(total["regions"]),
-                     "cases changed": f"{total['changed']} of {len(mine)}"})
+                     "cases changed": f"{total['changed']} of {len(matching)}"})
     return format_records(rows)
 
 

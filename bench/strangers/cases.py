@@ -97,36 +97,37 @@ def _draw_case(name: str, car: Stranger, faults: tuple[str, ...], number: int, s
     hidden = {fault: float(rng.uniform(*SIZE_RANGES[fault])) * (rng.choice((-1, 1)) if fault in SIGNED else 1)
               for fault in faults}
     n = multibody.numbers(car) if car.description == MULTI_BODY else car.numbers
-    soft = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
-    off = np.exp(rng.normal(0.0, 0.16, 2))
+    softening = 1 + n.stiffness_front * (n.compliance + n.column * n.trail)
+    stiffness_factors = np.exp(rng.normal(0.0, 0.16, 2))
     # For worn tyres, the file contains the stiffness of the new ones.
-    off = [1.0 if f"worn_{axle}" in faults else value for axle, value in zip(("front", "rear"), off, strict=True)]
-    rule = n.mass * n.front * (n.wheelbase - n.front) * rng.choice((1.0, 0.92, 1.08))
-    guess = {"yaw_inertia": float(round(rule, -1)),
-             "cornering_stiffness_front": float(round(n.stiffness_front / soft * off[0], -3)),
-             "cornering_stiffness_rear": float(round(n.stiffness_rear * off[1], -3)),
+    stiffness_factors = [1.0 if f"worn_{axle}" in faults else value
+                         for axle, value in zip(("front", "rear"), stiffness_factors, strict=True)]
+    inertia = n.mass * n.front * (n.wheelbase - n.front) * rng.choice((1.0, 0.92, 1.08))
+    guess = {"yaw_inertia": float(round(inertia, -1)),
+             "cornering_stiffness_front": float(round(n.stiffness_front / softening * stiffness_factors[0], -3)),
+             "cornering_stiffness_rear": float(round(n.stiffness_rear * stiffness_factors[1], -3)),
              "cg_height": float(rng.choice((0.5, 0.55, 0.6)) + (0.1 if n.height > 0.65 else 0.0))}
-    stated = {}
+    uncertainty = {}
     if number % 3 == 1:
-        stated = {"mass": 0.02 * n.mass if "load" in faults else 0.01 * n.mass, "cg_to_front_axle": 0.02,
-                  "cg_height": 0.06, "yaw_inertia": 0.15 * guess["yaw_inertia"], "wheelbase": 0.005,
-                  "cornering_stiffness_front": 0.25 * guess["cornering_stiffness_front"],
-                  "cornering_stiffness_rear": 0.25 * guess["cornering_stiffness_rear"],
-                  "steering_ratio": 0.03 * car.ratio}
+        uncertainty = {"mass": 0.02 * n.mass if "load" in faults else 0.01 * n.mass, "cg_to_front_axle": 0.02,
+                       "cg_height": 0.06, "yaw_inertia": 0.15 * guess["yaw_inertia"], "wheelbase": 0.005,
+                       "cornering_stiffness_front": 0.25 * guess["cornering_stiffness_front"],
+                       "cornering_stiffness_rear": 0.25 * guess["cornering_stiffness_rear"],
+                       "steering_ratio": 0.03 * car.ratio}
     count = int(rng.integers(4, 7))
     names = [ROADS[i] for i in rng.permutation(len(ROADS))[:count]]
     base = rng.uniform(2.2, 4.2)  # mild to brisk
     drives = tuple((one, float(base * rng.uniform(0.85, 1.5)), float(rng.integers(60, 91))) for one in names)
-    return Case(name, car.name, hidden, guess, stated, drives, seed, _sensor_errors(hidden))
+    return Case(name, car.name, hidden, guess, uncertainty, drives, seed, _sensor_errors(hidden))
 
 
 def _sensor_errors(hidden: Mapping[str, float]) -> dict[str, float]:
-    kept = {name: hidden[name] for name in ("heading", "lever", "delay", "offset") if name in hidden}
+    sensors = {name: hidden[name] for name in ("heading", "lever", "delay", "offset") if name in hidden}
     if "gyro_scale" in hidden:
-        kept["yaw_rate_scale"] = 1.0 + hidden["gyro_scale"]
+        sensors["yaw_rate_scale"] = 1.0 + hidden["gyro_scale"]
     if "gyro_bias" in hidden:
-        kept["yaw_rate_bias"] = hidden["gyro_bias"]
-    return kept
+        sensors["yaw_rate_bias"] = hidden["gyro_bias"]
+    return sensors
 
 
 def file_car(case: Case) -> Stranger:
@@ -140,15 +141,15 @@ def true_car(case: Case) -> Stranger:
     car, n = file_car(case), file_car(case).numbers
     load = case.hidden.get("load", 0.0)
     arm = n.wheelbase - LOAD_AHEAD - n.front  # of the load, behind the CG of the empty car
-    back = load * arm / (n.mass + load)
-    inertia = n.inertia + n.mass * back**2 + load * (arm - back) ** 2
+    shift = load * arm / (n.mass + load)
+    inertia = n.inertia + n.mass * shift**2 + load * (arm - shift) ** 2
     front, rear = case.hidden.get("worn_front", 1.0), case.hidden.get("worn_rear", 1.0)
     if car.description == MULTI_BODY:
         if load:
-            car = multibody.add_load(car, (n.mass + load) / n.mass, back, inertia / n.inertia)
+            car = multibody.add_load(car, (n.mass + load) / n.mass, shift, inertia / n.inertia)
         for axle, factor in (("front", front), ("rear", rear)):
             car = multibody.wear_tyres(car, axle, factor) if factor != 1.0 else car
-        return replace(car, numbers=multibody.numbers(car), ins=car.ins + back)
-    return replace(car, ins=car.ins + back, numbers=n._replace(
-        mass=n.mass + load, front=n.front + back, inertia=inertia, stiffness_front=n.stiffness_front * front,
+        return replace(car, numbers=multibody.numbers(car), ins=car.ins + shift)
+    return replace(car, ins=car.ins + shift, numbers=n._replace(
+        mass=n.mass + load, front=n.front + shift, inertia=inertia, stiffness_front=n.stiffness_front * front,
         stiffness_rear=n.stiffness_rear * rear, compliance=n.compliance + case.hidden.get("compliance", 0.0)))

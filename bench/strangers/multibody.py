@@ -37,11 +37,11 @@ def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, s
         mass=v.mass, inertia=v.yaw_inertia, wheelbase=v.wheelbase, front=v.cg_to_front_axle,
         stiffness_front=v.cornering_stiffness_front, stiffness_rear=v.cornering_stiffness_rear,
         drive_front=car.numbers.drive_front)
-    led = plants.drive(ROLLING, road, proxy, seconds, wander)[400::2]
-    programme = Programme(led[:, plants.WHEEL] * v.steering_ratio, led[:, 2], np.full(len(led), HEADING_GAIN),
-                          led[:, 3], led[:, plants.AX])
+    proxy_rows = plants.drive(ROLLING, road, proxy, seconds, wander)[400::2]
+    programme = Programme(proxy_rows[:, plants.WHEEL] * v.steering_ratio, proxy_rows[:, 2],
+                          np.full(len(proxy_rows), HEADING_GAIN), proxy_rows[:, 3], proxy_rows[:, plants.AX])
     recording = drive_multibody(car.package, dict(car.settings), programme, seed)
-    r, out = recording.rows, np.zeros((len(led), plants.ROW))
+    r, out = recording.rows, np.zeros((len(proxy_rows), plants.ROW))
     out[:, :6] = r[:, [X, Y, YAW, VX, VY, YAW_RATE]]
     out[:, plants.AX:plants.TURN + 1] = r[:, STATES:STATES + 3]
     out[:, plants.WHEEL] = recording.steering_wheel / v.steering_ratio
@@ -51,13 +51,13 @@ def drive(car: Stranger, road: np.ndarray, seconds: float, wander: np.ndarray, s
 
 def add_load(car: Stranger, mass: float, shift: float, inertia: float) -> Stranger:
     """The car with a load: factors on mass and yaw inertia, and the CG moved back by `shift` [m]."""
-    known = dict(car.settings)
-    known["mass_factor"] = known.get("mass_factor", 1.0) * mass
-    known["yaw_inertia_factor"] = known.get("yaw_inertia_factor", 1.0) * inertia
-    known["cg_shift"] = known.get("cg_shift", 0.0) - shift
-    return replace(car, settings=tuple(known.items()))
+    settings = dict(car.settings)
+    settings["mass_factor"] = settings.get("mass_factor", 1.0) * mass
+    settings["yaw_inertia_factor"] = settings.get("yaw_inertia_factor", 1.0) * inertia
+    settings["cg_shift"] = settings.get("cg_shift", 0.0) - shift
+    return replace(car, settings=tuple(settings.items()))
 
 
 def wear_tyres(car: Stranger, axle: str, factor: float) -> Stranger:
-    known, key = dict(car.settings), f"{axle}_stiffness_factor"
-    return replace(car, settings=tuple({**known, key: known.get(key, 1.0) * factor}.items()))
+    settings, key = dict(car.settings), f"{axle}_stiffness_factor"
+    return replace(car, settings=tuple({**settings, key: settings.get(key, 1.0) * factor}.items()))

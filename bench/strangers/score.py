@@ -20,9 +20,9 @@ def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
     truth, found = result["truth"], []
     for one in named_effects(result["answer"]):
         name, present = one["name"], truth["effects"]
-        there = name in present or any(name in group and set(group) & set(present) for group in truth["confounded"])
-        there = there or any(member in present for member in MEMBERS.get(name, ()))
-        line = {"effect": name, "in_car": there, "set": sorted(alternatives(one)), "inside": None}
+        in_car = name in present or any(name in group and set(group) & set(present) for group in truth["confounded"])
+        in_car = in_car or any(member in present for member in MEMBERS.get(name, ()))
+        line = {"effect": name, "in_car": in_car, "set": sorted(alternatives(one)), "inside": None}
         if one.get("parameters"):
             key, value = next(iter(one["parameters"].items()))
             line |= {"parameter": key, "value": value.get("value"), "interval": value.get("interval")}

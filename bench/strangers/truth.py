@@ -71,11 +71,11 @@ def _true_effects(case: Case, car, file, vehicle: VehicleParameters, curves: dic
     if "front_stiffness" in found and "rear_stiffness" in found:
         found["tyre_stiffness"] = both
     shift = file.numbers.front - n.front
-    higher = n.height - vehicle.cg_height
+    height_error = n.height - vehicle.cg_height
     if abs(shift) > 1e-3:
         found["cg_position"] = [shift, shift]
-    if abs(higher) > MIN_HEIGHT_DEVIATION:
-        found["longitudinal_load_transfer"] = [higher, higher]
+    if abs(height_error) > MIN_HEIGHT_DEVIATION:
+        found["longitudinal_load_transfer"] = [height_error, height_error]
     if car.description != BRISTLE:
         found["lateral_load_transfer"] = None
     if car.description == FOUR_WHEELS:
@@ -110,10 +110,10 @@ def _dynamics(car) -> dict[str, list[float] | None]:
         lag = max(lag, 0.012 if car.description != SPRUNG else 0.015)
     if lag > 0:
         found["steering_lag"] = [lag * (1 - tolerance), lag * (1 + tolerance)]
-    soft = n.compliance + n.column * n.trail
-    if soft > 0:
+    compliance = n.compliance + n.column * n.trail
+    if compliance > 0:
         # The trail shrinks with slip.
-        found["steering_compliance"] = [n.compliance + 0.5 * n.column * n.trail, soft]
+        found["steering_compliance"] = [n.compliance + 0.5 * n.column * n.trail, compliance]
         found["roll_steer"] = None
     if n.roll_steer > 0:
         found["roll_steer"] = None
@@ -136,11 +136,11 @@ def _friction(description: int, n: Numbers, vehicle: VehicleParameters) -> list[
                                    (n.stiffness_rear, n.front, vehicle.tyre_rear)):
         load = 0.5 * n.mass * GRAVITY * lever / n.wheelbase
         if description in (BRISTLE, MULTI_BODY):
-            most = load * n.grip * (1.0 if description == BRISTLE else PACKAGE_FRICTION)
+            peak_force = load * n.grip * (1.0 if description == BRISTLE else PACKAGE_FRICTION)
         else:
-            most = max(abs(side_force(n.tyre, slip, 0.5 * stiffness, load, 0.0, n.grip, n.sliding, 1.0))
+            peak_force = max(abs(side_force(n.tyre, slip, 0.5 * stiffness, load, 0.0, n.grip, n.sliding, 1.0))
                        for slip in np.linspace(0.01, 0.5, 100))
-        found.append(most / magic_formula_peak(load, tyre))
+        found.append(peak_force / magic_formula_peak(load, tyre))
     return [min(found), max(found)]
 
 
