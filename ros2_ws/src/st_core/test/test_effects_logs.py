@@ -9,6 +9,7 @@ from effect_values import values_of
 from st_core.augmented import augment, set_effects_to_null
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, find_applicable_effects
+from st_core.log import INS_SIGNALS
 from st_core.log_signals import LogSignals
 from st_core.models import MODELS
 from st_core.prediction import predict
@@ -23,6 +24,12 @@ HORIZON, STEP = 2.0, 0.05
 
 LOG = weaving_log()
 STARTS = np.array([1_000_000_000, 1_500_000_000, 2_100_000_000, 3_333_000_000, 5_900_000_000])
+
+
+def list_effects(base) -> list[str]:
+    """Effects that act outside the equations of motion."""
+    return [name for name in find_applicable_effects(base)
+            if EFFECTS[name].vehicle or EFFECTS[name].steering or EFFECTS[name].observe]
 
 
 @functools.cache  # the same for every backend
@@ -45,14 +52,21 @@ def test_batch_over_a_log_equals_individual_predictions(leaf, backend, base):
     if backend == "lanes":
         pytest.importorskip("numba", reason="numba is not installed")
     batch, on_sample = LogBatch(LOG, STARTS, HORIZON, STEP, backend=backend), np.isin(STARTS, LOG.ins_time_ns)
-    all_at_null = set_effects_to_null(augment(base, find_applicable_effects(base)))
-    for name, share in itertools.product(find_applicable_effects(base), SHARES):
-        effect, values = EFFECTS[name], {name: values_of(name, share)}
-        if not (effect.vehicle or effect.steering or effect.observe):
-            continue
-        # In lanes one kernel with all effects, in numpy this effect alone.
-        model = all_at_null.with_values(values) if backend == "lanes" else augment(base, values)
+    for name, share in itertools.product(list_effects(base), SHARES):
+        model = augment(base, {name: values_of(name, share)})
         expected = predict_individually(base, name, share, leaf)
         np.testing.assert_allclose(batch.predict(model, leaf), expected, rtol=1e-12, atol=1e-12, err_msg=name)
         # At starts on a sample predicted and measured readings agree: the sensor correction is inverted.
         np.testing.assert_allclose(batch.errors(model, leaf)[on_sample, 0], 0.0, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("base", MODELS)
+def test_effect_among_others_at_null_corrects_a_log_as_alone(leaf, base):
+    all_at_null = set_effects_to_null(augment(base, find_applicable_effects(base)))
+    for name in list_effects(base):
+        values = {name: values_of(name, 1.0)}
+        alone, among_others = augment(base, values), all_at_null.with_values(values)
+        assert among_others.effective_vehicle(leaf) == alone.effective_vehicle(leaf)
+        expected, corrected = correct_log(alone, LOG), correct_log(among_others, LOG)
+        for field in (*INS_SIGNALS, "steering_time_ns", "road_wheel_angle"):
+            np.testing.assert_allclose(getattr(corrected, field), getattr(expected, field), rtol=1e-13, err_msg=name)
