@@ -18,8 +18,8 @@ from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, mak
 from st_sim.plant import STANDSTILL_SPEED, STEP, Plant
 from st_sim.settings import Settings
 
-from .pushes import Car as Body
-from .pushes import Relation, relation_accelerations
+from .relation_equations import Car as Body
+from .relation_equations import Relation, relation_accelerations
 
 DECIDE = 5
 """Steps between two decisions of the driver, and between two samples: 0.01 s."""
@@ -65,8 +65,8 @@ class Recording:
 
 def drive(car: Car, settings: Settings, programme: Programme, seed: int,
           later: tuple[Settings, int] | None = None, relation: Relation = NO_RELATION) -> Recording:
-    """Drives a programme. later: (other settings, sample from which on they are valid). relation: see `pushes`. Raises
-    Stopped."""
+    """Drives a programme. later: (other settings, sample from which on they are valid). relation: see
+    `relation_equations`. Raises Stopped."""
     parts = [(settings, len(programme.steering_wheel))] if later is None else [
         (settings, later[1]), (later[0], len(programme.steering_wheel) - later[1])]
     plant = Plant(car, settings, seed)

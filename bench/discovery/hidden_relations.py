@@ -1,8 +1,8 @@
 """Twelve relations that are not in the library, and six effects that are removed from it: how each is hidden, where it
 acts, and its shape.
 
-Relations of the car are in its equations (`pushes`, or a setting of the plant); those between steering wheel and
-sensor, or in a sensor, change the recording.
+Relations of the car are in its equations (`relation_equations`, or a setting of the plant); those between steering
+wheel and sensor, or in a sensor, change the recording.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,10 +13,10 @@ import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 
-from . import pushes
+from . import relation_equations
 from .cars import LEAF
 from .compiled import NO_RELATION
-from .pushes import Relation
+from .relation_equations import Relation
 
 FRONT, REAR = ("front_force", "front_grip"), ("rear_force", "rear_grip", "rear_steer")
 GRIP = ("both_grip", "front_grip", "rear_grip", "front_force", "rear_force")
@@ -75,27 +75,27 @@ class Hidden:
 STRAIGHT = ("linear", "straight line")
 RELATIONS = (
     Hidden("rear roll steer", REAR, ("linear",), AXLES, {"rear_roll_steer": 0.25},
-           elsewhere=Relation(pushes.REAR_STEER, 0.0012)),
+           elsewhere=Relation(relation_equations.REAR_STEER, 0.0012)),
     Hidden("camber thrust", (*FRONT, *REAR, "side_force"), ("linear",), (*AXLES, "body"), {"camber_thrust": 1.0},
-           elsewhere=Relation(pushes.CAMBER, 0.06)),
+           elsewhere=Relation(relation_equations.CAMBER, 0.06)),
     Hidden("steering map with a kink", ("front_steer",), ("dead zone",), ("steering", "front axle"), change=_add_kink,
            size=0.25),
     Hidden("rear axle with another curve", REAR, ("cubic", "linear and cubic", "dead zone", "square"),
-           ("rear axle", "both axles"), relation=Relation(pushes.REAR_CURVE, 0.3)),
+           ("rear axle", "both axles"), relation=Relation(relation_equations.REAR_CURVE, 0.3)),
     Hidden("lift of the front axle with v^2", FRONT, ("square", *STRAIGHT), ("front axle", "both axles"),
-           relation=Relation(pushes.LIFT, 0.0012)),
+           relation=Relation(relation_equations.LIFT, 0.0012)),
     Hidden("gusts", ("side_force", "yaw_moment"), (), ("body",), {"gust_speed": 10.0}),
     Hidden("friction patch", GRIP, (), AXLES, {"friction_patch": -0.4}),
     Hidden("aerodynamic yaw moment with v^2", ("yaw_moment",), ("square", *STRAIGHT), ("body",),
-           relation=Relation(pushes.AIR_MOMENT, 0.0006)),
+           relation=Relation(relation_equations.AIR_MOMENT, 0.0006)),
     Hidden("torque steer with a_x", ("yaw_moment",), STRAIGHT, ("body", "front axle"),
-           relation=Relation(pushes.TORQUE_STEER, 0.05)),
+           relation=Relation(relation_equations.TORQUE_STEER, 0.05)),
     Hidden("gyroscope with g-sensitivity", ("sensor_yaw_rate",), ("linear",), ("yaw rate",), change=_add_g_sensitivity,
            size=0.004),
     Hidden("steering delay that grows with speed", ("front_steer",), STRAIGHT, ("steering",), change=_add_growing_delay,
            size=0.012),
     Hidden("tyres that warm up", GRIP, ("saturating", "inverse", *STRAIGHT), AXLES,
-           relation=Relation(pushes.WARM_UP, 0.25)),
+           relation=Relation(relation_equations.WARM_UP, 0.25)),
 )
 """Units of the sizes in this order: rad/(rad roll) and rad s^2/m; 1/rad and 1; 1; 1; s^2/m^2; m/s; 1; 1/m^2 rad;
 rad/m; rad s/m; s^2/m; 1."""

@@ -39,8 +39,8 @@ from .multibody_car import (
     rest_pitch,
     static_loads,
 )
-from .pushes import REAR_CURVE, Relation, relation_accelerations
-from .pushes import Car as Body
+from .relation_equations import REAR_CURVE, Relation, relation_accelerations
+from .relation_equations import Car as Body
 from .sensing import PERIOD, STEERING_PHASE, make_log
 
 STEP = 0.001

@@ -16,7 +16,7 @@ from .compiled import NO_RELATION, Programme, Stopped, drive
 from .multibody import log_multibody
 from .multibody_car import SUPPORTED_SETTINGS, nominal_car
 from .multibody_car import vehicle_of as multibody_vehicle
-from .pushes import REAR_CURVE, Relation
+from .relation_equations import REAR_CURVE, Relation
 from .sensing import make_log
 
 NOMINAL: Car = read_car(LEAF_FILE)
@@ -28,7 +28,7 @@ MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the dri
 class Order:
     """A run to drive. settings: those of plant and sensors. before: settings until the fraction `from_` of the run,
     None for the same settings throughout. factors: on speed and lateral acceleration. moved: distance of the site to
-    the east [m]. relation: see `pushes`."""
+    the east [m]. relation: see `relation_equations`."""
 
     name: str
     seed: tuple[int, ...]

@@ -14,14 +14,14 @@ from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-from bench.discovery import pushes
+from bench.discovery import relation_equations
 from bench.discovery.cars import healthy_car
 from bench.discovery.compiled import DECIDE, Programme, drive
 from bench.discovery.multibody import BODY_STATES, drive_multibody, rates
 from bench.discovery.multibody_car import CARS, dynamics, parameters_of, vehicle_of
 from bench.discovery.plants import LEAF, NOMINAL, Order, record_run
 from bench.discovery.plants import vehicle_of as vehicle_of_plant
-from bench.discovery.pushes import Relation
+from bench.discovery.relation_equations import Relation
 from bench.discovery.sensing import CHANNELS, make_log, make_readings
 
 FLAT_AND_CALM = (0.0, 0.0, 0.0, 0.0)  # bank, grade [rad], wind [m/s]
@@ -140,7 +140,7 @@ def test_both_plants_respond_to_a_hidden_relation(plant):
     order = Order("run", (5, 6), car.settings)
     reference = record_run(plant, vehicle, order)
     without, with_moment = (record_run(plant, vehicle, replace(order, relation=Relation(kind, 0.001)))
-                    for kind in (pushes.NOTHING, pushes.AIR_MOMENT))
+                    for kind in (relation_equations.NOTHING, relation_equations.AIR_MOMENT))
     assert np.array_equal(reference.yaw_rate, without.yaw_rate)
     yaw_acceleration = np.gradient((with_moment.yaw_rate - reference.yaw_rate)[:30], 0.01)[:8].mean()
     # The axles of the multi-body car are separate masses, connected by springs.
