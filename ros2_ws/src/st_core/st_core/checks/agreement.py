@@ -32,14 +32,14 @@ class Agreement:
     scale: Estimate
     bias: Estimate
     correlation: float  # at this lag
-    spread: float  # standard deviation of the derived quantity
-    time: np.ndarray  # of the filtered series at this lag, for a figure
-    measured: np.ndarray
-    derived: np.ndarray
+    spread: float  # standard deviation of the derived quantity [unit]
+    time: np.ndarray  # (n,) of the filtered series at this lag, for a figure [s]
+    measured: np.ndarray  # (n,) [unit]
+    derived: np.ndarray  # (n,) [unit]
     other_lags: tuple[float, ...] = ()  # lags [s] that fit equally well, because the motion is periodic
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
     correlation_without_lag: float = 0.0  # at zero lag
-    determines_lag: bool = True  # whether lags LAG_TEST_SHIFT away fit significantly worse
+    determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
 
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
@@ -94,10 +94,10 @@ def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
     """
-    curve = mean_correlation([pair], MIN_COMMON_TIME, (-MAX_LAG, MAX_LAG))
-    if curve is None or not curve[1].max() > 0.0:
+    lags, correlation = mean_correlation([pair], MIN_COMMON_TIME, (-MAX_LAG, MAX_LAG)) or (np.zeros(0), np.zeros(0))
+    if not correlation.max(initial=0.0) > 0.0:
         return [fit([pair], offset=0.0, middle=0.0, free_drift=False)]
-    lags, residual = curve[0], 1.0 - np.maximum(curve[1], 0.0) ** 2
+    residual = 1.0 - np.maximum(correlation, 0.0) ** 2
     best = int(np.argmin(residual))
     peaks = 1 + np.flatnonzero((residual[1:-1] < residual[:-2]) & (residual[1:-1] <= residual[2:]))
     known = min(float(side.known.sum()) for side in (pair.reference, pair.other))

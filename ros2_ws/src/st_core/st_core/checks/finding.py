@@ -199,7 +199,7 @@ class Limits:
     steering_unit_ratio: float = 1.5  # for steering and curvature: ratio, wheelbase and stiffnesses may be inaccurate
     steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels
-    ins_position: float = 0.25  # m; accuracy of a measurement of the INS position by eye
+    ins_position: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
     note_share: float = 0.01  # largest fraction of faulty samples that is reported as a note only
 

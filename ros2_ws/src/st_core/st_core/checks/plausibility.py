@@ -58,7 +58,7 @@ CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
 
 
 class _Channel:
-    """Samples of a varying channel that are not NaN. rows: their indices in the log. All arrays are (n,)."""
+    """Samples of a varying channel that are not NaN, (n,). rows: their indices in the log."""
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
         self.name, self.limits, self.rows, self.time, self.values = name, CHANNEL_LIMITS[name], rows, time, values

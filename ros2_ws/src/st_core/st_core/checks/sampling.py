@@ -218,7 +218,7 @@ def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Findi
 
 
 def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding]:
-    """Finding of a channel that changes only at every k-th sample, with a constant k."""
+    """Finding of a channel that changes only once in k samples, with a constant k."""
     first, last = find_groups(np.diff(values) != 0.0)
     lengths = last - first + 1
     if len(lengths) < MIN_STEPS:
@@ -228,7 +228,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     if median < 2.0 or regular_share < MIN_HELD_SHARE:
         return []
     rate = 1.0 / (median * float(np.median(np.diff(time))))
-    text = f"{name} changes only at every {median:g}th sample: it was recorded at {rate:.3g} Hz and held"
+    text = f"{name} changes only once in {median:g} samples: it was recorded at {rate:.3g} Hz and held"
     severity = Severity.WARNING if rate < MIN_HELD_RATE else Severity.NOTE
     return [Finding("samples_repeated", severity, (name,), text, 1.0 - len(lengths) / len(values),
                     advice=Advice("look", f"log {name} at its own rate, or interpolate it first"))]
@@ -242,7 +242,7 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
     first, last = find_groups(np.diff(values) != 0.0)
     lengths = last - first + 1
     clipped: list[int] = []
-    for limit in (values.min(), values.max()) if name in RELATED_RATES and len(first) > 2 else ():
+    for limit in (values.min(), values.max()) if name in RELATED_QUANTITIES and len(first) > 2 else ():
         long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
         held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
@@ -294,12 +294,12 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         bias = MAX_GYRO_BIAS if name == "yaw" else 0.0
         change = max(abs(float(rate.mean())) - bias, 0.0) * (end - begin)
         return change > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
-    related, min_change = RELATED_RATES[name]
-    rate = related(motion)[inside]
+    related, min_change = RELATED_QUANTITIES[name]
+    expected = related(motion)[inside]
     rounding = 3.0 * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
-    low, high = np.percentile(rate, [5, 95])
+    low, high = np.percentile(expected, [5, 95])
     if name == "road_wheel_angle":  # the steering may rest at its mechanical stop while the speed changes the yaw rate
-        curvature = rate / np.maximum(motion.velocity_x[inside], 2.0)
+        curvature = expected / np.maximum(motion.velocity_x[inside], 2.0)
         tight, wide = np.percentile(np.abs(curvature), [95, 5])
         return bool(high - low > min_change and tight - wide > MIN_CURVATURE_CHANGE * np.median(np.abs(curvature)))
     return bool(high - low > max(min_change, rounding))
@@ -317,7 +317,7 @@ POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
 # By channel: a quantity derived from other channels, and its change [SI] above which the channel must change too.
-RELATED_RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
+RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),
     "acceleration_x": (lambda m: _compute_mean_rate(m.time, m.velocity_x), 0.5),
