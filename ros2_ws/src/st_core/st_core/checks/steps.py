@@ -37,8 +37,8 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
     errors = (np.diff(motion.x) - np.diff(integrate(motion.time, east))
               + 1j * (np.diff(motion.y) - np.diff(integrate(motion.time, north))))
-    speed, heading = np.hypot(east, north)[1:], np.exp(-1j * np.arctan2(north, east)[1:])
-    along = np.where(speed > MIN_MOVING_SPEED, (errors * heading).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
+    speed, to_track = np.hypot(east, north)[1:], np.exp(-1j * np.arctan2(north, east)[1:])  # rotation into the track
+    along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:
         groups = zip(*find_groups(np.diff(motion.time) > MAX_GAP), strict=True)
@@ -66,23 +66,23 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     no_steps = np.zeros(len(along), bool)
     if known.sum() < MIN_STEPS:
         return no_steps, []
-    age = along - np.median(along[known])
+    step = along - np.median(along[known])  # s, < 0: back along the track
     spacing = float(np.median(np.diff(motion.time)))
-    small = np.abs(age[known]) < 0.15 * spacing
-    spread = SIGMA_PER_MAD * float(np.median(np.abs(age[known][small]))) if small.any() else np.inf
+    small = np.abs(step[known]) < 0.15 * spacing
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(step[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
     # At low speed, position noise resembles an age of many milliseconds, but is as large across the track as along it.
     noise = SIGMA_PER_MAD * float(np.median(across[known]))
-    large = (known & (np.abs(age) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
-             & (np.abs(age) * speed > OUTLIER_SIGMAS * noise))
+    large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
+             & (np.abs(step) * speed > OUTLIER_SIGMAS * noise))
     # Stale samples cause steps along the track only, whereas jumps have any direction.
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
             np.abs(errors[large])):
         return no_steps, []
-    delay = float(np.median(np.abs(age[large])))
-    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(age[large]) - delay))) < MAX_AGE_SPREAD * delay
-    back, forward = known & (age < -0.5 * delay), known & (age > 0.5 * delay)
+    delay = float(np.median(np.abs(step[large])))
+    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - delay))) < MAX_AGE_SPREAD * delay
+    back, forward = known & (step < -0.5 * delay), known & (step > 0.5 * delay)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
     if not similar or not balanced or delay > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
         return no_steps, []
@@ -93,7 +93,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
             f"{delay * 1e3:.0f} ms before, and the next ones step forward again")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
-    is_stale = (back | forward) & (np.abs(age) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
+    is_stale = (back | forward) & (np.abs(step) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
     where = find_stretches(motion.time[1:][back], 5.0)[:MAX_LISTED]
     return is_stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, where,
