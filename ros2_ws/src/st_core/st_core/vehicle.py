@@ -34,6 +34,9 @@ class Quantity:
     def limits(self) -> str:
         return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
 
+    def clip(self, value: float) -> float:
+        return min(max(value, self.minimum), self.maximum)
+
 
 def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, default: float = math.nan) -> Quantity:
     return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)

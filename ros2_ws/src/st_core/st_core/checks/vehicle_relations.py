@@ -127,10 +127,10 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
-        value, limits = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
+        value, quantity = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
         factor = float(np.exp((vehicle.uncertainty(key) or 0.0) / value))
-        low, high = (compute_response_time(replace(vehicle, **{key: min(max(end, limits.minimum), limits.maximum)}),
-                                           speed) for end in (value / factor, value * factor))
+        low, high = (compute_response_time(replace(vehicle, **{key: quantity.clip(end)}), speed)
+                     for end in (value / factor, value * factor))
         changes.append(high - low)
     half = np.hypot(changes[0], changes[1])
     return float(np.sqrt(max(half**2 - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))

@@ -138,8 +138,8 @@ class Axles:
 def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
-    limits = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to these
-    front, rear = (min(max(float(force[0]) / SMALL_SLIP, limits.minimum), limits.maximum)
+    stiffness = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to its limits
+    front, rear = (stiffness.clip(float(force[0]) / SMALL_SLIP)
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))

@@ -21,17 +21,11 @@ PARAMETERS = (
 )
 
 
-def _limit(key, value):
-    """The value of a tyre quantity within the limits of the vehicle file."""
-    limits = TYRE_QUANTITIES[key]
-    return min(max(value, limits.minimum), limits.maximum)
-
-
 def reshape(tyre, theta):
     """The tyre with another peak and curvature, its cornering stiffness unchanged at every load."""
-    return tyre._replace(lambda_muy=_limit("lambda_muy", tyre.lambda_muy * theta.peak),
-                         p_ey1=_limit("p_ey1", 1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
-                         p_ey2=_limit("p_ey2", theta.curvature * tyre.p_ey2))
+    return tyre._replace(lambda_muy=TYRE_QUANTITIES["lambda_muy"].clip(tyre.lambda_muy * theta.peak),
+                         p_ey1=TYRE_QUANTITIES["p_ey1"].clip(1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
+                         p_ey2=TYRE_QUANTITIES["p_ey2"].clip(theta.curvature * tyre.p_ey2))
 
 
 @register

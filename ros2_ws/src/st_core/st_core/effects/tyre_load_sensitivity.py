@@ -12,16 +12,13 @@ from ..tyres import magic_formula_stiffness
 from ..vehicle import TYRE_QUANTITIES
 from ._base import Effect, Parameter, register
 
-PEAK_STIFFNESS_LOAD, SCALE = TYRE_QUANTITIES["p_ky2"], TYRE_QUANTITIES["lambda_ky"]
-
 
 def _scale_peak_stiffness_load(tyre, static_load, factor):
     """One tyre with the load of maximum stiffness multiplied by `factor`, within the limits of a vehicle file, and with
     K at static_load [N] unchanged."""
-    stiffest = min(max(tyre.p_ky2 * factor, PEAK_STIFFNESS_LOAD.minimum), PEAK_STIFFNESS_LOAD.maximum)
-    changed = tyre._replace(p_ky2=stiffest)
+    changed = tyre._replace(p_ky2=TYRE_QUANTITIES["p_ky2"].clip(tyre.p_ky2 * factor))
     ratio = magic_formula_stiffness(static_load, tyre) / magic_formula_stiffness(static_load, changed)
-    return changed._replace(lambda_ky=min(max(tyre.lambda_ky * ratio, SCALE.minimum), SCALE.maximum))
+    return changed._replace(lambda_ky=TYRE_QUANTITIES["lambda_ky"].clip(tyre.lambda_ky * ratio))
 
 
 @register
