@@ -12,6 +12,7 @@ slip of the rear axle [rad s^2/m] and lateral shift of the point by body roll [s
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -129,8 +130,8 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
         value, quantity = getattr(vehicle, key), VEHICLE_QUANTITIES[key]
         factor = float(np.exp((vehicle.uncertainty(key) or 0.0) / value))
-        low, high = (compute_response_time(replace(vehicle, **{key: quantity.clip(end)}), speed)
-                     for end in (value / factor, value * factor))
+        ends: list[dict[str, Any]] = [{key: quantity.clip(end)} for end in (value / factor, value * factor)]
+        low, high = (compute_response_time(replace(vehicle, **end), speed) for end in ends)
         changes.append(high - low)
     half = np.hypot(changes[0], changes[1])
     return float(np.sqrt(max(half**2 - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
