@@ -56,6 +56,31 @@ def test_signals_are_read_with_their_units_and_times(drive, tmp_path, name, opti
     assert abs(int(run.log.ins_time_ns[0]) - int(drive.ins_time_ns[0])) < 1e9 * (1 + options.get("invalid", 0))
 
 
+def test_signals_of_several_messages_are_interpolated_at_the_times_of_one(drive, tmp_path):
+    """As decoded from INS messages on a CAN bus: each message has its own times, with jitter."""
+    start_ns, random = int(drive.ins_time_ns[0]), np.random.default_rng(0)
+    time = (drive.ins_time_ns - start_ns) * 1e-9
+    latitude, longitude = to_degrees(drive)
+    messages = [{"Latitude [deg]": latitude, "Longitude [deg]": longitude}, {"Yaw [rad]": drive.yaw},
+                {"VelForward [m/s]": drive.velocity_x, "VelLateral [m/s]": drive.velocity_y},
+                {"YawRate [rad/s]": drive.yaw_rate}]
+    with MDF() as mdf:
+        mdf.start_time = mdf.start_time.fromtimestamp(start_ns * 1e-9, mdf.start_time.tzinfo)
+        for number, message in enumerate(messages):
+            stamps = time + 4e-4 * number + random.uniform(0.0, 3e-4, len(time))
+            mdf.append([Signal(np.interp(stamps, time, values), stamps, name=name, unit="")
+                        for name, values in message.items()])
+        mdf.append([Signal(drive.steering_wheel_angle, (drive.steering_time_ns - start_ns) * 1e-9,
+                           name="SteeringWheelAngle", unit="rad")])
+        file = mdf.save(tmp_path / "drive.mf4")
+    run = read(find_runs([file])[0], CAR)
+    assert len(run.log.ins_time_ns) >= len(time) - 3
+    at = (run.log.ins_time_ns - start_ns) * 1e-9
+    for name, tolerance in (("velocity_x", 1e-5), ("velocity_y", 1e-5), ("yaw", 1e-4), ("yaw_rate", 2e-3)):
+        np.testing.assert_allclose(getattr(run.log, name), np.interp(at, time, getattr(drive, name)), atol=tolerance)
+    assert not run.auxiliary.missing and not any("no number" in text for text in run.warnings)
+
+
 def test_missing_channels_are_listed_with_all_signals_of_the_file(drive, tmp_path):
     file = write_signals(tmp_path / "drive.mf4", drive, steering=False)
     (source,) = find_runs([file])

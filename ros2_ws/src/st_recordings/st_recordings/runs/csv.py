@@ -46,6 +46,7 @@ MAX_HELD_SHARE = 0.3
 than the rate of the rows."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
+SIMILAR_RATE = 0.9  # ratio of the numbers of samples of two channels, above which their rates are similar
 MIN_LOST_INTERVAL = 2.5
 """Rows are missing between two rows if their time difference exceeds this multiple of the median."""
 MAX_AFTER_GAP_SHARE = 0.1
@@ -326,7 +327,8 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
+    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate,
+    among channels of similar rate those rows in which most channels have numbers.
 
     Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
     in the other channels, are not filled.
@@ -334,7 +336,10 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north")
              if name in columns]
     known = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
-    rows = max(known.values(), key=len, default=np.empty(0, int))
+    filled = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # number of channels with a number, by row
+    longest = max(map(len, known.values()), default=0)
+    rows = max((samples for samples in known.values() if len(samples) > SIMILAR_RATE * longest),
+               key=lambda samples: filled[samples].sum(), default=np.empty(0, int))
     time = (table.time_ns - table.time_ns[:1]) * 1e-9
     if len(rows) < 3:
         return
@@ -354,7 +359,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         interpolated = np.interp(time[rows], time[samples], values, np.nan, np.nan)
         after = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
         interpolated[(steps[after - 1] > MIN_LOST_INTERVAL * median_step) & ~np.isin(rows, samples)] = np.nan
-        columns[name] = columns[name].copy()
+        columns[name] = np.full_like(columns[name], np.nan)
         columns[name][rows] = interpolated
         changed.append(f"{name} {format_share(len(samples), int(table.used.sum()), 'rows')}")
     if changed:
@@ -464,7 +469,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
         return (STEERING_WHEEL,)
     if STEERING_WHEEL not in columns:
         return (ROAD_WHEEL,)
-    if _count_missing_samples(columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
+    if _count_missing_samples(table.time_ns, columns[STEERING_WHEEL]) > 0.5 * len(columns[STEERING_WHEEL]):
         notes.append(f"{table.file}: {STEERING_WHEEL} (column {table.sources[STEERING_WHEEL].name}) has no number in "
                      "more than half of the rows; the road wheel angle is used instead")
         return (ROAD_WHEEL,)
@@ -476,7 +481,8 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
     """Channel -> number of used rows in which it has no number; adds a note on each such channel."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     counts = {"time": table.rows_without_time,
-              **{name: _count_missing_samples(columns[name][table.used]) for name in channels}}
+              **{name: _count_missing_samples(table.time_ns[table.used], columns[name][table.used])
+                 for name in channels}}
     missing = {name: count for name, count in counts.items() if count}
     total = len(table.time_ns) + table.rows_without_time
     for name, count in missing.items():
@@ -496,13 +502,16 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
     return missing
 
 
-def _count_missing_samples(column: np.ndarray) -> int:
-    """Number of rows without a number, except the regular blanks of a channel with a lower rate than the rows."""
+def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
+    """Number of rows without a number, except the blanks of a channel with a lower rate or separate stamps.
+
+    time_ns: (n,), of the rows.
+    """
     known_rows = np.flatnonzero(np.isfinite(column))
-    steps = np.diff(known_rows)
-    step = int(np.median(steps)) if len(known_rows) >= 3 else 1
-    if step > 1 and np.mean(steps % step == 0) > MIN_REGULAR_SHARE:
-        return round((known_rows[-1] - known_rows[0]) / step) + 1 - len(known_rows)
+    row_step = np.median(np.diff(known_rows)) if len(known_rows) >= 3 else 1
+    if row_step > 1:
+        steps = np.diff(time_ns[known_rows])
+        step = np.median(steps)
+        if np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_SHARE:
+            return max(round(float(steps.sum() / step)) + 1 - len(known_rows), 0)
     return len(column) - len(known_rows)
-
-
