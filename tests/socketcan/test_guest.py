@@ -15,6 +15,7 @@ TIMEOUT = 900  # s
 
 
 @pytest.mark.slow
+@pytest.mark.timing("a node in a slow guest follows frames at 100 Hz")
 @pytest.mark.timeout(TIMEOUT + 60)
 def test_socketcan_tests_pass_in_a_guest_with_can(no_can, tmp_path):
     if not no_can:
