@@ -5,14 +5,14 @@ ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-Straights determine gamma, bends d_x, bends at two speeds the slip s. The term e is the lateral motion of an INS above
-the roll axis as the body rolls. If the INS is a distance d_y to the left of the CG, its forward speed differs between
-left and right bends:
+with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds the slip s [s^2/m]. The term e is
+the lateral motion of an INS above the roll axis as the body rolls. If the INS is a distance d_y to the left of the CG,
+it is slower than the CG in left bends and faster in right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
-Ratio, offset and understeer K of the steering are also fitted, and the coefficient c of the deviation of the mean
-steering angle from phi in tight bends. Checked by: test_identification_driving.py.
+Also fitted: ratio and offset of the steering, understeer gradient K [rad s^2/m], and the coefficient c of the deviation
+of the mean steering angle from phi in tight bends. Checked by: test_identification_driving.py.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ SAMPLE_INTERVAL = 0.1  # s; filtered samples at shorter intervals are redundant
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
     """cg_to_ins_x [m], ins_misalignment [rad, + if the heading is too far left], and with tight bends cg_to_ins_y [m].
 
-    vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too little excitation.
+    vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too few or unusable drives.
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
@@ -84,7 +84,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, dr/dt, delta) at the INS, every SAMPLE_INTERVAL."""
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6): one sample of the mask per SAMPLE_INTERVAL."""
     where = np.flatnonzero(mask)
     if len(where):
         where = where[np.unique(np.floor(run.time[where] / SAMPLE_INTERVAL), return_index=True)[1]]
@@ -108,7 +108,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         forward = speed + rate * d_y
         kinematic = np.arctan(vehicle.wheelbase * rate / forward)
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
-        # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o
+        # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o, d_y': the next value of d_y
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
         theta, spread, _ = group.fit_least_squares(regressors, angle)
         d_y += float(theta[1] / theta[0])
@@ -129,7 +129,7 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """A sentence if the slip s contradicts the rear stiffness of the vehicle file, else ""."""
+    """A sentence if the slip s differs by 2 standard deviations from that of the vehicle file; "" also if uncertain."""
     expected = rear_slip_coefficient(vehicle)
     uncertainty = float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:

@@ -42,7 +42,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         table_uncertainty, table_name = tables.get(tyre, (0.0, ""))
         up, down = (math.log(abs(magic_formula_stiffness(load * (1.0 + step), formula)))
                     for step in (LOAD_STEP, -LOAD_STEP))
-        # Relative standard uncertainty of F_z due to mass and CG position.
+        # Relative standard uncertainty of F_z, which is proportional to m l_r (front) or m l_f (rear), with fixed l.
         distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
         load_uncertainty = math.hypot(*(
             (vehicle.provenance[key].uncertainty or 0.0) / size

@@ -4,9 +4,9 @@ The equations are in `tyres.py`, with scale factors lambda of 1 and p_ey3 from t
 shift added to the slip angle, common to all loads, absorbs conicity and plysteer and is then dropped.
 
 Stage 1, at the load nearest to nominal_load, fits p_cy1, p_dy1, p_ey1 and the stiffness K. Stage 2 fixes these and fits
-their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 would treat the values
-of stage 1 as exact, so a simultaneous fit, started from the result, yields the values and intervals. With two loads,
-p_ky4 is taken from the vehicle file; with one load, so are p_dy2, p_ey2 and p_ky2.
+their load dependence p_dy2, p_ey2, p_ky2, p_ky4 (p_ky1 follows from K), as in the paper. Stage 2 treats the values of
+stage 1 as exact, so the values and intervals come from a simultaneous fit, started from the result of the stages and
+from STARTS. With two loads, p_ky4 is taken from the vehicle file; with one load, so are p_dy2, p_ey2 and p_ky2.
 
 Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention (`check_table`). Source:
 paper, parameter identification and appendix. Checked by: test_identification_experiments.py.
@@ -29,7 +29,7 @@ MAX_SLIP = math.radians(40.0)
 MIN_SLIP = math.radians(3.0)
 LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the load varies during a sweep
 MIN_POINTS = 7  # minimum number of points at the nominal load, to which five parameters are fitted
-SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])
+SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])  # rad; edges for the coverage of |slip angle|
 MIN_FILLED_BINS = 3
 
 
@@ -45,7 +45,7 @@ class FlatPlank:
 
 
 def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
-    """(mean load of each level (m,), ascending [N], index of the level of each row (n,))."""
+    """(mean load of each level (m,), ascending [N], level index of each row (n,)). Raises IdentificationError."""
     if len(data.load) < MIN_POINTS or not (np.isfinite(data.load).all() and (data.load > 0.0).all()):
         lowest = float(np.min(data.load)) if len(data.load) else math.nan
         raise IdentificationError(f"{data.tyre}: {len(data.load)} rows with loads from {lowest:.4g} N: "
@@ -62,7 +62,7 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
 def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
     """(the table with a force that opposes the slip angle, whether the sign of the slip angle was changed).
 
-    Raises IdentificationError for an unusable table.
+    levels, level: from `find_load_levels`. nominal_load [N]. Raises IdentificationError for an unusable table.
     """
     if not (np.isfinite(data.slip).all() and np.isfinite(data.force).all()):
         raise IdentificationError(f"{data.tyre}: every row needs a slip angle and a lateral force")
@@ -132,13 +132,13 @@ class TyreFit:
     tyre: MagicFormula  # its fitted Magic Formula
     names: tuple[str, ...]  # fitted parameters, SHIFT last
     fit: BoundedFit  # simultaneous fit, with the parameters in this order
-    staged: MagicFormula  # the tyre after the paper's two stages
+    staged: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
     flipped: bool  # whether the sign of the slip angle was changed
 
     def compute_stiffness(self, load: float) -> tuple[float, float]:
-        """K [N/rad] of one tyre at a load [N] and its standard uncertainty, from the covariance of the fit."""
+        """K [N/rad], < 0, of one tyre at a load [N], and its standard uncertainty from the covariance of the fit."""
         value = magic_formula_stiffness(load, self.tyre)
         gradient = np.zeros(len(self.names))
         for k, name in enumerate(self.names):
@@ -150,9 +150,9 @@ class TyreFit:
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
-    """Fit a tyre in two stages, and then simultaneously. start: nominal_load and all parameters that are not fitted.
-
-    Raises IdentificationError for a table that does not determine a tyre.
+    """Fit a tyre in two stages, and then simultaneously. start: source of nominal_load and of all parameters that are
+    not fitted; its scale factors are replaced by 1. Raises IdentificationError for a table that does not determine a
+    tyre.
     """
     levels, level = find_load_levels(data)
     data, flipped = check_table(data, levels, level, start.nominal_load)
@@ -173,7 +173,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
 
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
-    """Estimates of the tyre's parameters, named as in the vehicle file, such as "tyre_front.p_ky1"."""
+    """Estimates of the parameters fitted by `fit_tyre`, named as in the vehicle file, such as "tyre_front.p_ky1"."""
     tyre_fit = fit_tyre(data, start)
     fit, tyre = tyre_fit.fit, tyre_fit.tyre
     levels, level = tyre_fit.levels, tyre_fit.level
@@ -261,7 +261,7 @@ def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) 
 
 
 def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
-    """The tyre with values in the order of names; a value is a number, or an array with an element per set."""
+    """The tyre with values in the order of names, without SHIFT; a value is a number or an array over several tyres."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 
 

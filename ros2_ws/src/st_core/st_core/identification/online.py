@@ -3,9 +3,9 @@
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
 and relaxation length of the tyres are fitted together to the last BUFFER_DURATION seconds. The standard deviation is
 the sum in quadrature of the variation between blocks of driving, converted to a normal distribution with the same 95 %
-interval, and of SYSTEMATIC_ERRORS, due to the single-track model. A value is estimated after sufficient excitation if
-its deviation is below MAX_DEVIATIONS. It is invalid if it is implausible for the car or if the residual of the model is
-too large. Valid for |a_y| <= 4 m/s^2 on dry, level roads. Checked by: test_online.py.
+interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
+estimated if its deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car, at a bound of the
+fit, or if the model's residual is too large. Valid for |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
 """
 
 import math
@@ -55,17 +55,17 @@ class OnlineEstimate:
     unit: str
     deviation: float  # standard deviation
     status: OnlineStatus
-    reason: str  # why it is not estimated, or invalid
+    reason: str  # why its status is unestimated or invalid; else empty
 
 
 @dataclass
 class DrivingTime:
-    """Duration of the driving so far [s]."""
+    """Duration of the driving so far [s], by kind."""
 
-    used: float = 0.0
-    straight: float = 0.0
-    left: float = 0.0
-    right: float = 0.0
+    used: float = 0.0  # neither too slow nor above the lateral acceleration of SETTINGS
+    straight: float = 0.0  # |l r / v| below a quarter of MIN_BEND_ANGLE
+    left: float = 0.0  # l r / v above MIN_BEND_ANGLE
+    right: float = 0.0  # l r / v below -MIN_BEND_ANGLE
     loaded_left: float = 0.0  # above MIN_LOADED_ACCELERATION
     loaded_right: float = 0.0  # above MIN_LOADED_ACCELERATION
     speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))  # by speed bin
@@ -91,7 +91,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _make_failed_fit(vehicle, str(error))
     files = [getattr(vehicle, name) for name in STIFFNESSES]
-    # Offset, ratio, and mean of both stiffnesses, each divided by its value in the vehicle file.
+    # Offset, ratio, and stiffness scale: mean over both axles of stiffness / stiffness in the vehicle file.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = 0.5 / np.array(files)
@@ -113,7 +113,7 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Estimates from samples in order of time. `fit`, the result of a `snapshot`, may come from another thread."""
+    """Estimates from samples in order of time. The caller sets `fit` to the result of `fit_recent` for a snapshot."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -129,7 +129,7 @@ class OnlineIdentifier:
         self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if it is not finite or not newer. A jump back by over 1 s resets all."""
+        """Add a sample at the INS point; False if not finite or not newer. A time jump back by over 1 s resets all."""
         if not all(map(math.isfinite, sample[1:7])):
             return False
         step = (sample.time_ns - self._newest_ns) * NANOSECOND
@@ -157,7 +157,7 @@ class OnlineIdentifier:
         return self.driving_time.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
 
     def take_snapshot(self) -> tuple[DriveLog, VehicleParameters]:
-        """The stored driving, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
+        """Stored driving and vehicle, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
         self._fitted_at = self.driving_time.used
         columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)

@@ -112,7 +112,7 @@ class Identification:
 
 
 def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence if a value of another origin differs significantly (two-sided, 5 %), else "".
+    """A sentence if a value of another origin differs significantly (two-sided, 5 %) from an estimate, else "".
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported if |z| > 1.96
     """
@@ -126,7 +126,7 @@ def describe_contradiction(estimate: Estimate, value: float, standard_uncertaint
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters with a correlation above a limit, which the data hardly separate."""
+    """A sentence for each pair of parameters with |correlation| above a limit, which the data hardly separate."""
     return tuple(f"The correlation of {names[i]} and {names[j]} is {correlation[i, j]:+.3f}: the data determine a "
                  "combination of the two better than each of them."
                  for i in range(len(names)) for j in range(i + 1, len(names)) if abs(correlation[i, j]) > limit)
@@ -174,7 +174,7 @@ def describe_stale_scales(vehicle: VehicleParameters, outcomes: Iterable[Identif
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
-    """A sentence if the value differs significantly from the vehicle file, else ""."""
+    """A sentence if the estimate differs significantly (5 %) from a file value with an uncertainty, else ""."""
     known = vehicle.provenance.get(estimate.parameter)
     if known is None or known.uncertainty is None or estimate.status == "unidentifiable":
         return ""

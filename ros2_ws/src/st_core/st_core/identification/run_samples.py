@@ -45,7 +45,7 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
 
     Velocity, yaw rate and steering pass the same zero-phase Butterworth filter of first order with `cutoff` [Hz]
     (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The lateral acceleration
-    is v_y_dot + v_x r, transformed to the CG. Raises IdentificationError for a drive without common measurements.
+    is v_y_dot + v_x r, transformed to the CG. Raises IdentificationError if INS and steering overlap by at most 0.4 s.
     """
     def smooth(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return filtered_derivative(time_ns, values, cutoff, MAXIMUM_GAP, "zero_phase")
@@ -60,7 +60,7 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
     _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, 5.0).sample(log.steering_time_ns, angle, time_ns)
-    # Samples nearer than FILTER_SETTLING_TIME to the ends of their gap-free stretch are left out.
+    # Nearer than FILTER_SETTLING_TIME to the ends of a gap-free stretch, the filter has not settled.
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins = time_ns[np.concatenate(([0], breaks + 1))]
     ends = time_ns[np.concatenate((breaks, [len(time_ns) - 1]))]
@@ -79,7 +79,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     If the steering wheel angle was recorded, the road wheel angle is computed with this vehicle's ratio and offset. The
     yaw rate bias of each drive is removed, since it would appear as an offset of the steering. needed: channels that
-    each drive must have. Raises IdentificationError for unusable drives.
+    each drive must have. Raises IdentificationError for no drive, a duplicate name, and unusable drives.
     """
     names = [log.name for log in logs]
     if not names:

@@ -3,7 +3,7 @@
 Method of the paper: the offset with which the predicted yaw rate agrees best with the measured one. Direct method: the
 mean reading in windows of nearly constant steering, corrected for the remaining curvature kappa,
 
-    o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance
+    o = mean(delta_h) - i L kappa (1 + K v_x^2),    kappa = change of heading / distance,    K: stability factor
 
 A crowned road, crosswind or worn tyres bias both results. Checked by: test_identification_driving.py.
 """
@@ -44,7 +44,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
         raise IdentificationError(
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g}"
             f" m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
-    # Without smoothing, road noise would cause an error of 0.02 deg at the steering wheel after four minutes.
+    # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
     smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
               for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER_NAME,), "linear", SETTINGS)
@@ -72,7 +72,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
 
 
 def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, offset [rad]) of the steady straight windows of a run, (n, 2)."""
+    """(start time [s], offset [rad] at the steering wheel) of the steady straight windows of a run, (n, 2)."""
     understeer = stability_factor(vehicle)
     rows = []
     for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):

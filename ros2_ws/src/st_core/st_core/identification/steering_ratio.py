@@ -35,7 +35,7 @@ class Line:
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
-    """Least-squares fit of a line. groups: group name of each point. Raises IdentificationError for a constant x."""
+    """Least-squares line. groups: group of each point. Raises IdentificationError for constant x or too few points."""
     members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
     centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
     square_sum = float(centred_x @ centred_x)
@@ -51,7 +51,7 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
 
 
 def fit_cubic(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
-    """((c_1, c_3) of a cubic fitted to the residuals of a line, whether it is significant). names: group of each point.
+    """((c_1, c_3) of a cubic fitted to residuals e of a line, whether it is significant). names: group of each point.
 
         e = c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
     """
@@ -95,7 +95,7 @@ class Turntable:
 
 
 def identify_steering_ratio(data: Turntable) -> Identification:
-    """Estimate of steering_ratio [1] by a straight line. Raises IdentificationError for an unusable table."""
+    """Estimate of steering_ratio [1] from the slope of a line. Raises IdentificationError for an unusable table."""
     _check_rows(data)
     mean = 0.5 * (data.left + data.right)
     line = fit_line(data.steering, mean, data.sweeps)
