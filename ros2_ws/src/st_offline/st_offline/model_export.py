@@ -27,7 +27,7 @@ STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable s
 def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
     """The model with this name or from this model file, and its car: the car embedded in the file, else `vehicle`.
     origin: source of `vehicle`, for error messages. requested: whether the user named `vehicle`. Raises
-    ConfigurationError for an unknown model or a model of another car, OSError for a file that cannot be read."""
+    ConfigurationError for an unknown or invalid model or one of another car, OSError for an unreadable file."""
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:
             raise ConfigurationError(f"{name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
@@ -40,9 +40,9 @@ def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bo
 
 def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,
                  free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
-    """Write the functions of a model into an existing folder, with model.json and README.md; returns the files. free:
-    parameters that stay arguments of the functions. bands: their half-widths are also written, as a CasADi function for
-    each mode and level. Raises ConfigurationError for an unknown parameter in `free`."""
+    """Write the functions of a model, model.json and README.md into an existing folder; returns the files. free:
+    parameters that stay arguments of the functions. bands: the half-widths become a CasADi function for each mode and
+    level. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
         files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]

@@ -15,7 +15,7 @@ def make_progress_bars(console: Console) -> Progress:
 
 
 def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
-    """Table with the keys of the first row as titles. options: of rich's Table."""
+    """Table with the keys of the first row as titles, empty without rows. options: of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
         # A model name that is split by a line break cannot be copied.
@@ -26,7 +26,7 @@ def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
 
 
 def print_line(text: str, console: Console) -> None:
-    """Print one line without wrapping; `text` may contain markup."""
+    """Print one line without wrapping; `text` may contain rich markup, so escape user text."""
     console.print(text, highlight=False, soft_wrap=True)
 
 
@@ -35,6 +35,6 @@ def report_problem(name: str, problem: str, console: Console) -> None:
 
 
 def list_files(files: Mapping[Path, str], console: Console) -> None:
-    """Print files, each with a description."""
+    """Print one line per file: its path and a description."""
     for file, description in files.items():
         print_line(f"  {escape(str(file))}  [dim]{description}[/dim]", console)

@@ -12,13 +12,13 @@ from st_core.measurement_history import MeasurementHistory
 from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
-HISTORY_SPAN = 60.0  # s, age of the oldest measurement used
+HISTORY_SPAN = 60.0  # s, maximum age of a measurement used, and of a verdict without new measurements
 WINDOW = 30.0  # s of measurements that are checked, if they contain enough driving
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
-SAMPLE_PERIOD_NS = 20_000_000  # to which measurements are thinned out
+SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurement between checks
-CPU_SHARE = 0.018  # limit of the processor time as a fraction of a core, for which checks may run less often
+CPU_SHARE = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -27,7 +27,7 @@ NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sam
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of one check. severity: the worst one; "" without findings. values: by finding, as text."""
+    """Result of a check. severity: worst confirmed fault; "note" for other findings; "" without. values: by finding."""
 
     severity: str
     message: str
@@ -56,7 +56,7 @@ class Consistency:
     def poll(self, history: MeasurementHistory, now: float) -> bool:
         """Run the checks if they are due; returns whether they were due. now: time of a monotonic clock [s].
 
-        An exception in a check is not raised, but becomes a warning.
+        An exception in a check is not raised; it becomes a verdict of severity "warning".
         """
         newest = history.ins.newest
         if self._started is None:
@@ -123,7 +123,7 @@ def _make_pending_verdict(driving_time: float) -> Verdict:
 
 
 def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
-    """findings: worst first. previous_faults: names of the previous faults. duration: length of the data [s]."""
+    """findings: worst first. previous_faults: names of the faults in the previous check. duration: of the data [s]."""
     values = {}
     for finding in findings:
         interval = finding.interval

@@ -23,7 +23,7 @@ from st_ros.polling import from_nanoseconds, to_nanoseconds
 from .map_drawing import BAND_MODE, Path, make_ribbon
 
 QUATERNION_TOLERANCE = 0.01  # error of the squared length; float32 rounding causes 1e-7, an unset orientation 1
-_NEVER_NS = 9_223_372_036 * 1_000_000_000  # value of rmw for "never"; rclpy returns this or more
+_NEVER_NS = 9_223_372_036 * 1_000_000_000  # whole seconds of rmw's value for "never"; rclpy returns this or more
 
 
 def read_ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
@@ -69,7 +69,7 @@ class PathBuilder:
 
 def make_prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters,
                             map_frame: str, configuration_hash: str) -> Prediction:
-    """Message of a prediction with held inputs, without issued_at and compute_time."""
+    """Message of a prediction with held inputs; the caller sets issued_at, compute_time and bands."""
     message = Prediction(model=model, configuration_hash=configuration_hash,
                          road_wheel_angle=float(start.inputs.road_wheel_angle),
                          velocity_x_dot=float(start.inputs.velocity_x_dot))
@@ -119,7 +119,7 @@ def _fill_trajectory(message: Prediction | PlannedPrediction, start: Start, traj
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
-    """(start_ns, trajectory) of a prediction message, or the reason why it cannot be used."""
+    """(start_ns, trajectory) of a prediction message, or why it cannot be used. Only the start must be finite."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays differ in length or have fewer than two points"
@@ -132,7 +132,7 @@ def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Traje
 
 
 def read_ins_path(message: Prediction) -> Path:
-    """The predicted path of the INS point, and the bands around it, for drawing."""
+    """The predicted path of the INS point with its forecast bands, except bands of another length than the path."""
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
     bands = sorted((b for b in message.bands if b.mode == BAND_MODE), key=lambda b: -b.level)

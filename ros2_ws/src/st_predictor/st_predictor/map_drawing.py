@@ -10,7 +10,7 @@ from st_core.types import body_to_map
 from st_core.vehicle import VehicleParameters
 
 TRACK_SPAN = 90.0  # s of measured track
-MAX_PATH_AGE = 1.0  # s; an older path is not drawn as the newest one
+MAX_PATH_AGE = 1.0  # s; a path of this age or older is not drawn as the newest one
 GHOST_AGES = (1.0, 2.0, 3.0, 4.0, 5.0)  # s, ages of the earlier predictions drawn in addition to the newest
 GHOST_TOLERANCE = 0.15  # s, largest difference between a prediction's age and a ghost age
 BAND_MODE = "forecast"  # mode of the drawn bands and paths
@@ -91,9 +91,9 @@ class Path:
 
 
 class History:
-    """Measured track and newest predictions; times are UTC.
+    """Measured track and newest predictions; times are UTC. Late and repeated samples are ignored.
 
-    Late and repeated samples are ignored; a step back in time of more than 1 s, as in a replay, clears the history.
+    A pose that is 1 s or more late, as after the restart of a replay, clears the history.
     """
 
     def __init__(self) -> None:
@@ -123,12 +123,12 @@ class History:
         return tuple(self._paths)
 
     def find_newest(self, model: str, now_ns: int) -> Path | None:
-        """The newest path of one of `models`; None if it is older than MAX_PATH_AGE."""
+        """The newest path of one of `models`; None if its age is MAX_PATH_AGE or more."""
         path = self._paths[model][-1]
         return path if now_ns - path.start_ns < MAX_PATH_AGE * 1e9 else None
 
     def find_ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
-        """Age [s] and path of the prediction closest to each of GHOST_AGES, youngest first."""
+        """(ghost age [s], path) for each of GHOST_AGES with a prediction within GHOST_TOLERANCE, youngest first."""
         paths = list(self._paths.get(model, ()))
         starts = [p.start_ns for p in paths]
         ghosts = []
@@ -141,7 +141,7 @@ class History:
         return ghosts
 
     def find_predicted_position(self, model: str, now_ns: int) -> tuple[float, float] | None:
-        """Position x, y [m] that the oldest prediction covering this instant predicted for it; None if none."""
+        """Position x, y [m] at this instant, from the oldest stored prediction that covers it; None without one."""
         for path in self._paths.get(model, ()):
             if (point := path.find_position(now_ns)) is not None and path.start_ns < now_ns:
                 return point

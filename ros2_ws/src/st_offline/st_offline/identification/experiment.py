@@ -51,7 +51,7 @@ class Experiment:
 
 
 def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
-    """Table row of each estimate, with the columns of COLUMN_NAMES; "in the file" is the value of `vehicle`."""
+    """Rows with the columns of COLUMN_NAMES, angles in degrees; "in the file" is the value of `vehicle`, if any."""
     rows: list[Sequence[str]] = []
     for e in outcome.estimates:
         factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
@@ -63,7 +63,7 @@ def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[S
 
 
 def format_rounded(value: float, uncertainty: float) -> str:
-    """A value rounded to the second significant digit of its uncertainty; to five digits without an uncertainty."""
+    """A value to two significant digits of its uncertainty, or to five digits without one; "unknown" if not finite."""
     if not math.isfinite(value):
         return "unknown"
     if not math.isfinite(uncertainty) or uncertainty <= 0.0:
@@ -74,7 +74,7 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell. units: as in the header. texts: as read."""
+    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell. units: of the header, in lower case."""
 
     file: Path
     numbers: Mapping[str, np.ndarray]
@@ -87,8 +87,8 @@ class MeasurementTable:
 
 def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Mapping[str, Sequence[str]] | None = None,
                  texts: Sequence[str] = ()) -> MeasurementTable:
-    """Read a CSV table: all `required` columns, and those of `optional` and `texts` that exist. required, optional:
-    permitted units by name. Raises RunError with the file and the invalid column or row."""
+    """Read a CSV table: all `required` columns, with a number in every row, and those of `optional` and `texts` that
+    exist. required, optional: permitted units by name. Raises RunError naming the file and the column or row."""
     check_readable(file)
     try:
         lines = [line for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]

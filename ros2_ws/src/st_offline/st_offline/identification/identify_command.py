@@ -48,8 +48,8 @@ class IdentificationJob:
 
 
 def run_command(job: IdentificationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if at least one parameter was identified, else 1. Raises StCoreError,
-    RunError, OutputError."""
+    """Run the command; returns the exit status: 0 if a parameter is identified or doubtful, 1 if all are unidentifiable.
+    Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.description}"):
         if job.experiment.files_needed and not job.files:
             raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
@@ -95,7 +95,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
 
 
 def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
-    """Findings of the checks by drive."""
+    """Findings of the checks, by name of the drive."""
     return {name: findings for outcome in outcomes for name, findings in outcome.findings.items()}
 
 
@@ -113,7 +113,7 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
 
 def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], car: VehicleParameters,
                   facts: dict[str, Any]) -> dict[str, Path]:
-    """Write all files; returns their paths by name."""
+    """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
                for outcome in outcomes]
@@ -130,8 +130,8 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
 
 
 def update_vehicle_text(file: Path, car: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
-    """The user's vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
-    edited file does not load as `car`, for example because a derived scale changes, a new file is written."""
+    """Text of the vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
+    file is unreadable, or does not load as `car` once edited (a derived scale may change): text of `car` alone."""
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
 

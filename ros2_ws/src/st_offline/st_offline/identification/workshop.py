@@ -19,7 +19,7 @@ from st_recordings.runs.errors import RunError
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, MeasurementTable, Setup, read_columns
 
-NOTES = ("weighing", "driver", "payload")  # columns of text
+NOTES = ("weighing", "driver", "payload")  # optional columns with text
 ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
 LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
 RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
@@ -50,7 +50,7 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw all weighings, with the 95 % intervals of mass and CG position."""
+    """Draw mass and CG position of each weighing, with the estimates and their 95 % intervals."""
     data = outcome.figure
     rows = np.arange(len(data["names"]))
     with apply_style():
@@ -155,7 +155,7 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 
 def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
-    """Pitch of each row [rad], measured or computed from the lift."""
+    """Pitch of each row [rad]: the column `pitch`, else computed from lift and wheel radii. Raises RunError."""
     columns = table.numbers
     if "pitch" in columns:
         if not np.isfinite(columns["pitch"]).all():
@@ -236,7 +236,7 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
 
 
 def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw measured and fitted lateral force, residuals, and stiffness versus load."""
+    """Draw lateral force and its residuals versus slip angle, and cornering stiffness versus load."""
     data = outcome.figure
     slip = np.degrees(data["slip"])
     with apply_style():

@@ -10,14 +10,14 @@ from st_ros import diagnostics
 from st_ros.diagnostics import Check
 from st_ros.parameters import ConfigurationError
 
-MAX_SYNC_DELAY = 1.0  # s until data that are not on the disk yet cause a warning; half a second is normal
+MAX_SYNC_DELAY = 1.0  # s, age of data not yet on the disk above which the node warns; half a second is normal
 
 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
     """Writer of a new bag in the folder of the parameter `output_directory`.
 
     If that folder contains files, a node with `number_when_taken` (which may have been restarted) uses NAME_2, NAME_3,
-    and so on. Raises ConfigurationError naming the folder if it is not empty or cannot be written.
+    and so on; any other node raises ConfigurationError, as does a folder that cannot be written or is a file.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
     name = values.output_directory
