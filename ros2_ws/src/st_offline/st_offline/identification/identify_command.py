@@ -48,7 +48,7 @@ class IdentificationJob:
 
 
 def run_command(job: IdentificationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if a parameter is identified or doubtful, 1 if all are unidentifiable.
+    """Run the command; returns the exit status: 0 if any parameter is identified or doubtful, else 1.
     Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.description}"):
         if job.experiment.files_needed and not job.files:
