@@ -33,7 +33,7 @@ BLOCK_SIZE = 1024  # starts predicted together; each model and mode then takes 7
 PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
 ALL_ROWS = slice(None)
-Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]  # (starts evaluated, all starts)
 BlockCallback = Callable[[np.ndarray, "Block"], None]
 FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """Function of all starts of an evaluation (n,) [ns], increasing, called once. It returns road wheel angle [rad],
@@ -84,7 +84,7 @@ class ModelErrors:
 
     @classmethod
     def empty(cls, count: int, horizon: np.ndarray) -> "ModelErrors":
-        """Errors of `count` starts, all incomplete until `add` is called. horizon: (points,) [s]."""
+        """Errors of `count` starts, all incomplete until `add` is called. horizon: (points,) time after a start [s]."""
         mean, square, largest = (np.full((count, 3), np.nan) for _ in range(3))
         at_seconds = np.full((count, int(horizon[-1] + 1e-9), 3), np.nan)
         return cls(np.zeros(count, bool), mean, square, largest, at_seconds, np.zeros((len(horizon), 3)))
@@ -221,7 +221,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The starts at which a prediction can be made, and the number of the others by reason."""
+    """The requested starts [ns] with known inputs and a CG not below minimum_speed [m/s]; number of others by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)
@@ -318,7 +318,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], place): instant k of start i is instants[place[k, i]]; overlapping horizons share instants."""
+    """(instants [ns], place): instants[place[k, i]] is after_ns[k] after start i; overlapping horizons share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
@@ -330,7 +330,7 @@ def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.nda
 
 def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                           times_ns: np.ndarray, step: float) -> np.ndarray:
-    """States (n, points, 6), as `LogBatch.predict` but with inputs held over each step. times_ns: (n, points)."""
+    """States (n, points, 6), as `LogBatch.predict` but with inputs held over each step [s]. times_ns: (n, points)."""
     corrected = signals.for_log(correct_log(model, signals.log, signals.maximum_gap))
     angle, acceleration = corrected.road_wheel_angle_at(times_ns), corrected.ins_at(times_ns, "velocity_x_dot")[0]
     states = corrected.states_at(starts_ns, model.effective_vehicle(vehicle))

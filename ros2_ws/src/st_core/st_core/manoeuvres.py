@@ -59,14 +59,14 @@ class SineSweep:
 class Manoeuvre:
     """Steering and pedal inputs over time.
 
-    closed_loop: the driver follows a road of this curvature; with pedals the road is a circle, and the steering is held
+    closed_loop: the driver follows a road with `curvature`; with pedals the road is a circle, and the steering is held
     while braking. Otherwise the steering is open loop.
     """
 
     name: str  # also the scenario name
     speed: float  # at the start [m/s]
     lateral: float  # peak target lateral acceleration at the initial speed [m/s^2]
-    profile: Shape  # lateral acceleration divided by `lateral`, over time
+    profile: Shape  # lateral acceleration divided by `lateral`, over the time in a period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
     pedals: tuple[tuple[float, float], ...] = ()  # consecutive (duration [s], forward acceleration [m/s^2])
@@ -126,7 +126,7 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
 def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, pause: float = 4.0) -> Manoeuvre:
     """Ramp steer within `up` [s], back within `down` [s], straight for `pause` [s]; then the same to the other side.
 
-    lateral: more than the tyres can reach.
+    lateral [m/s^2]: more than the tyres can reach.
     """
     return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (pause, 0.0, 0.0)),
                      2 * (up + down + pause), description=f"steering slowly increased to the limit at {speed:g} m/s")
@@ -134,7 +134,7 @@ def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 
 
 def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
                   acceleration: float = 2.0, driving: float = 6.0) -> Manoeuvre:
-    """Circle for `cruise` [s], braking [m/s^2] to a speed [m/s] with held steering, acceleration for `driving` [s]."""
+    """Circle for `cruise` [s], `braking` [m/s^2] to `down_to` [m/s], then `acceleration` [m/s^2] for `driving` [s]."""
     pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (driving, acceleration))
     period = sum(seconds for seconds, _ in pedals)
     constant = PiecewiseLinear(((period, 1.0, 1.0),))
@@ -158,13 +158,13 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
 
 
 def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
-    """Sine steering at one frequency [Hz]."""
+    """Sine steering at one frequency [Hz], for a number of waves."""
     return Manoeuvre("slalom", speed, lateral, SineSweep(frequency, frequency, waves / frequency), waves / frequency,
                      description=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
 
 
 def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
-    """Sine steering at 0.25 Hz with a small amplitude about the centre."""
+    """Sine steering at 0.25 Hz with a small amplitude about the centre, for a number of waves."""
     return Manoeuvre("weave", speed, lateral, SineSweep(0.25, 0.25, 4 * waves), 4 * waves,
                      description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
@@ -178,7 +178,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
-    """Two straights of 10 s in opposite directions, joined by U-turns, so that a steady wind acts from both sides."""
+    """Straights of 10 s in opposite directions, joined by U-turns to one side; a steady wind acts from both sides."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,

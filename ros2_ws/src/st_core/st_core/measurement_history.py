@@ -28,13 +28,13 @@ POSITION_TOLERANCE = 0.3  # m, unexplained displacement allowed at any distance;
 DISTANCE_TOLERANCE = 0.1  # of the distance driven, allowed in addition for errors of velocity scale and heading
 MAX_ACCELERATION = 10.0  # m/s^2 on tyres; it limits the error of the trapezoidal rule over longer steps
 MAX_EXAMINED_GAP = 10.0  # s; the motion within longer gaps is unknown
-# Positions may be noisier than RTK positions: a jump must also exceed NOISE_FACTOR times the median of the last
-# MIN_NOISE_STEPS to NOISE_STEPS steps, or MAX_NOISE [m].
+# Positions may be noisier than RTK positions: |d| of a jump must also exceed MAX_NOISE [m], or NOISE_FACTOR times the
+# median |d| of the previous NOISE_STEPS steps, of which there must be at least MIN_NOISE_STEPS.
 NOISE_STEPS, MIN_NOISE_STEPS, NOISE_FACTOR = 20, 5, 6.0
 MAX_NOISE = 5.0
 
 # A constant angle is frozen if delta' varies by more than the first value [rad], about 20 deg at the steering wheel,
-# plus the second value times the angle.
+# plus the second value times the magnitude of the angle.
 FROZEN_MIN_VARIATION, FROZEN_RELATIVE_VARIATION = 0.02, 0.3
 FROZEN_MIN_SPEED = 3.0  # m/s; below it the noise of the yaw rate gives large angles
 FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
@@ -74,11 +74,11 @@ class PositionJump(NamedTuple):
 class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
-    Samples out of order are sorted in; samples that are late by over half a second, repeated or contain NaN are
+    Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
     are unknown between samples further apart than maximum_gap and across a position jump. jumps: number of position
-    jumps since the start. jump: the newest of them.
+    jumps since the start. jump: the jump found last; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """

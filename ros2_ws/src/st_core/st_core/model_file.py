@@ -66,7 +66,7 @@ class ModelFile:
     def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
            embed: bool = True) -> "ModelFile":
-        """The file of a model. intervals: by (effect, parameter). embed: include the vehicle parameters in the file."""
+        """The file of a model. intervals: by (effect, parameter). source: of fitted values. embed: with `vehicle`."""
         effects = {effect.name: {p.name: Estimate(model.values[effect.name][p.name],
                                                   (intervals or {}).get((effect.name, p.name)),
                                                   source if p.fit else p.source) for p in effect.parameters}
@@ -74,7 +74,7 @@ class ModelFile:
         return cls(model.base.name, effects, vehicle if embed else None, vehicle.name, vehicle.hash, provenance)
 
     def model(self) -> AugmentedModel:
-        """The model. Raises ConfigurationError for an unknown or inapplicable effect, or a value out of bounds."""
+        """The model. Raises ConfigurationError for an unknown base or effect, or an inapplicable effect or value."""
         return augment(self.base, {effect: {name: estimate.value for name, estimate in estimates.items()}
                                    for effect, estimates in self.effects.items()})
 
@@ -210,7 +210,7 @@ def _check_text(where: str, value: Any) -> str:
 
 
 def _describe_differences(first: VehicleParameters, second: VehicleParameters) -> str:
-    """Entries of two cars with different values, such as "mass: 1590, 1700 kg"; "" if there are none."""
+    """Differences of two cars outside their tyres, such as "mass: 1590, 1700 kg", and how many more; "" if none."""
     values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
     listed = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
               for key, (a, b) in values.items() if a != b]

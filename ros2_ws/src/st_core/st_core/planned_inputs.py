@@ -113,8 +113,8 @@ def find_plan_problem(plan: PlannedInputs, start_ns: int, state: VehicleState, i
                       vehicle: VehicleParameters) -> str:
     """Reason, in one line, why a plan is not used for a forecast from a start [ns] over a horizon [s]; "" if used.
 
-    state, inputs: measured at the start. Checked, in this order: points, times, age, coverage, feasibility, agreement
-    with the measurements.
+    state, inputs: measured at the start. Checked, in this order: number of points, times, finite values, age, coverage,
+    spacing, feasibility, agreement with the measurements.
     """
     return _check_timing(plan, start_ns, horizon) or _check_demand(plan, start_ns, state, inputs, vehicle)
 
@@ -183,7 +183,7 @@ def apply_steering_dynamics(model: Model, planned: InputSequence, start_ns: int,
                             steering_ns: np.ndarray, steering: np.ndarray, maximum_gap: float) -> InputSequence:
     """Inputs of a model on the half-step grid from start_ns, with delay, play and lag of its steering.
 
-    steering_ns [ns], steering [rad]: recorded road wheel angle before the start. maximum_gap [s].
+    steering_ns [ns], steering [rad]: recorded road wheel angle up to the start. maximum_gap, step [s].
     """
     planned = select_inputs(model, planned)
     if not has_steering_dynamics(model):

@@ -22,7 +22,7 @@ from .vehicle import VehicleParameters
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps in a horizon; both [s]. Raises ConfigurationError if it is not a whole number >= 1."""
+    """Number of steps in a horizon; both [s]. Raises ConfigurationError unless a whole number from 1 to below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -120,7 +120,7 @@ class Start:
 class Skip:
     """No prediction at this time."""
 
-    kind: Literal["stale", "slow"]  # a measurement is missing, old or invalid; or the car is slow
+    kind: Literal["stale", "slow"]  # stale: a measurement is missing, too old, in the future or in a gap
     reason: str
 
 
@@ -135,7 +135,7 @@ class Predictor:
     model that requires a signal not measured live.
     """
 
-    SPAN = 2.0  # s of history, for late samples and the settling of the filter
+    SPAN = 2.0  # s of history at least, for late samples and the settling of the filter
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
                  settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):

@@ -46,7 +46,7 @@ def find_missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str
 
 def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
                      maximum_gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """(time [ns], angle of the wheels [rad]): delay, play and lag applied to a recorded road wheel angle.
+    """(time [ns], angle of the wheels [rad]): delay, play and lag applied to a recorded road wheel angle [rad].
 
     maximum_gap [s]: after a longer gap the effects restart.
     """
@@ -69,8 +69,8 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering. Only MEMORY_TIME [s] before the first instant is used, because
-    the wheels still follow it with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
+    time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, which the
+    wheels still follow with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):
         return ahead
@@ -87,7 +87,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time after an instant [ns] until which steering must be known to compute the wheel angle; > 0 for late stamps."""
+    """Time after an instant [ns] for which steering must be known to compute the wheel angle; > 0 for late stamps."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -95,9 +95,9 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by faultless sensors, with delay, play and lag of the steering applied.
-
-    maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration that was not recorded.
+    """The drive as recorded by faultless sensors, with delay, play and lag of the steering applied; if the model has
+    these, steering_wheel_angle is None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration
+    that was not recorded.
     """
     if not isinstance(model, AugmentedModel):
         return log

@@ -7,11 +7,11 @@ uncertainty considerably. With the influence psi_c of block c on the estimate, a
     least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   g_c = J_c^T e_c
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
-psi_c is the change of the estimate when block c is left out. The covariance is the limit of a bootstrap of the blocks;
-`Blocks.bootstrap` draws one for strongly nonlinear estimators. f accounts for even slower errors within one run: rho is
-the correlation of psi between adjacent blocks, pooled over the runs and corrected for its bias -(1 + 3 rho) / k
-(Marriott and Pope, 1954). Student's t has k / f - 1 degrees of freedom. Source: Cameron and Miller, A practitioner's
-guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
+Leaving out block c changes the estimate by -psi_c k / (k - 1). The covariance is the limit of a block bootstrap, which
+`Blocks.bootstrap` draws for strongly nonlinear estimators. f accounts for even slower errors within one run: rho is the
+correlation of psi between adjacent blocks, pooled over the runs, corrected for its bias -(1 + 3 rho) / k (Marriott and
+Pope, 1954), limited to 0 to 0.9. Student's t has max(k / f - 1, 1) degrees of freedom. Source: Cameron and Miller, A
+practitioner's guide to cluster-robust inference, 2015 (the jackknife CR3). Checked by: test_blocks.py.
 """
 
 import math
@@ -36,7 +36,7 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 
 
 def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:
-    """Degrees of freedom of a variance `total`, the sum of a known and an estimated variance.
+    """Degrees of freedom of a variance `total`, the sum of a known and the `estimated` variance; inf if that is 0.
 
     degrees_of_freedom: those of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
     """
@@ -53,7 +53,7 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def add_ridge(h: np.ndarray) -> np.ndarray:
-    """h (n, n) with a millionth of its mean diagonal added to the diagonal, so that it is invertible."""
+    """h (n, n) with a millionth of its mean diagonal, and 1e-9, added to the diagonal, so that it is invertible."""
     return h + (1e-6 * np.trace(h) / max(len(h), 1) + 1e-9) * np.eye(len(h))
 
 
@@ -128,7 +128,7 @@ class Blocks:
         return self._inflate(centred.T @ centred, centred)
 
     def bootstrap(self, estimator: Callable[[np.ndarray], np.ndarray], draws: int, seed: int) -> Spread:
-        """Uncertainty from draws of blocks with replacement. estimator: function of weights (m, k), gives (m, p)."""
+        """Uncertainty from draws of blocks with replacement. estimator: estimates (m, p) for weights (m, k)."""
         count = len(self)
         weights = np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=draws).astype(float)
         change = estimator(1.0 + WEIGHT_INCREMENT * np.eye(count)) - estimator(np.ones((1, count)))

@@ -30,7 +30,7 @@ class Model:
     extra_states: tuple[str, ...] = ()  # names of the states that follow the six
     start: Callable[[tuple, tuple, Any], tuple] | None = None
     signals: tuple[str, ...] = ()  # names of further measured quantities that the model needs
-    axle_forces: AxleForces | None = None  # of a dynamic base model, in which `make_rhs` contains them
+    axle_forces: AxleForces | None = None  # lateral, of a dynamic base model, whose rhs is from `make_rhs`
 
     @property
     def has_tyres(self) -> bool:
@@ -93,7 +93,7 @@ def motion(state, force_front, force_rear, w, p):
 
 
 def make_rhs(axle_forces: AxleForces) -> Callable[[tuple, tuple, Any], tuple]:
-    """The rhs of a dynamic model: `slip_angles`, then these forces, then `motion`."""
+    """The rhs of a dynamic model: `slip_angles`, then `axle_forces`, then `motion`."""
     def rhs(state, w, p):
         slip_front, slip_rear = slip_angles(state, w, p)
         force_front, force_rear = axle_forces(slip_front, slip_rear, w, p)

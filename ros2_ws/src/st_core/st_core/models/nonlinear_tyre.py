@@ -39,7 +39,7 @@ def axle_loads(velocity_x_dot, p: Parameters):
 
 
 def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
-    """(sin delta, cos delta, velocity_x_dot, B, 2 D, E of the front tyre, B, 2 D, E of the rear tyre)."""
+    """(sin delta, cos delta, velocity_x_dot, B, 2 D [N], E of the front tyre, B, 2 D [N], E of the rear tyre)."""
     load_front, load_rear = axle_loads(velocity_x_dot, p)
     b_front, d_front, e_front = magic_formula_coefficients(0.5 * load_front, p.tyre_front)
     b_rear, d_rear, e_rear = magic_formula_coefficients(0.5 * load_rear, p.tyre_rear)
