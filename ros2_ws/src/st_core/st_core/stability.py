@@ -1,8 +1,8 @@
-"""Stability of the numerical integration: the longest step at a given stiffness and speed.
+"""Stability of the numerical integration: whether a step is stable at a speed, and how to make it stable.
 
 The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
 Runge-Kutta with step h and stability function R damps a mode of eigenvalue s if |R(h s)| <= 1; otherwise a prediction
-oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the stiffness of the models is constant.
+oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the damping of the models is constant.
 """
 
 import math
@@ -48,7 +48,7 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
 
 
 def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
-    """Largest growth factor per Runge-Kutta step [1] of the physically damped modes; <= 1: stable.
+    """Largest growth factor per Runge-Kutta step [1] of the physically damped modes; 0 without any; <= 1: stable.
 
         |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
     """
@@ -58,7 +58,7 @@ def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, 
 
 
 def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
-    """The speed [m/s] above which a step [s] is stable; 0 if it is stable at all speeds, inf if at none.
+    """The speed [m/s] above which a step [s] is stable; 0 if stable from 0.05 m/s on, inf if not at SEARCH_START_SPEED.
 
     With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
     """
@@ -82,7 +82,7 @@ def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
-    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most MAX_SUBSTEPS."""
+    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; MAX_SUBSTEPS if fewer are too few."""
     speeds = list(speeds)
     return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
                 MAX_SUBSTEPS)
@@ -90,7 +90,7 @@ def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iter
 
 def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
                       step: float) -> float | None:
-    """Smallest minimum_slip_speed [m/s], in tenths, with which the models are stable at all speeds [m/s].
+    """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, not below the vehicle's.
 
     It exceeds `lowest_stable_speed`: below minimum_slip_speed the damping is constant, but the coupling v r of the two
     modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for

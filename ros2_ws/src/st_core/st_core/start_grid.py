@@ -1,6 +1,6 @@
 """Layout of prediction starts in a batch: the instants to sample, and the position of each start among them.
 
-The horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
+5 s horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
 they share instants: one grid for the log, in which point index * q + phase is stored at [phase, index], with q half
 steps between starts. Neighbouring starts are thus adjacent in memory at every instant, and nothing is copied. Other
 starts have separate instants in the same layout.
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SHARED_BLOCK = 8192  # starts per block with a shared grid; 33 000 grid points
+SHARED_BLOCK = 8192  # columns per block; on a shared grid with 4 half steps between starts, 33 000 instants
 SEPARATE_BLOCK = 2**17  # instants per block with separate instants
 
 
@@ -53,7 +53,7 @@ class GridBlock:
 def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, share: bool = True) -> Iterator[GridBlock]:
     """Blocks that cover all starts. starts_ns: increasing [ns]. instants_ns: times after each start, from 0 on [ns].
 
-    share: False if the values at an instant depend on the start.
+    lanes: columns that the kernel computes at once. share: False if the values at an instant depend on the start.
     """
     pieces = _find_pieces(starts_ns, instants_ns) if share else []
     if pieces and sum(piece.width for piece in pieces) <= 2 * len(starts_ns) + lanes:

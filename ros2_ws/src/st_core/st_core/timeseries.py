@@ -49,7 +49,7 @@ class TimeSeries:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Forget all samples and breaks."""
         self._times = np.empty(256, np.int64)
         self._rows = np.empty((256, len(self.columns)))
         self._first = self._end = 0
@@ -71,13 +71,13 @@ class TimeSeries:
 
     @property
     def newest(self) -> int | None:
-        """Time of the newest sample [ns]."""
+        """Time of the newest sample [ns]; None if there is none."""
         return int(self._times[self._end - 1]) if len(self) else None
 
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
 
-        A row with NaN, a repeated time and a late sample are refused. The series restarts if the clock was set back.
+        Rows that are not finite, repeated times and late samples are refused. The series restarts if the clock was set back.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -209,7 +209,7 @@ def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray
 
 
 def low_pass_step(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
-    """(filtered value, derivative [1/s]) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
+    """(filtered value, its derivative) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
 
     filtered: filtered value at `before`. cutoff [Hz].
     """
@@ -226,7 +226,7 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
     causal: the same numbers as from `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
     between gaps, then central differences are taken: no delay, twice the attenuation; for logs only. cutoff [Hz].
-    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing.
+    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for another mode.
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)
     if np.any(np.diff(times_ns) <= 0):

@@ -129,8 +129,8 @@ class VehicleParameters:
 
     Optional quantities: track_width of both axles [m]; drive_front, brake_front, load_transfer_front: fraction of the
     drive force, brake force and lateral load transfer on the front axle [1] (rear-wheel drive: drive_front 0);
-    side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm: its distance ahead of the
-    CG [m]. sources and provenance are by key, such as "tyre_front.p_cy1".
+    side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm: distance of the side force
+    ahead of the CG [m]. sources and provenance are by key, such as "tyre_front.p_cy1".
     """
 
     name: str
@@ -185,7 +185,7 @@ class VehicleParameters:
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 
-        Stated in the file, else from DEFAULT_UNCERTAINTIES; None if neither contains it.
+        Stated in the file and > 0, else from DEFAULT_UNCERTAINTIES; None if neither contains it, or if it is 0.
         """
         entry = self.provenance.get(key)
         if entry is not None and entry.uncertainty:
@@ -257,7 +257,7 @@ class VehicleParameters:
     def with_values(self, values: Mapping[str, float]) -> "VehicleParameters":
         """The car with some values (SI) replaced, by their keys in the file ("mass", "tyre_rear.p_cy1").
 
-        A derived lambda_ky is recomputed. Raises ConfigurationError for a value outside its limits.
+        A derived lambda_ky not in `values` is recomputed. Raises ConfigurationError for a value outside its limits.
         """
         fields: dict[str, Any] = {key: value for key, value in values.items() if "." not in key}
         for tyre in TYRES:
@@ -291,7 +291,7 @@ class VehicleParameters:
 
     @cached_property
     def hash(self) -> str:
-        """sha256 (hex) of all values in SI, without name, sources, and optional quantities at their default."""
+        """sha256 (hex) of all values in SI, without name, sources, provenance, and optional quantities at defaults."""
         values = {key: getattr(self, key) for key, quantity in VEHICLE_QUANTITIES.items()
                   if getattr(self, key) != quantity.default}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}

@@ -1,4 +1,4 @@
-"""Assembles and checks the node parameters of a run, and starts the virtual Leaf."""
+"""Assembles and checks the node parameters of a run, finds the bags of a run, and starts the virtual Leaf."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ def resolve_vehicle_file(given: Path | None) -> Path:
 
 
 def find_vehicle_name(vehicle: Path) -> str:
-    """Name of the car in results: the folder of a vehicle.yaml in a car folder, else the name of the file."""
+    """Name of the car in results: of its folder for a file vehicle.yaml, else of the file, without the suffix."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 
@@ -96,7 +96,7 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
     """Parameters that add a model file to the models of predictor and evaluator; empty without a file.
 
     effects: folder of user-defined effects of the model file. Raises SuiteError, StCoreError and RunError for a file
-    that is not a model or belongs to a car other than `vehicle`.
+    that is not a model or belongs to a car other than `vehicle`, and for effects without a model file.
     """
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
@@ -171,7 +171,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def find_recordings(path: Path) -> tuple[Path, list[Path]]:
-    """(bag with the measurements, bags with the scores) of a run, given as a bag or as its folder."""
+    """(bag with the measurements, bag with the scores: "errors" in the run folder, else the same) of a bag or run."""
     bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
     errors = bag.parent / "errors"
     return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]

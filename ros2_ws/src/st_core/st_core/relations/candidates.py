@@ -23,7 +23,7 @@ north, east: sine and cosine of yaw."""
 MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "acceleration_y": 0.5, "acceleration_x": 0.3,
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
-"""Minimum range of a quantity in the drives for candidates; smaller ranges are mostly noise and road unevenness."""
+"""Minimum range of a quantity or factor in the drives; smaller ranges are mostly noise and road unevenness."""
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
             "lean": ("acceleration_y", "lagging", 0.15)}
 """Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
@@ -140,7 +140,7 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 
 def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
-    """Every quantity at the INS samples with a speed above MIN_SPEED; slip angles are measured values."""
+    """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -161,8 +161,8 @@ def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str
 
 
 def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
-    """Candidates that these drives excite: quantities with a range above MIN_RANGES, sensor terms of measured channels,
-    and positions only at a single site, because the maps of several sites may have different origins."""
+    """Candidates that these drives excite: quantities and factors with a range above MIN_RANGES, sensor terms of
+    measured channels, positions only at a single site, because the maps of several sites may have different origins."""
     values, found = compute_quantities(windows, vehicle), []
     one_site = int(find_sites(windows).max()) == 0
     forms = [(term, quantity, parity, "") for term, quantities in ADMISSIBLE.items() for quantity, parity in quantities]

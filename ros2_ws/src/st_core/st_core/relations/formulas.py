@@ -12,8 +12,8 @@ from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61
-MIN_EXPLAINED = 0.5  # fraction of the gain of the curve, from its quadratic, that a shape must explain
-MIN_EXPLAINED_MORE = 1e-3  # the same, that a shape must explain in addition to any shape with fewer parameters
+MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
+MIN_EXPLAINED_MORE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
@@ -36,8 +36,8 @@ class Formula:
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape fitted by the quadratic about the curve. parameters: fitted to all blocks; by_fold: fitted
-    without each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) increase of the loss."""
+    """A shape fitted to the quadratic approximation of the loss. parameters: fitted to all blocks; by_fold: without
+    each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) held-out loss minus that of the curve."""
 
     name: str
     text: str
@@ -129,13 +129,13 @@ CONSTANT_CAUSES = {
 
 def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadratic,
                fold: np.ndarray) -> Sequence[FittedShape]:
-    """Up to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
+    """0 to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
     The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best has the
     lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain of the best
-    shape, or NEAR_SHARE with a held-out loss within one standard error of the paired differences of the blocks (Breiman
-    et al. 1984).
+    shape, or NEAR_SHARE with a held-out loss at most one standard error above the best, from the paired differences of
+    the blocks (Breiman et al. 1984).
     """
     points = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.compute_splines(points)

@@ -42,14 +42,14 @@ class NextDrives:
     options: Sequence[Option] = ()
 
     def find_most_precise(self, deviation: np.ndarray) -> Option | None:
-        """The option with the lowest maximum deviation; None if the improvement is below MIN_IMPROVEMENT. deviation:
-        (k,) in the existing runs."""
+        """The option with the lowest maximum deviation; None without options, or if the improvement is below
+        MIN_IMPROVEMENT. deviation: (k,) in the existing runs."""
         best = min(self.options, key=lambda option: float(option.deviation.max()), default=None)
         return best if best is not None and MIN_IMPROVEMENT * best.deviation.max() <= deviation.max() else None
 
     def find_most_separating(self) -> tuple[Option, str] | None:
-        """The option with the largest separation from its nearest rival, and that rival; None below MIN_SEPARATION or
-        MIN_IMPROVEMENT."""
+        """The option with the largest separation from its nearest rival, and that rival; None without rivals, below
+        MIN_SEPARATION, or below MIN_IMPROVEMENT times the current separation."""
         weakest = [(option, min(option.separation, key=option.separation.__getitem__))
                    for option in self.options if option.separation]
         best = max(weakest, key=lambda pair: pair[0].separation[pair[1]], default=None)
@@ -76,8 +76,8 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
                    design_effect: float, points: np.ndarray, deviation: np.ndarray,
                    sparse: Sequence[Range]) -> NextDrives:
-    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. points, deviation: (k,) of
-    the curve, with its standard deviations. Expected deviations are from the curvature of the loss at the fit."""
+    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: of candidate
+    screening. points: (k,). deviation: (k,) standard deviation of the curve. sparse: from `find_sparse_ranges`."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.compute_splines(points)
@@ -135,6 +135,6 @@ def _compute_separation(h: np.ndarray, fit: RelationFit, other: RelationFit, des
 
 
 def _compute_variance(h: np.ndarray, splines: np.ndarray) -> np.ndarray:
-    """(k,) variance of the curve, up to a constant factor."""
+    """(k,) variance of the curve at the points of `splines`, up to a constant factor. h: curvature with the penalty."""
     inverse = np.linalg.inv(h + RIDGE * np.eye(len(h)))[-SPLINES:, -SPLINES:]
     return np.einsum("ik,ij,jk->k", splines, inverse, splines)

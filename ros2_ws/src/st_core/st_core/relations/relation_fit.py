@@ -20,8 +20,8 @@ from ..vehicle import VehicleParameters
 from .candidates import Candidate, compute_run_time
 
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
-PENALTIES = (0.003, 0.03, 0.3)  # penalties on second differences, relative to the mean curvature of the coefficients
-SIZE_PENALTY = 0.1  # penalty on coefficients, relative to that on second differences; shrinks uninformed ones to 0
+PENALTIES = (0.003, 0.03, 0.3)  # on second differences, relative to the mean curvature of the loss per coefficient
+SIZE_PENALTY = 0.1  # on coefficients, relative to that on second differences; shrinks undetermined ones to 0
 ITERATIONS, STEP_SHARES, MIN_LOSS_REDUCTION = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
 BASE_FITS = 2  # fits of the discovered model without a relation
 RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
@@ -181,7 +181,7 @@ class RelationFits:
         return Quadratic(q.cost, q.gradient @ projection, hessian)
 
     def fit_without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
-        """The relation with an effect of the discovered model removed and everything else refitted."""
+        """The relation with an effect of the discovered model removed, and effects and relation refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}

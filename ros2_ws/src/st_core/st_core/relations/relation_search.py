@@ -20,7 +20,7 @@ from .selection import ScreenedCandidate
 
 MAX_FITTED = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
-MAX_DETECTABLE = 3.0  # typical magnitudes; model terms with a higher detection limit are reported as not examined
+MAX_DETECTABLE = 3.0  # typical magnitudes; model terms whose detection limits are all higher count as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
@@ -37,8 +37,8 @@ class Relation:
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for the tried
     candidates. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
     without the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of
-    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: size by
-    run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
+    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: relative
+    size by run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
     each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
@@ -68,8 +68,8 @@ class Relation:
 @dataclass(frozen=True)
 class RelationSearch:
     """Result of a search. relation: None if none is significant and large enough. reason: why it is None, or the gain
-    of the relation. tried: held-out gain [1] and p-value [1] of every candidate, best first. detection_limits: by
-    candidate, the smallest detectable value of a linear relation at the end of its range [unit of the curve]."""
+    of the relation. tried: held-out gain per residual [1] and p-value [1] of each candidate, best first.
+    detection_limits: by candidate, smallest detectable linear relation, at the end of its range [unit of the curve]."""
 
     relation: Relation | None
     reason: str
@@ -77,7 +77,7 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
-        """Model terms with a detection limit above MAX_DETECTABLE typical magnitudes."""
+        """Model terms without a candidate whose detection limit is at most MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")

@@ -42,7 +42,7 @@ class ScreenedCandidate:
     information: np.ndarray
 
     def compute_detection_limit(self, p_value: float, blocks: int) -> float:
-        """Smallest detectable value of a linear relation at the end of its range [unit of the curve], at a p-value."""
+        """Smallest value of a linear relation at the end of its range [unit of the curve] that reaches a p-value."""
         c = self.candidate
         points = np.linspace(c.low, c.high, POINTS)
         line = np.linalg.lstsq(c.compute_splines(points).T, points / max(abs(c.low), abs(c.high)), rcond=1e-6)[0]
@@ -213,7 +213,7 @@ def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 
 def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     """Size of the relation in each run relative to the overall one, from the quadratic approximation, with all other
-    parameters refitted."""
+    parameters profiled out; empty with fewer than two informative runs."""
     h = fit.quadratic.hessian.sum(axis=0)
     others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
     direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
