@@ -37,7 +37,7 @@ class Formula:
 @dataclass(frozen=True, eq=False)
 class FittedShape:
     """A shape fitted to the quadratic approximation of the loss. parameters: fitted to all blocks; by_fold: without
-    each fold. explained [1]: fraction of the gain of the curve. held_out: (b,) held-out loss minus that of the curve."""
+    each fold. explained [1]: fraction of the curve's gain. held_out: (b,) held-out loss minus that of the curve."""
 
     name: str
     text: str
