@@ -13,7 +13,7 @@ from .extraction import Data, Field
 
 
 class Mode(StrEnum):
-    """Reaction to a wrong counter or checksum: OFF: none, WARN: pass the frame on as invalid, DROP: discard it."""
+    """Reaction to a wrong counter or checksum. OFF: not checked; WARN: pass the frame on as invalid; DROP: discard."""
 
     OFF = "off"
     WARN = "warn"
@@ -38,7 +38,7 @@ def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
 
 
 RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
-"""Name of a checksum -> (its number of bits, function that computes it)."""
+"""Name of a checksum -> (its number of bits, function (payload with checksum 0, identifier) -> checksum)."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class CheckSpec:
 
 @dataclass(frozen=True)
 class ChecksumSpec(CheckSpec):
-    """Checksum of a message, in one frame or in all frames of a log."""
+    """Checksum of a message. rule: see RULES. data: payload of one frame, or of all frames of a log."""
 
     rule: Callable[[Sequence[Any], int], Any]
 
@@ -71,7 +71,7 @@ class CounterCheck:
 
     Every step other than +1 is a fault; a step of k > 1 counts as k - 1 lost frames (modulo the counter's range). The
     received value is always the new reference, so one lost frame counts as one fault. The first frame, and the first
-    after a gap longer than `restart_after_ns`, are not checked.
+    after a gap longer than `restart_after_ns` or after a step back in time, are not checked.
     """
 
     def __init__(self, field: Field, restart_after_ns: int):
@@ -100,8 +100,8 @@ class CounterCheck:
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Whether the counter of each frame of a log did not increase by one. As in CounterCheck, an `unreadable` frame
-    also increases the expected counter. restart_after_ns: gap after which any counter is correct."""
+    """Mask (n,) of the readable frames of a log whose counter is not the previous one plus 1. As in CounterCheck, an
+    `unreadable` frame increases the expected counter. restart_after_ns: gap [ns] after which any counter is correct."""
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))
     before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame

@@ -20,7 +20,7 @@ from .table_reader import TableError
 
 @dataclass(frozen=True)
 class Decoded:
-    """One decoded frame.
+    """One decoded frame, received at time_ns [ns since 1970].
 
     values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong.
     """
@@ -33,7 +33,8 @@ class Decoded:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. last_seen_ns: time of the last good frame, None before the first."""
+    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. dropped: failed in
+    mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals, None before."""
 
     good: int = 0
     wrong_length: int = 0
@@ -68,8 +69,8 @@ class _MessageState:
 class Decoder:
     """Decodes the messages of one signal table; raises the errors of `load_table`.
 
-    A bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible)
-    updates only the counts of faults. `decode` never raises.
+    For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
+    `decode` only counts the fault; it never raises.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
@@ -88,7 +89,7 @@ class Decoder:
         return self._states[self.table.messages[message].key].statistics
 
     def decode(self, frame: can.Message, time_ns: int) -> Decoded | None:
-        """The signals of a frame; None for a bad frame or one that is not in the table. time_ns: time of receipt."""
+        """The signals of a frame received at time_ns; None if it is bad or contains none of the table's signals."""
         if frame.is_error_frame:
             self.frames.error += 1
             return None
@@ -157,7 +158,7 @@ class Decoder:
 
         message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit; a
         message with date and time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A
-        value outside the signal's range is clipped, as by a sensor; angles of the INS are wrapped into the range.
+        value outside the range of an integer is clipped, as by a sensor; angles of the INS are wrapped into the range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)
@@ -230,7 +231,7 @@ def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> Signal
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """Converts sensor readings: road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
+    """Converts readings [rad]: road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
 
     steering_sign: +1 if the decoded sensor value is positive to the left, -1 if positive to the right.
     steering_wheel_offset [rad, left +]: steering_sign * sensor when driving straight. steering_ratio [1].

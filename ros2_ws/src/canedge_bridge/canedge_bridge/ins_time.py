@@ -28,7 +28,7 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _from_gps_seconds(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN at 0, which means that the time is unknown.
+    """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN unless positive, as 0 means unknown.
 
     offset: leap seconds as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
     the sign in a real frame is not known.
@@ -61,7 +61,7 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
 
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """GPS time signals in `names` for UTC [s since 1970]; a date and time are rounded to 0.01 s."""
+    """GPS_SECONDS_PARTS for UTC [s since 1970] if `names` has gps_time, else DATE_TIME_PARTS, rounded to 0.01 s."""
     leap = leap_seconds_at_utc(unix_time)
     if "gps_time" in names:
         # Sign as in NCOM: UTC - GPS time, which is negative.

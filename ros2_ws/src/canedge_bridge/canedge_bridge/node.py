@@ -194,7 +194,7 @@ def serialise_frame(frame: can.Message, time_ns: int) -> bytes:
 
 
 def serialise_frames(frames: list[bytes], bus: str) -> bytes:
-    """st_msgs/CanFrames as CDR. frames: one or more from `serialise_frame`, in order of arrival. bus: bus name."""
+    """st_msgs/CanFrames as CDR, stamped as the first frame. frames: from `serialise_frame`, in order, at least one."""
     name = bus.encode() + b"\0"
     head = frames[0][:_STAMP_SIZE] + struct.pack("<I", len(name)) + name + bytes(-len(name) % 4)
     return b"".join((_LITTLE_ENDIAN, head, struct.pack("<I", len(frames)), *frames))

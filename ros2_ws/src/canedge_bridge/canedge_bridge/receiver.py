@@ -30,7 +30,7 @@ class BusState(StrEnum):
     """State of the bus as seen by the receiver."""
 
     OK = "ok"                        # frames are received
-    SILENT = "silent"                # open, no error, but no frame for a while
+    SILENT = "silent"                # open, no error, but no data frame yet or for a while
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
@@ -41,8 +41,8 @@ class BusState(StrEnum):
 class ReceiverStatus:
     """Snapshot of the receiver: state, reason (one line, empty without a fault) and counts since the start.
 
-    delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames; NaN
-    before the first.
+    delay, delay_maximum: from the receive stamp to the callback [s], median and maximum of the last 512 frames that are
+    not error frames; NaN before the first.
     """
 
     state: BusState = BusState.GONE
@@ -58,11 +58,11 @@ class ReceiverStatus:
 
 
 class Receiver:
-    """Calls `on_frame(frame, time_ns)` in its own thread for every data frame and every error frame.
+    """Calls `on_frame(frame, time_ns)` in its own thread for every frame, also error and remote frames.
 
     open_bus: opens the bus; if it raises, it is called again after 0.1 s, a delay that doubles each time up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
-    silence: seconds without a frame after which an open bus counts as silent.
+    silence: seconds without a data or remote frame after which an open bus counts as silent.
     network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a
     bus without a network interface.
     on_error: called with every exception raised by a callback or by closing the bus; such errors do not end the thread.
@@ -165,7 +165,7 @@ class Receiver:
             self._set_state(state, text)
 
     def _is_passive(self) -> bool:
-        """Whether the controller is error-passive and has sent an error frame recently."""
+        """Whether the state is error-passive and an error frame was received within _ERROR_PASSIVE_TIMEOUT."""
         return (self._status.state is BusState.ERROR_PASSIVE
                 and time.monotonic() - self._last_error_frame_at < _ERROR_PASSIVE_TIMEOUT)
 
@@ -243,10 +243,7 @@ _PASSIVE = 0x30
 
 
 def describe_error_frame(frame: can.Message) -> tuple[str, BusState | None]:
-    """Text for the error classes of a frame, and the bus state that it reports, None if it reports none.
-
-    A frame without a known class bit gives "unknown error class" with its identifier.
-    """
+    """Text for the error classes of a frame, and the bus state that it reports, None if it reports none."""
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")
     details = {0x002: f"bit {data[0]}" if data[0] else "",

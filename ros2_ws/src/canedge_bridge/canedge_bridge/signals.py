@@ -19,7 +19,7 @@ from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
 
-# Canonical signal name -> SI unit. Angles in ANGLES are wrapped to [-pi, pi).
+# Canonical signal name -> SI unit, or h or min for parts of GPS time. Angles in ANGLES are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
     "steering_wheel_angle": "rad",
     "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
@@ -31,7 +31,7 @@ CANONICAL_SIGNALS = {
 }
 ANGLES = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Steering wheel angle [rad] that the sensor must cover to either side if the table gives no range.
+# Steering wheel angle [rad] assumed as range to either side if the table gives none; half of it must be covered.
 MIN_STEERING_SPAN = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
@@ -61,8 +61,8 @@ class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
     unit: as in the table. factor: converts this unit to SI. minimum, maximum: possible range [unit]. max_rate: largest
-    possible rate of change [unit/s]. sign: extractor of the signal that makes `physical` negative unless it is 0, for a
-    sensor that sends magnitude and sign separately.
+    possible rate of change [unit/s]. sign: for a sensor that sends magnitude and sign separately: extractor of the sign
+    signal; `physical` is negative unless this signal is 0 or not in the frame.
     """
 
     extractor: Extractor
@@ -98,7 +98,7 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One message of the table. period, timeout: [s]. fill: raw values of signals that are encoded but not decoded."""
+    """One message of the table. period: nominal [s]. timeout: maximum age [s]. fill: raw values to encode only."""
 
     dbc: DbcMessage
     needed: bool
@@ -316,7 +316,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError for a layout that cannot reach both ends of its range, such as an unsigned steering angle."""
+    """Raises TableError if a layout cannot reach half of both limits of its range, as an unsigned steering angle."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor

@@ -71,7 +71,7 @@ class LoopbackMulticastBus(can.BusABC):
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
-        """channel: IPv4 "group" or "group:port"; ValueError for anything else, OSError if it cannot be opened."""
+        """channel: IPv4 "group" or "group:port". Raises ValueError for any other, OSError if it cannot be opened."""
         group, port = parse_channel(channel)
         self.channel_info = f"udp_multicast {group}:{port} on loopback"
         self._destination = (group, port)
@@ -107,7 +107,7 @@ class LoopbackMulticastBus(can.BusABC):
         sender.bind(("127.0.0.1", 0))
 
     def _apply_filters(self, filters: Any) -> None:
-        """Stores exact identifiers in a set for `_unpack`; python-can applies filters with another mask."""
+        """Stores exact identifiers in a set for `_unpack`; python-can itself applies filters with other masks."""
         self._accepted = None
         if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
             self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
@@ -127,7 +127,7 @@ class LoopbackMulticastBus(can.BusABC):
         return message, self._accepted is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
-        """(datagram, kernel receive time); (None, 0) for a datagram sent by this bus; None if none is waiting."""
+        """(datagram, kernel receive time [s since 1970]); (None, 0) for one of this bus; None if none is waiting."""
         try:
             data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
         except BlockingIOError:
@@ -140,7 +140,7 @@ class LoopbackMulticastBus(can.BusABC):
         return data, seconds + nanoseconds * 1e-9
 
     def _unpack(self, data: bytes, timestamp: float) -> can.Message | None:
-        """None for a frame that the filter rejects or that is malformed; any process can send to a multicast group."""
+        """The frame in a datagram; None if rejected by the filter or malformed (any process can send to the group)."""
         try:
             fields = msgpack.unpackb(data, raw=False)
             if any(type(fields.get(name, type_())) is not type_ for name, type_ in _FIELD_TYPES.items()):

@@ -104,7 +104,7 @@ class Publishers:
         """Publish odometry, the transform from odom to base_link, and velocity.
 
         Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
-        frame [m], None without an origin.
+        frame [m]; None without an origin: only velocity is published.
         """
         if position is not None:
             if self._out["odometry"].has_subscribers(now):
@@ -148,7 +148,7 @@ class Publishers:
 
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy,
                     now: float) -> None:
-        """Publish sensor_msgs/Imu. motion: None without a valid attitude.
+        """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None without a valid attitude.
 
         The orientation covariance is zero if unknown; -1 in its first element means that the orientation is unknown.
         """

@@ -1,7 +1,7 @@
 """Derives the vendor's additional quantities from decoded packets: level-frame values, speed, slip, distance, ISO axes.
 
-Level frame: forward, right, down; Iso: forward, left, up. NaN where an input is missing and in packets without valid
-navigation (status other than 3, 4, 21, 22). Checked by: tests/golden/test_ncom_vectors.py.
+Level frame: forward, right, down without pitch and roll; Iso: forward, left, up. NaN where an input is missing and in
+packets without valid navigation (status other than 3, 4, 21, 22). Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from .motion import Motion
 from .ncom import STATUS_ONLY, Packet
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
-# Accuracy of the horizontal speed until the unit sends one [m/s].
+# Accuracy of the horizontal speed while the unit gives none [m/s].
 UNKNOWN_SPEED_ACCURACY = 0.14
 # Distance is not integrated across a step of the packet time that is backward or longer than this [s] (joined files).
 LONGEST_STEP = 10.0
@@ -76,7 +76,7 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
 
 
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, accuracy: np.ndarray) -> None:
-    """yaw_rate: clockwise, in level axes [rad/s]. accuracy: as Settings.speed_accuracy."""
+    """Slip is track minus heading. yaw_rate: clockwise, in level axes [rad/s]. accuracy: as Settings.speed_accuracy."""
     east, north, up = motion.velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
@@ -156,8 +156,8 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter, None: unchanged. NaN
-    until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
+    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter; one 0 or None: ignored.
+    NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
     the first of them.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """

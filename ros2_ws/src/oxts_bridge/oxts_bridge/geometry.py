@@ -2,8 +2,8 @@
 
 NED and FRD (forward, right, down), as in a packet, become ENU and FLU (forward, left, up):
 
-    R_enu_flu = T R_no F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),  R_no = Rz(heading) Ry(pitch) Rx(roll)
-    as fixed-axis angles: roll = roll, pitch = -pitch, yaw = pi/2 - heading
+    R_enu_flu = T R_ned_frd F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),
+    R_ned_frd = Rz(heading) Ry(pitch) Rx(roll);  fixed-axis angles in ENU: roll, -pitch, pi/2 - heading as yaw
 
 Source: NCOM manual 260702, REP-103. Checked by: test_geometry.py (worked examples; short distances against the radii of
 the ellipsoid), and the inverse in st_sim.
@@ -90,7 +90,7 @@ class Attitude:
                 xz, yz, ve * c * c + vn * f * f + vu * i * i)
 
     def rotate_orientation_covariance(self, attitude_variances: Vector) -> tuple[float, ...]:
-        """Covariance about the fixed axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
+        """Covariance about the ENU axes at small pitch and roll, row by row: Rz(yaw) diag(variances) Rz(yaw)^T.
 
         attitude_variances: of roll, pitch, heading [rad^2]."""
         sin, cos, _ = _get_functions(self.yaw)

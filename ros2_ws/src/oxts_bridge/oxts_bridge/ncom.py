@@ -25,7 +25,7 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 _SYNC = bytes([SYNC])
 
-# Index of the first byte of each field. A checksum is the low byte of the sum of all bytes from byte 1 on.
+# Index of the first byte of each field. A checksum is the low byte of the sum of bytes 1 to the one before it.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
 LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
 VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
@@ -119,7 +119,7 @@ def rank_mode(mode: int | None) -> int:
 
 
 def get_fix_status(mode: int | None) -> int:
-    """NavSatStatus.status for a position mode; NO_FIX for None and undefined numbers."""
+    """NavSatStatus.status for a position mode; NO_FIX for modes without a position, None and undefined numbers."""
     return NO_FIX if mode is None else _FIX_STATUS.get(mode, NO_FIX)
 
 
@@ -245,7 +245,7 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
 
     in_sync: a packet is expected at `start`. Counts checksum_errors and skipped_bytes. Out of sync, a packet is
     accepted only if all three checksums are correct and its navigation status is defined, because checksum 3 alone
-    matches by chance for one in 256 false sync bytes.
+    matches by chance for one in 256 false sync bytes; for structure B, checksum 3 suffices.
     """
     while start < len(data):
         if data[start] == SYNC:

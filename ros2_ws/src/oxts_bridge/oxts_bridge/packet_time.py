@@ -50,8 +50,8 @@ class GpsClock:
     """Tracks the GPS time of packets that all have milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute has precedence over the count.
-    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, or forward by more
-    than 1 s beyond the pause on the receive clock.
+    minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, forward by more than
+    1 s beyond the pause on the receive clock (0 in a file), or to a sent minute that differs from the count.
     """
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class GpsClock:
         return self._compute_time() is not None and self._unconfirmed is None and self._late_count == 0
 
     def hint(self, minute: int) -> None:
-        """Set the minute from a status-only packet (its milliseconds are not valid) if none is known yet."""
+        """Set the minute, sent without valid milliseconds or estimated from the host's clock, if none is known yet."""
         if self.minute is None:
             self.minute = minute
 
@@ -119,7 +119,7 @@ class GpsClock:
         return difference is not None
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
-        """GPS time [ms] and order of a packet that is `behind` the newest one by this many milliseconds."""
+        """(GPS time [ms], order) of a packet that seems late by `behind` [ms]; NEW if the clock was set instead."""
         now = self._compute_time()
         if minute is not None and now is not None and minute * MINUTE_MS + ms > now:  # a later minute was sent
             self.jumps += 1

@@ -50,7 +50,7 @@ class Continuity:
 
     def continues(self, data: bytes) -> bool:
         """Whether the first packet of a datagram is at most 1 s later than the newest packet, at a position consistent
-        with the velocity; false if either position is unknown."""
+        with the velocity; false if it is no packet, or a position or velocity is unknown."""
         before = self._newest
         try:
             packet = decode(data[:PACKET_SIZE])
@@ -114,9 +114,9 @@ class Source(ABC):
 class UdpSource(Source):
     """Receives the datagrams of a UDP port; a port that cannot be opened is retried every second.
 
-    Without a filter, only the first address that sends NCOM is used, so that two units on one network do not mix. Of
-    this address, only the first port is used; datagrams from another port are accepted if they continue the stream
-    (from a sender that opens a port per datagram, or a restarted relay).
+    Without a filter, only the first address that sends NCOM is used until it is silent for SENDER_TIMEOUT, so that two
+    units on one network do not mix. Of this address, only the first port is used; datagrams from another port are
+    accepted if they continue the stream (from a sender that opens a port per datagram, or a restarted relay).
     """
 
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
@@ -252,7 +252,7 @@ class ReplaySource(Source):
 
 
 def _compute_due_times(gps_ns: np.ndarray, start_offset: float) -> np.ndarray:
-    """Time to send each packet [ns after the start], negative before the start offset.
+    """Time to send each packet at normal speed [ns after the start], negative before the start offset [s].
 
     A packet without a time is sent with the previous one, or with the first one that has a time.
     """

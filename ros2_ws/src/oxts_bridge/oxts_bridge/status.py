@@ -39,7 +39,7 @@ class StatusTracker:
 
     def update(self, channel: int, data: bytes, gps_seconds: float | None = None,
                position: tuple[float, float, float] | None = None) -> dict[str, Value]:
-        """Set and return the values in the 8 bytes of a channel; empty if the bytes repeat the previous ones.
+        """Set and return the values in the 8 bytes of a channel; empty if they repeat (except _NEVER_SKIPPED).
 
         gps_seconds: time of the packet, for the wheel speed. position: latitude, longitude [rad], altitude [m] of the
         packet, for channel 25.
@@ -98,7 +98,7 @@ class StatusTracker:
 
     @property
     def local_frame(self) -> tuple[float, float, float, float] | None:
-        """Latitude, longitude [deg], altitude [m] of the origin and heading [deg] of the unit's newest local frame."""
+        """Latitude, longitude [deg], altitude [m], heading [deg] of the unit's newest local frame; None if unknown."""
         # All four are set together.
         return None if self.get("RefLat") is None else tuple(self.values[name] for name in LOCAL_FRAME)
 

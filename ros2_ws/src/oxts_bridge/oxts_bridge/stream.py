@@ -13,7 +13,7 @@ _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 HOST_MINUTE_DELAY_NS = 2_000_000_000
 # A step longer than this many typical steps is a gap.
 GAP_STEPS = 1.75
-_CLOCK_SAMPLES = 1000  # four seconds at 250 Hz
+_CLOCK_SAMPLES = 1000  # number of clock offsets that are kept: four seconds at 250 Hz
 
 
 @dataclass(slots=True)
@@ -145,7 +145,7 @@ class NcomParser:
 
 
 class HostMinute:
-    """Sets the GPS minute from the host clock if a live stream lacks channel 0 (normally every 10th packet)."""
+    """Sets the GPS minute from the host clock if a live stream lacks channel 0, normally in every 10th packet."""
 
     def __init__(self) -> None:
         self._untimed_since: int | None = None
@@ -171,7 +171,7 @@ class StreamStatistics:
         self._typical_ns = 0
         self._last_gps_ns: int | None = None
         self._offsets: deque[int] = deque(maxlen=_CLOCK_SAMPLES)  # packet time minus receive time [ns]
-        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since take()
+        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since summarise_steps()
 
     def add(self, received: ReceivedPacket) -> None:
         """Count a new regular packet, unless its time is unknown."""
@@ -190,14 +190,14 @@ class StreamStatistics:
             self._offsets.append(received.utc_ns - received.received_ns)
 
     def summarise_steps(self) -> tuple[float, float]:
-        """Mean rate [1/s] and longest step [s] since the previous call."""
+        """Mean rate [1/s] and longest step [s] since the previous call; 0 without a step."""
         rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
         longest = self._longest_ns * 1e-9
         self._steps, self._covered_ns, self._longest_ns = 0, 0, 0
         return rate, longest
 
     def summarise_clock_offset(self) -> tuple[float, float, float] | None:
-        """Median, 1st percentile and newest value of packet time minus time of receipt [s], normally negative."""
+        """Median, 1st percentile, newest value of packet time minus receive time [s], normally < 0; None if unknown."""
         offsets = list(self._offsets.copy())
         if not offsets:
             return None

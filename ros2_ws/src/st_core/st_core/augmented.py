@@ -81,7 +81,7 @@ class AugmentedModel(Model):
         return (p.base, *(t for e, t in zip(acting, p.effects, strict=True) if e.inputs or e.prepare)) if acting else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle with the active effects applied. Raises ConfigurationError outside their limits."""
+        """The vehicle with the active effects applied. Raises ConfigurationError if a parameter leaves its limits."""
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
@@ -139,7 +139,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def active(self) -> tuple[type[Effect], ...]:
-        """Effects with a parameter that differs from its null value; the others leave predictions bit-identical."""
+        """Effects with a `free` parameter that is not at its null value; the others leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 

@@ -78,7 +78,7 @@ SteeringLatency = Annotated[float | None, typer.Option(
 
 @contextmanager
 def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
-    """Report errors in the inputs of a command in one line, with exit status 2. additional: further types of them."""
+    """Report errors in the inputs of a command in one line, with exit status 2. additional: more types of them."""
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError
@@ -140,7 +140,7 @@ class ReadOptions:
     def resolve_car(self, complete: bool = False) -> NamedCar:
         """Files and settings of the car; each option replaces a part of it.
 
-        Raises RunError for a car that cannot be read and, if `complete`, for a car without DBC or signal table.
+        Raises RunError for a car that cannot be read and, if `complete`, for a --car without DBC or signal table.
         """
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
@@ -215,9 +215,9 @@ def reads_recordings(*names: str, **annotations: Any) -> Callable[[Callable[...,
 
 
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that replaces the parameter of type `group` (a dataclass) of a command by one option per field.
+    """Decorator for a command: one option per field replaces its parameter of type `group` (a dataclass).
 
-    names: fields to use, default all. annotations: those that differ from the annotations of `group`, by field.
+    names: fields to use, default all. annotations: those that differ from `group`. The command groups similar warnings.
     """
     used_fields = [f for f in fields(group) if not names or f.name in names]
 
@@ -255,7 +255,7 @@ def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, P
 
 
 def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
-    """Print a line if the vehicle file in use belongs to the Leaf because the user named none (`named` is None)."""
+    """Print a line if `file` (vehicle or DBC) is the Leaf's because the user named none (`named` is None)."""
     from st_recordings.car import list_cars
 
     if named is None and Path(file).resolve().parent == LEAF.resolve().parent:
@@ -264,7 +264,7 @@ def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
 
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
-    """Call `report_default_car` for a bag that contains no vehicle file. Raises RunError if it cannot be read."""
+    """Call `report_default_car` if neither user nor bag names a vehicle file. Raises RunError for an unreadable bag."""
     from st_live.configuration import find_recordings
     from st_recordings.recorded_results import recorded_configuration
     from st_recordings.runs.bag import read_metadata_records

@@ -35,7 +35,7 @@ class Variable:
 
     name: str
     unit: str
-    lower: float = -math.inf  # end of the range of validity of the model [unit]
+    lower: float = -math.inf  # end of the valid range of x or u, or bound of a parameter [unit]
     upper: float = math.inf
     value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
@@ -80,7 +80,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
     """The functions of a model with the parameters of a car, named after the model.
 
     substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that
-    act in the equations have them. Raises ConfigurationError for an unknown model or parameter.
+    act in the equations have them. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
     """
     model = get_model(model)
     if substeps < 1:

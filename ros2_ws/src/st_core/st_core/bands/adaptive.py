@@ -4,8 +4,8 @@ For one model, mode and level with half-widths c s(t), and the score S = max ove
 
     log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
 
-c_issued is the factor that was issued with the prediction. For any distribution of the errors, if c stays within
-[MIN, MAX] for T seconds, the fraction of this time outside the band differs from 1 - level by no more than
+c_issued is the factor issued with the prediction. For any distribution of the errors, if c stays between MIN_FACTOR and
+MAX_FACTOR for T seconds, the fraction of this time outside the band differs from 1 - level by no more than
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
@@ -74,7 +74,7 @@ class AdaptiveBand:
         return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
 
     def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
-        """Half-widths (points, 3) by level for a prediction from start_ns, stored until its score arrives.
+        """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until its score arrives.
 
         scale: (points, 3), if it is already computed.
         """
@@ -88,7 +88,7 @@ class AdaptiveBand:
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Correct the factors by the errors (points, 3) of a prediction in the predicted frame. Call in order of time.
+        """Correct factors and scale by errors (points, 3) [m, m, rad] in the predicted frame. Call in order of time.
 
         Returns, by level, whether the whole path was inside; empty if no band was issued or errors are not finite.
         """

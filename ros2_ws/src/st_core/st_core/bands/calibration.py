@@ -2,7 +2,7 @@
 
 Runs are assumed exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at
 random from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the
-errors, the score of the future run does not exceed the k-th smallest of the others with the probability k / (n + 1), so
+errors, the score of the future run is at most the k-th smallest of the others with probability k / (n + 1) or more, so
 k = level (n + 1), and n runs support levels up to n / (n + 1). To make the factor c independent of the draw, its
 coverage F(c) is the mean coverage over all draws, with equal weights of the runs:
 
@@ -90,7 +90,7 @@ class Band:
 
     scale: Scale
     factors: dict[float, float]  # by level, not decreasing [1]
-    ratios: np.ndarray  # (3, len(RELIABILITY)) quantiles of |error| / scale at a single point, for the CRPS
+    ratios: np.ndarray  # (3, len(RELIABILITY_LEVELS)) quantiles of |error| / scale at a single point, for the CRPS
 
     def half_widths(self, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points, 3) along, across [m] and in yaw [rad], without the start, under conditions (n, 4)."""
@@ -104,7 +104,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         band = { |e_a(t)| <= c s_a(t | z)  for all t and a },       score of a window = max over t, a of |e_a(t)| / s_a
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
-    too small. Windows outside the calibration domain of the other runs are ignored. time: (points,) of the errors [s].
+    too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) ahead [s].
     Raises a one-line StCoreError if there are too few runs for a level or if errors are not finite.
     """
     check_levels(levels, len(runs))

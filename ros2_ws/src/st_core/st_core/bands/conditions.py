@@ -71,9 +71,9 @@ def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
-    """Calibrated conditions."""
+    """Conditions with enough calibration runs: cells of speed and lateral acceleration, and limits of the others."""
 
-    starts: np.ndarray  # by (speed bin, lateral acceleration bin), 0 if fewer than MIN_RUNS runs had MIN_STARTS
+    starts: np.ndarray  # number by (speed bin, lateral acceleration bin), 0 if fewer than MIN_RUNS runs had MIN_STARTS
     largest: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod

@@ -96,7 +96,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: by (model, mode), scored windows, and those completely inside by level.
+    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and by level of those inside.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -140,7 +140,7 @@ class AdaptiveBands:
         return found, reason
 
     def observe(self, score: Score) -> None:
-        """Update a band by the score of an earlier prediction. Scores of a model and mode must be in order of time."""
+        """Update a band and its counts by a score of an earlier prediction; of a model and mode, in order of time."""
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         pair = score.model, score.mode
         inside = self._bands[pair].observe(score.start_ns, errors)
@@ -160,8 +160,8 @@ class BandCoverage:
 
     n: int = 0  # number of scored windows with a band
     inside: dict[float, int] = field(default_factory=dict)  # number of these with the whole path inside, by level
-    warns: bool = False  # whether the coverage is significantly too low
-    evidence: float = 0.0  # S, see module
+    warns: bool = False  # whether the coverage of the highest level is significantly too low
+    evidence: float = 0.0  # S of the highest level, see module; limited to log(HORIZONS)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:
