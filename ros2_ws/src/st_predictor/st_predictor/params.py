@@ -66,7 +66,7 @@ EVALUATOR = (
     _NUMBER,
 )
 
-# Topics that cannot be reconstructed from raw packets and frames, and topics that external viewers and tools expect.
+# Raw packets and frames, topics that do not follow from them, and topics that external viewers and tools expect.
 TOPICS = [
     "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
     "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
@@ -133,7 +133,7 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
 
 
 def read_prediction_settings(values: SimpleNamespace) -> PredictionSettings:
-    """Prediction settings from the parameters of a node. Raises ConfigurationError if they are inconsistent."""
+    """Prediction settings from a node's parameters, else defaults. Raises ConfigurationError if inconsistent."""
     names = PredictionSettings.__dataclass_fields__.keys() & vars(values).keys()
     return translate_errors(values, lambda: PredictionSettings(**{name: getattr(values, name) for name in names}))
 

@@ -64,7 +64,7 @@ class PredictionBands:
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
         """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
 
-        Valid until the next call.
+        Without adaptation: those of the bands file, which has no planned modes. Valid until the next call.
         """
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._calibration else ()  # for bands of a file only
@@ -79,13 +79,13 @@ class PredictionBands:
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:
-        """Adapt to the errors of predictions with an ended horizon; call it at every tick, also at standstill."""
+        """Adapt to the errors of predictions whose horizon has passed; call it at every tick, also at standstill."""
         if self._adaptive:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
 
     def add_predictions(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
-        """Store the predictions just issued, by model and mode, until their horizon has passed."""
+        """Store the predictions just issued, by model and mode, until their horizon has passed; only if adaptive."""
         if not self._adaptive:
             return
         for model, by_mode in issued.items():
@@ -136,7 +136,7 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """Half-widths of the bands of a prediction by mode and level; a band of another length than the path is ignored."""
+    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]; only of bands with the n of the path."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()
@@ -153,7 +153,7 @@ def make_coverage_check(coverages: CoverageMonitor) -> Check:
 
 
 def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:
-    """The message with the observed coverage of the bands of its model and mode."""
+    """The message with the observed coverage of the bands of its model and mode; NaN before the first score."""
     coverage = coverages.by_pair.get((message.model, message.mode))
     message.n_bands = coverage.n if coverage else 0
     message.coverage_50, message.coverage_90 = (coverage.coverage_at(level) if coverage else math.nan

@@ -20,8 +20,8 @@ from st_ros.polling import LATCHED, PolledSubscription
 
 from .. import convert
 
-QUEUE_DEPTH = 10  # only the newest plan is used
-PLAN_TIMEOUT = 10.0  # s without a new plan until the planner counts as stopped and the warning ends
+QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
+PLAN_TIMEOUT = 10.0  # s since the newest plan until the planner counts as stopped: a refused plan is then dropped
 NOT_USED = "not used: no prediction at the moment"
 
 
@@ -70,7 +70,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from a course. course: from the parameter `course_file`; None if it is empty.
+    """Predicts inputs from a course, None without a `course_file`. horizon, step: of the predictions [s].
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of another site is not used.
@@ -102,7 +102,7 @@ class CourseInput:
         if self._tracker is None or self._origin_problem:
             return None
         sample = core.history.ins_at(start.time_ns)
-        assert sample is not None  # known at every start
+        assert sample is not None  # a start is an instant with INS data
         self._forecast = self._tracker.update(
             EgoMotion(*sample, float(start.inputs.velocity_x_dot), float(start.inputs.road_wheel_angle)))
         self._counts["held" if self._forecast.inputs is None else "used"] += 1

@@ -88,8 +88,8 @@ class PublisherLock:
 class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
-    on_change: called when the diagnostic checks have changed and should be published at once. last_refusal: why the
-    newest message was refused, by signal.
+    on_change: called when the warning about competing publishers has changed, to publish it at once. received: number
+    of messages by signal, with refused ones. last_refusal: why the newest message was refused, "" if it was not.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
@@ -101,12 +101,12 @@ class Inputs:
                                "steering": PolledSubscription(node, Steering, "vehicle/steering", qos)}
         self.received = {"INS": 0, "steering": 0}
         self.refused = {"INS": 0, "steering": 0}
-        self.last_refusal = {"INS": "", "steering": ""}  # empty while the newest message was usable
+        self.last_refusal = {"INS": "", "steering": ""}
         self._locks = {"INS": PublisherLock(), "steering": PublisherLock()}
-        self._arrived_ns = {"INS": 0, "steering": 0}  # arrival of the newest message, host UTC
+        self._arrived_ns = {"INS": 0, "steering": 0}  # arrival of the newest accepted message, host UTC
 
     def wait(self, since_ns: int, longest: float) -> None:
-        """Process messages until one of each signal is newer than `since_ns` (host UTC), at most `longest` seconds."""
+        """Process messages until one of each signal has arrived since `since_ns` (host UTC), at most for `longest` [s]."""
         end = time.monotonic() + longest
         self.drain()
         while min(self._arrived_ns.values()) < since_ns and (remaining := end - time.monotonic()) > 0.0:

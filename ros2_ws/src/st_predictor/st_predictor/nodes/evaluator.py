@@ -33,7 +33,7 @@ LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor plus the wait for late signals
 ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once for all models and modes
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# SI units. It exceeds rounding differences between computers; another vehicle file changes a path by cm within 1 s.
+# SI: more than rounding differences between computers, less than another vehicle file causes (centimetres in 1 s).
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -55,7 +55,7 @@ class EvaluatorNode(Node):
                               self._diagnostics.publish)
         self._statistics = {(model, mode): ErrorStatistics() for model in self._models for mode in MODES}
         self._coverages = CoverageMonitor()
-        self._hashes: dict[tuple[str, str, int], str] = {}  # pending predictions, by model, mode and start
+        self._hashes: dict[tuple[str, str, int], str] = {}  # of pending predictions: by model, mode, start [ns]
         self._configuration_mismatch: dict[tuple[str, str], bool] = {}  # by hash and model
         self._rejection = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
@@ -116,7 +116,7 @@ class EvaluatorNode(Node):
         self._core.add_prediction(model, start_ns, trajectory, mode)
 
     def _check_configuration(self, model: str, message: Prediction, trajectory: Trajectory) -> None:
-        """Recompute one forecast of each configuration, because hindsight must use the same vehicle and model."""
+        """Recompute one forecast of each configuration: hindsight must use the same vehicle and model as forecasts."""
         key, view = (message.configuration_hash, model), self._core.view(model)
         if key in self._configuration_mismatch:
             return

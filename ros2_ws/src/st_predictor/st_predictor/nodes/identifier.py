@@ -89,7 +89,7 @@ class IdentifierNode(Node):
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
-        """Reset the estimates if values in the vehicle file have changed; an unreadable file changes nothing."""
+        """Reset the estimates if values in the vehicle file have changed; an invalid file is only reported."""
         try:
             text = self._file.read_text()
             if text == self._file_text:

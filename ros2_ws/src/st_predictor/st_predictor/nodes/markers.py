@@ -1,4 +1,4 @@
-"""Node markers: publishes car, paths, bands and errors as markers for RViz and Foxglove, and the errors for plots.
+"""Node markers: publishes track, car, earlier paths, bands and errors for RViz and Foxglove, and errors for plots.
 
 It subscribes with best-effort reliability and short queues, so that no publisher waits for it.
 """
@@ -96,7 +96,7 @@ class MarkersNode(Node):
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
                                            colour_of(model), alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-                # Bands are below the paths, at different heights.
+                # Below the paths; bands of one level differ in height, which sets their drawing order.
                 z = -0.3 - 0.02 * number - 0.1 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
                                  for px, py in ribbon.make_triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]

@@ -28,7 +28,7 @@ from ._bands import PredictionBands
 from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
-MAX_OVERRUN_NS = 10_000_000_000  # a longer step is a clock jump, for example in a replay, not an overrun
+MAX_OVERRUN_NS = 10_000_000_000  # a longer time between ticks is a clock jump, as in a replay, not an overrun
 DRAIN_PERIOD = 0.02  # s; queues are emptied between ticks, so that a tick has little input to process
 STATUS_PERIOD = 1.0  # s
 # Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
@@ -50,7 +50,7 @@ class TickCounter:
         self._reported_overruns = 0
 
     def count_missed(self, next_due_ns: int, period_ns: int) -> int:
-        """Number of ticks dropped since the last call. next_due_ns: next due time of the timer, on the node's clock."""
+        """Ticks dropped since the last call, 0 after a clock jump. next_due_ns: when the timer is due, node's clock."""
         previous_ns, self._next_due_ns = self._next_due_ns, next_due_ns
         if previous_ns is None or not 0 < next_due_ns - previous_ns < MAX_OVERRUN_NS:
             return 0
@@ -59,7 +59,7 @@ class TickCounter:
     def count(self, missed: int, skipped: str | None) -> None:
         """Count a tick and the `missed` ticks dropped before it.
 
-        skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed).
+        skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
         """
         if self._started or skipped != "stale":
             self._counts["overrun"] += missed if self._started else 0

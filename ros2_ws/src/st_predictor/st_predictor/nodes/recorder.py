@@ -37,7 +37,7 @@ QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that publish a recorded topic although none of their messages arrives.
+    """Finds nodes that have a publisher of a recorded topic, but none of whose messages arrives.
 
     DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
@@ -131,7 +131,7 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """Resume in a new bag: at once if the directory was renamed or deleted, else as soon as the disk has space."""
+        """Resume in a new bag: at once if the directory was moved or deleted, else when the disk has RESUME_SPACE."""
         now = time.monotonic()
         if self._resume_at == float("inf"):
             self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
@@ -184,7 +184,7 @@ class RecorderNode(Node):
 
 
 def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
-    """Metadata records of the bag: configuration files with their common hash, and entries of `metadata_json`.
+    """Metadata records of the bag: start time, configuration files with their common hash, and `metadata_json`.
 
     Raises ConfigurationError naming the file or the parameter.
     """
@@ -213,7 +213,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
 
 
 def name_files(files: Sequence[str]) -> dict[str, str]:
-    """A unique name of each file: the file name, preceded by as many parent folders as necessary."""
+    """File -> unique name: the file name, preceded by as many parent folders as necessary; empty names are skipped."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
