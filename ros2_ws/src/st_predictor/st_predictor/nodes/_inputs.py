@@ -106,7 +106,7 @@ class Inputs:
         self._arrived_ns = {"INS": 0, "steering": 0}  # arrival of the newest accepted message, host UTC
 
     def wait(self, since_ns: int, longest: float) -> None:
-        """Process messages until one of each signal has arrived since `since_ns` (host UTC), at most for `longest` [s]."""
+        """Process messages for `longest` [s], or until each signal has one that arrived since `since_ns` (host UTC)."""
         end = time.monotonic() + longest
         self.drain()
         while min(self._arrived_ns.values()) < since_ns and (remaining := end - time.monotonic()) > 0.0:
