@@ -69,7 +69,7 @@ class Manoeuvre:
     profile: Shape  # lateral acceleration divided by `lateral`, over the time in a period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
-    pedals: tuple[tuple[float, float], ...] = ()  # consecutive (duration [s], forward acceleration [m/s^2])
+    pedals: tuple[tuple[float, float], ...] = ()  # successive (duration [s], acceleration [m/s^2] up to `speed`)
     closed_loop: bool = False
     description: str = field(default="", compare=False)  # one line
 
@@ -170,7 +170,7 @@ def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
 
 
 def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
-    """Steady circle for `hold` [s] with ramps of `ramp` [s] before and after; then the same to the other side."""
+    """Circle for `hold` [s] between ramps of `ramp` [s], then straight for 1 s; then the same to the other side."""
     return Manoeuvre("circle", speed, lateral,
                      _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
                      2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "

@@ -35,7 +35,7 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with the heading and lateral velocity of steady cornering if its yaw is the course, else unchanged."""
+    """The drive with heading and velocities of steady cornering, if it has no velocity_y and its yaw is a course."""
     if log.velocity_y.any() or len(log.ins_time_ns) < 3:
         return log
     fast = log.velocity_x > MIN_SPEED

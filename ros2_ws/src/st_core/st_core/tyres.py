@@ -74,8 +74,8 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
     """F_y = D sin(C atan(B a - E (1 - p_ey3 sgn a) (B a - atan(B a)))) [N], a = slip angle [rad].
 
-    B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0 the force
-    opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
+    C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0
+    the force opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """
     x = stiffness_factor * slip
     e = curvature * (1.0 - tyre.p_ey3 * sign(slip))

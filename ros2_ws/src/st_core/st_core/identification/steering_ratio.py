@@ -2,7 +2,7 @@
 
     delta = (left + right) / 2,    delta_k = a_j + b delta_h,k + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
-All sweeps have a common slope b, and each of the J sweeps its own intercept a_j (`fit_line`, n points):
+All J sweeps have a common slope b; sweep j has the intercept a_j and the means x_j, y_j (`fit_line`, n points):
 
     b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2,    u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
@@ -78,7 +78,7 @@ def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.nda
 
 
 MIN_ROWS = 5
-MIN_RANGE = math.radians(90.0)  # minimum range of the steering wheel angle
+MIN_RANGE = math.radians(90.0)  # rad, minimum range of the steering wheel angle
 MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
 MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
 ANGLE_BIN_WIDTH = math.radians(90.0)

@@ -103,7 +103,7 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     `limits.relevant_position`; if the predicted path improves at level `limits.false_alarm` (not required of a sensor
     relation); and if no run becomes significantly worse. Equally good relations and redundant effects are listed.
     reported: (finding, channel) of `st check`; relations that may imitate a reported sensor fault are rejected.
-    Raises StCoreError if the drives contain no usable prediction.
+    Raises StCoreError for a duplicate name, and if no run has both INS and steering.
     """
     settings = settings or DiscoverySettings()
     measured = tuple(c for c in settings.channels if c in discovery.noise)
