@@ -14,7 +14,7 @@ import yaml
 from .paths import replace_file
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1  # value of a duration that is not set, and of the start of an empty bag
+INFINITE_NS = 2**63 - 1  # [ns], duration that is not set; start of an empty bag or file
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
 PRIMITIVE_TYPES = frozenset((
@@ -122,7 +122,7 @@ class _NoAliases(yaml.SafeDumper):
 
 
 def read_information(directory: Path) -> dict[str, Any]:
-    """Content of metadata.yaml in a bag directory; empty if the file is missing or unreadable."""
+    """Content of metadata.yaml in a bag directory; empty if the file is missing, unreadable or invalid."""
     try:
         content = yaml.safe_load((directory / FILE_NAME).read_text())["rosbag2_bagfile_information"]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
@@ -131,7 +131,7 @@ def read_information(directory: Path) -> dict[str, Any]:
 
 
 def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Collects the entry `custom_data` of metadata.yaml: "record.key" -> text, for short one-line texts in records."""
+    """Entry `custom_data` of metadata.yaml: "record.key" -> text, for short one-line texts; omits record rosbag2."""
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 

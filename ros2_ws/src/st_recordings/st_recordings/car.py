@@ -11,7 +11,7 @@ from .paths import config
 from .runs.errors import RunError, shorten
 
 STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
-"""Keys of car.yaml and their defaults."""
+"""Keys of car.yaml and their defaults; the latency is in seconds."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Car:
 
 
 def load_car(text: str) -> Car:
-    """Loads a car by the name of its folder in config/car, or by the path of any folder.
+    """Loads a car by the name of its folder in config/car, or by the path of any folder. car.yaml is optional.
 
     Raises RunError for a folder that does not exist or has no vehicle file, and for a car.yaml with anything but
     steering_sign (1 or -1) and steering_latency (0 to 1 s).
@@ -80,7 +80,7 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 
 def read_yaml_mapping(file: Path) -> dict:
-    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError."""
+    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if unreadable, invalid or no mapping."""
     try:
         table = yaml_text.load(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -151,7 +151,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """Lists each quantity that has a given or default uncertainty; the last line names the free quantities."""
+    """One line for each quantity with a given or default uncertainty; a last line names the free ones, if any."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
@@ -220,7 +220,7 @@ def _find_bus_problems(car: Car) -> list[str]:
 
 
 def _list_bus_remarks(car: Car) -> list[str]:
-    """A line on each unknown unit in the DBC, and one that suggests its speed signals if the table names none."""
+    """A line for each used signal whose unit in the DBC is unknown; one on speed signals that the table leaves out."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)

@@ -57,7 +57,7 @@ class BagWriter:
                 loses only the last second; for live recordings.
 
         Raises:
-            OSError: the directory cannot be created, or is not empty (FileExistsError).
+            OSError: the directory cannot be created or written, or is not empty (FileExistsError).
         """
         self.directory = Path(directory).absolute()
         self.error = ""
@@ -94,7 +94,7 @@ class BagWriter:
                   type_hash: str = "") -> int:
         """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
-        definition, type_hash: by default from the installed package; raises UnknownTypeError if it is not installed.
+        definition, type_hash: if empty, from the installed package; UnknownTypeError if that is not installed.
         """
         definition = definition or bag_metadata.read_definition(type_name)
         type_hash = type_hash or bag_metadata.read_type_hash(type_name)
@@ -155,7 +155,7 @@ class BagWriter:
                 self._stop(error)
 
     def close(self) -> None:
-        """Writes index and metadata.yaml. Safe to call twice."""
+        """Writes pending messages, index and metadata.yaml; nothing after an error or a previous call."""
         if not (self.closed or self.error):
             try:
                 if self._messages:

@@ -88,7 +88,7 @@ class _ChunkEntry:
 
 
 class Contents:
-    """Inventory of one file, from which its index section is written. Times are log times [ns]."""
+    """Inventory of one file, from which its index section is written. Times are log times [ns since 1970]."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -117,7 +117,7 @@ class Contents:
         return (min(times), max(times)) if times else (0, 0)
 
     def add(self, record: Record, offset: int) -> bool:
-        """Adds one record of the data section; returns False, and adds nothing, if its content is invalid.
+        """Adds one record of the data section; False, adding nothing, if it is invalid. Ignores kinds without an index.
 
         offset: position of the record in the file that will get the index.
         """

@@ -18,7 +18,7 @@ MIN_FREE_SPACE = 10_000_000  # bytes, enough for the shortest run
 
 
 def project_root() -> Path:
-    """The checkout set by ./st, or else the installed wheel, or else the checkout that contains the current folder."""
+    """Checkout set by ./st, else share/ of the wheel, else checkout with the current folder. Raises SystemExit."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):
@@ -33,7 +33,7 @@ def config(relative: str) -> Path:
 
 
 def source_version() -> str:
-    """`git describe` of the checkout, or the version of the installed wheel."""
+    """`git describe` of the checkout, else the version of the installed wheel, else "unknown"."""
     try:
         command = ["git", "-C", str(project_root()), "describe", "--always", "--dirty", "--tags"]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
@@ -49,8 +49,8 @@ class OutputError(OSError):
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """Checks, and creates if `create`, the given folder or runs/<name>-<time>. Raises OutputError if it is not empty or
-    cannot be written."""
+    """Absolute path of `given` or else runs/<name>-<time>, which is created if `create`. Raises OutputError if it is a
+    file, is not empty or cannot be created, or if its disk is full."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):

@@ -44,7 +44,7 @@ class PlannedPredictions(Predictions):
     velocity_x_dot: np.ndarray  # [m/s^2]
 
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The two inputs at given start times (n,) [ns]; NaN for a start time without a prediction."""
+        """Inputs (m, 2 * points - 1) of the predictions at start times (m,) [ns]; NaN without a prediction."""
         index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
         found = (self.starts_ns[index] == starts_ns)[:, None]
         return (np.where(found, self.road_wheel_angle[index], np.nan),
@@ -58,7 +58,7 @@ class Scores:
     starts_ns: np.ndarray  # (n,)
     errors: np.ndarray  # (n, points, 3) longitudinal, lateral [m], yaw [rad]
     complete: np.ndarray  # (n,)
-    cut: np.ndarray  # (n,) whether a score is incomplete because the evaluator stopped within the horizon
+    cut: np.ndarray  # (n,) whether a score is incomplete because a signal ends, as at the end of the run
     jumped: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
@@ -76,7 +76,7 @@ class RecordedConfiguration:
 
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
-    """The configuration in the metadata records of a recording (runs.bag.BagDrive.records)."""
+    """The configuration in the metadata records of a recording (`BagDrive.records`); its vehicle is None if not recorded."""
     nodes = recorded_parameters(records)
     vehicle = recorded_text(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
@@ -95,7 +95,7 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
-    """Reads predictions by model. Raises RunError if the predictions of a model have different horizons or steps."""
+    """Forecasts by model. Raises RunError if the predictions of a model have different horizons or steps."""
     return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
 
 
@@ -147,7 +147,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
                   topic_end: str = "") -> Iterator[Any]:
     """Yields the messages of a type in topics with names that end with `topic_end`.
 
-    progress: called with the number of messages read in a bag, and their total.
+    progress: called with the number of messages read in a bag, and the number of all such messages in it.
     """
     store = load_typestore(definitions_folder())
     for bag in bags:

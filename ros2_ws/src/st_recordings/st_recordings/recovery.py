@@ -1,7 +1,7 @@
 """Repairs a bag or an MCAP file that was truncated by a crash, a killed process or a full disk.
 
 Every complete chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
-The original is kept as NAME.mcap.cut. A bag that needs no repair is not changed.
+A repair in place keeps the original as NAME.mcap.cut (.cut2, ...). A bag that needs no repair is not changed.
 """
 
 import fcntl
@@ -28,7 +28,7 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """Nothing was repaired; the original is unchanged. The text is one line for the user."""
+    """A file cannot be recovered and is unchanged; files before it may be repaired. The text is one line for the user."""
 
 
 @dataclass
@@ -36,14 +36,14 @@ class FileReport:
     """Result for one file."""
 
     path: Path
-    intact: bool = False  # closed and without damage, and therefore not changed
+    intact: bool = False  # closed and without damage: not changed, or copied to the output
     messages: int = 0  # number of messages kept
-    kept_bytes: int = 0
+    kept_bytes: int = 0  # up to the end of the data section
     lost_bytes: int = 0  # truncated or damaged
     damaged_records: int = 0
-    start_ns: int = 0
+    start_ns: int = 0  # first log time
     end_ns: int = 0
-    original: Path | None = None  # new path of the damaged file
+    original: Path | None = None  # new path of the damaged file, if it was repaired in place
 
 
 @dataclass
@@ -57,7 +57,7 @@ class RecoveryReport:
 
     @property
     def changed(self) -> bool:
-        """Whether anything had to be written."""
+        """Whether anything had to be repaired."""
         return self.metadata_rebuilt or any(not f.intact for f in self.files)
 
     @property
@@ -88,8 +88,8 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         output: new directory or file for the repaired bag; it must not exist. By default the bag is repaired in place.
 
     Raises:
-        RecoveryError: no MCAP file is found, it is still being recorded, the output exists, or the disk is full. The
-            original is unchanged.
+        RecoveryError: there is no valid MCAP file, one is still being recorded, the output exists, or the disk is full.
+            That file is unchanged; earlier files of a bag may already be repaired.
     """
     path = Path(path)
     target = Path(output) if output is not None else path
@@ -250,7 +250,7 @@ def _parse_qos(text: str) -> list[Any]:
 
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
-    """Whether metadata.yaml lists the same files, topics and counts; other entries vary between recorders."""
+    """Whether metadata.yaml has the same files, counts by topic and duration; other entries vary between recorders."""
     expected, found = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
     try:
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}

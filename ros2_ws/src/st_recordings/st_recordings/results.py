@@ -20,7 +20,7 @@ from .runs.cdr import get_field, load_typestore
 from .runs.ins_log import yaw_from_quaternion
 
 MODES = ("forecast", "hindsight")
-DRAWN_STARTS = 6  # number of start times at which predictions are drawn on the map
+DRAWN_STARTS = 6  # maximum number of start times with drawn hindsight predictions
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
 BAND_MODES = ("forecast", "hindsight", "course", "plan")  # in the order of the report
 
@@ -64,7 +64,7 @@ class Results:
 
     track: Track
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
-    segments: dict[tuple[str, int], Segment]  # by model and start time [ns, UTC]; DRAWN_STARTS evenly spaced starts
+    segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most DRAWN_STARTS starts
     ticks: dict[str, Any]
     configuration_hash: str
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with coverage of bands
@@ -114,7 +114,7 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
 
 
 def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:
-    """(scores, configuration hash of the last one)."""
+    """(scores by model and mode, configuration hash of the last score or "" without scores)."""
     rows: dict[tuple[str, str], list[tuple[Any, ...]]] = {}
     configuration_hash = ""
     for message in read_messages([errors], ERROR):
@@ -146,7 +146,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
-    """The content of summary.json: statistics of the horizon means of complete scores [m, rad]."""
+    """Content of summary.json: statistics of the horizon means of complete scores [m, rad], band coverage, ticks."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
@@ -175,7 +175,7 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
 
 
 def collect_versions() -> dict[str, str]:
-    """Versions of the suite, of Python and of the installed libraries on which results depend."""
+    """Versions of the suite, of Python and of those libraries on which results depend that are installed."""
     versions = {"source": source_version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
         try:
