@@ -76,7 +76,7 @@ class RecordedConfiguration:
 
 
 def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
-    """The configuration in the metadata records of a recording (`BagDrive.records`); its vehicle is None if not recorded."""
+    """Configuration from the metadata records of a recording (`BagDrive.records`); vehicle: None if not recorded."""
     nodes = recorded_parameters(records)
     vehicle = recorded_text(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
