@@ -58,7 +58,7 @@ class FrameStatistics:
 
 @dataclass
 class _MessageState:
-    """State of the decoder for one message. plausibility: by canonical name of the signal."""
+    """State of the decoder for one message. plausibility: of limited signals, by canonical name."""
 
     spec: MessageSpec
     counter: CounterCheck | None

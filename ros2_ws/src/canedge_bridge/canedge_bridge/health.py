@@ -17,7 +17,7 @@ _FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "imp
 
 
 class Health:
-    """Builds diagnostic checks from the counts of the decoder and the receiver."""
+    """Checks bus, age of the signals, bad frames and implausible signals, from the counts of decoder and receiver."""
 
     def __init__(self, bus_name: str, decoder: Decoder, receiver_status: Callable[[], ReceiverStatus],
                  now_ns: Callable[[], int]):

@@ -30,7 +30,7 @@ class Settings:
     """Status values that derived columns depend on, as pairs (index of the first packet to which it applies, value).
 
     speed_accuracy: 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s], NaN if unknown.  acceleration_filter,
-    rate_filter: (cutoff [Hz], damping ratio), None: invalid.
+    rate_filter: (cutoff [Hz], damping ratio), each None if invalid.
     """
 
     speed_accuracy: list[tuple[int, float]]
@@ -39,7 +39,7 @@ class Settings:
 
 
 def derive_columns(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Derived columns by name, in the order and units (deg, deg/s, m, m/s, m/s^2) of the vendor's tools."""
+    """Derived columns by name, in the order and units (m, deg, s) of the vendor's tools."""
     has_fix = (columns.kind != EMPTY) & ~columns.approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")

@@ -3,7 +3,7 @@
 NED and FRD (forward, right, down), as in a packet, become ENU and FLU (forward, left, up):
 
     R_enu_flu = T R_ned_frd F,  T = [[0,1,0],[1,0,0],[0,0,-1]],  F = diag(1,-1,-1),
-    R_ned_frd = Rz(heading) Ry(pitch) Rx(roll);  fixed-axis angles in ENU: roll, -pitch, pi/2 - heading as yaw
+    R_ned_frd = Rz(heading) Ry(pitch) Rx(roll);  about fixed ENU axes: (roll, -pitch, pi/2 - heading)
 
 Source: NCOM manual 260702, REP-103. Checked by: test_geometry.py (worked examples; short distances against the radii of
 the ellipsoid), and the inverse in st_sim.

@@ -127,7 +127,7 @@ class NcomParser:
         return gps_ns, DUPLICATE
 
     def _read_status(self, packet: Packet) -> int | None:
-        """Count an unknown status channel, set the UTC offset, and return the minute if the channel sends it."""
+        """Count an unknown status channel; set the UTC offset, or return the GPS minute, if the channel sends it."""
         channel, status, data = packet.channel, packet.navigation_status, packet.batch_s
         self.counters.unknown_channels += channel not in channels.FIELDS
         if channel not in (0, channels.UTC_CHANNEL) or status not in ncom.MINUTE_STATUSES:

@@ -49,7 +49,7 @@ class AugmentedModel(Model):
         return self.with_values(values)
 
     def with_values(self, values: Values) -> "AugmentedModel":
-        """The model with some values changed. Raises ConfigurationError, naming the effect and the limit."""
+        """The model with other values. Raises ConfigurationError for an unknown name or a value outside its bounds."""
         for name in set(values) - set(self.values):
             raise ConfigurationError(f"effect {name}: not in this model, which has {', '.join(self.values) or 'none'}")
         changed = [e for e in self.effects if e.name in values]

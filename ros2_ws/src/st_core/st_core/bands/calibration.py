@@ -39,7 +39,7 @@ def count_runs_needed(level: float) -> int:
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
-    """Raises a one-line StCoreError for a level outside (0, 1) or above the highest level that `runs` runs support."""
+    """Raises a one-line StCoreError for 0 runs, or a level outside (0, 1) or above the highest that they support."""
     if not runs:
         raise StCoreError("no usable run to calibrate bands with")
     for level in levels:
@@ -105,7 +105,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
     too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) ahead [s].
-    Raises a one-line StCoreError if there are too few runs for a level or if errors are not finite.
+    Raises a one-line StCoreError for too few runs with common conditions, as `check_levels`, and for errors not finite.
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_RUNS:

@@ -1,11 +1,12 @@
 """The file bands.yaml: the bands of one car, its models and one configuration, with the recordings used.
 
     schema: 2
+    units: "..."                                         text for the reader; not part of the hash
     vehicle: {name: "...", hash: "..."}
     settings: {horizon: 5.0, step: 0.05, ...}            settings of the predictions; SI
-    recordings: {"run.csv": "sha256 ..."}
     runs: 12
     seen: {starts: [[...]], most: [...]}                 calibration domain
+    recordings: {"run.csv": "sha256 ..."}
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
