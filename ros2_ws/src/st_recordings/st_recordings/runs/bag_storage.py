@@ -60,8 +60,8 @@ class Storage(ABC):
         return (data for _, data in self.timed_messages(topic))
 
     def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (cdr.Layout) of all messages, by topic name and field. Topics with messages of different
-        layouts are omitted."""
+        """Numeric fields (cdr.Layout) of all messages, by topic name and field. Omits topics without messages, with
+        messages of different layouts or, in MCAP, with several publishers."""
         uniform = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
@@ -75,7 +75,7 @@ class Storage(ABC):
 
 
 def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
-    """Opens a bag. Raises RunError for files of another kind and for a file that was not closed."""
+    """Opens a bag. Raises RunError for files of another kind and for a file that was not closed or is damaged."""
     if path.is_dir() and read_information(path).get("compression_mode"):
         return RosbagsStorage(path, store)
     suffixes = {f.suffix.lower() for f in files}
@@ -94,7 +94,7 @@ def _read_listed_files(directory: Path) -> list[str]:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory in the order in metadata.yaml, or else in the order of their numbers."""
+    """Storage files of a bag directory, in the order of metadata.yaml if it lists all, else of their numbers."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
     order = {name: k for k, name in enumerate(_read_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
@@ -112,7 +112,7 @@ def describe_missing_files(path: Path) -> list[str]:
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one in a numbered recording (drive_1, drive_3); empty if none is missing."""
+    """A note on files missing before this one (drive_1, drive_3); empty if none is, or the time gap does not fit."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}
@@ -130,7 +130,7 @@ def _describe_missing_before(file: Path) -> str:
 
 
 def read_time_span(file: Path) -> tuple[int, int] | None:
-    """First and last log time [ns] in a storage file; None for a file that is empty or cannot be read."""
+    """First and last log time [ns since 1970] in a storage file; None if it is empty or cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
             ((first, last),) = SqliteStorage([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
@@ -271,7 +271,7 @@ class SqliteStorage(Storage):
 
 
 def _decompress(data: bytes) -> bytes:
-    """A message, decompressed if it is compressed; without metadata.yaml, only its first bytes show that."""
+    """A message, decompressed if its first bytes mark it as compressed: metadata.yaml may be missing."""
     if data[:4] != ZSTD_MARK:
         return data
     try:

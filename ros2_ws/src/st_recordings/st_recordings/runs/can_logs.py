@@ -36,16 +36,16 @@ from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreada
 
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-MAX_TIME_JUMP_NS = 86400 * 10**9  # a frame that is further from both of its neighbours has a damaged time
+MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a frame whose time is further from both neighbours has a damaged time
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_DECREASING_SHARE = 0.2
-"""Times in a candump that begins at 0 are relative to the previous frame if a larger fraction of them decreases."""
+"""Times in a candump that begins at 0 are relative to the previous frame if more of them decrease, or none changes."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
     """Reads the files of one run (splits of a session, or several buses) and merges their frames by time.
 
-    Raises RunError if no file can be used. A file that cannot be used among others only causes a warning.
+    Raises RunError if no file can be used, or only some have UTC times. Other unusable files only cause warnings.
     """
     logs: list[CanLog] = []
     errors: list[RunError] = []
@@ -121,7 +121,7 @@ def _read_bag(path: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:
-    """(frames in order of time, clock steps); appends notes on the file."""
+    """(frames in order of time, clock steps); appends notes on the file. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
@@ -155,7 +155,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are relative to the previous frame, so that many of them decrease."""
+    """Whether the times of a candump are relative to the previous frame: many of them decrease, or all are equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_SHARE or not steps.any()))
 

@@ -69,7 +69,7 @@ def load_typestore(definitions: Path) -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """A store in which recorded definitions of the given types replace its own; the same store if none differs.
+    """Store in which recorded definitions of these types replace its own; the same store if none differs or they conflict.
 
     definitions: definitions in the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is
     ignored: its type remains as in the store, or unknown.
@@ -99,7 +99,7 @@ def _normalise(fields: Any) -> list[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Field:
-    """One number, or `count` consecutive numbers, at byte `offset` of the message."""
+    """One number, or `count` consecutive numbers, at byte `offset` of the serialised message. dtype: of numpy."""
 
     offset: int
     dtype: str
@@ -206,12 +206,12 @@ def _align(at: int, size: int) -> int:
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of one channel in one chunk, which begin at `starts` in `buffer` (uint8) and are `sizes` bytes long."""
+    """Messages of one channel in one chunk: in `buffer` (uint8) from `starts` on, each `sizes` bytes long."""
 
     buffer: np.ndarray
     starts: np.ndarray
     sizes: np.ndarray
-    log_time_ns: np.ndarray
+    log_time_ns: np.ndarray  # since 1970
 
 
 def read_summary(path: Path) -> Summary | None:

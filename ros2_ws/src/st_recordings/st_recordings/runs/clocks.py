@@ -23,7 +23,7 @@ NO_INS_FRAMES = "the log contains no INS frames that the DBC describes (RT_..., 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 """Minimum standard deviation [m/s, rad/s, rad, 1/m] of a signal that is used for alignment."""
 MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speeds, the curvature (yaw rate divided by speed) is noise
-MIN_MOVING_SPEED = 1.0  # m/s
+MIN_MOVING_SPEED = 1.0  # m/s; above it, the car counts as moving in the search for implausible values
 TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
 MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the CAN time frame and from the shared signals
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
@@ -39,7 +39,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
                  latency: tuple[float, float] = INS_ON_CAN,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
     """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
-    signals; shared signals; substitute signals, which give a doubtful alignment at best.
+    signals; shared signals; substitute signals, at best doubtful. Without any, the alignment is refused.
 
     offset: INS minus CAN clock [s]. search: bounds of the estimated offset [s]. latency: delay of INS values on CAN and
     its standard deviation [s]. steering_sign: +1 if the decoded sensor is positive to the left. Returns (alignment,
@@ -84,9 +84,9 @@ def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, floa
 
 
 def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """(pair of signals for a log without INS frames, a warning): speed and wheel speed, or else curvature and steering.
+    """(pair for a log without INS frames, warning): speed and vehicle or rear wheel speed, else curvature and steering.
 
-    steering_sign: +1 if the decoded sensor is positive to the left.
+    steering_sign: +1 if the decoded sensor is positive to the left. ([], "") if the log has neither speed nor steering.
     """
     velocity_x, yaw_rate = ins.velocity[0], ins.rate[2]
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
@@ -151,7 +151,7 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
 
 
 def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Whether the car moves within two seconds of each instant."""
+    """Whether the car is faster than MIN_MOVING_SPEED at any time from 2 s before to 2 s after each instant."""
     return np.isfinite(mask_standstill(time_ns, np.ones(len(time_ns)), speed_time_ns, speed, MIN_MOVING_SPEED))
 
 

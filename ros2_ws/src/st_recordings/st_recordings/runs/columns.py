@@ -223,7 +223,7 @@ class _Meaning(NamedTuple):
 
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
-    """Finds the channels in a header. Raises RunError if a column that the layout names is missing."""
+    """Finds the channels in a header. Raises RunError if a column or a channel that the layout names is missing."""
     found = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
     sources = dict(found)
     for channel, named in layout.columns.items():
@@ -245,7 +245,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
-    """The columns of each channel with the best name; several columns if their names are equally good."""
+    """Channel -> its column with the best name; several columns if their names are equally good."""
     paths = {meaning.path for name in names if (meaning := _identify_channel(name))} - {""}
     found: dict[str, list[ColumnSource]] = {}
     ranks: dict[str, int] = {}
@@ -276,7 +276,7 @@ def find_times(names: Sequence[str]) -> list[ColumnSource]:
 
 
 def find_rivals(names: Sequence[str]) -> dict[str, list[str]]:
-    """Channel -> columns, for the channels that have several columns with equally good names."""
+    """Channel -> names of its columns, for the channels that have several columns with equally good names."""
     return {channel: [source.name for source in sources] for channel, sources in _find_best_columns(names).items()
             if len(sources) > 1}
 

@@ -119,7 +119,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 
 def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
-    needed: channels that every sample has; other channels may contain NaN."""
+    needed: channels that every sample has; so is yaw if the table has it. Other channels may contain NaN."""
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
@@ -143,12 +143,12 @@ def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def has_drive_columns(file: Path) -> bool:
-    """Whether the header names all columns of a drive."""
+    """Whether the header names all channels of a drive, or channels from which they can be derived."""
     return not _missing_in_header(file)
 
 
 def lacks_steering(file: Path) -> bool:
-    """Whether the header names every INS channel but no steering angle."""
+    """Whether the header names (or permits to derive) time and every INS channel, but no steering angle."""
     return _missing_in_header(file) == [ROAD_WHEEL]
 
 
@@ -217,7 +217,7 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
     """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]).
 
     Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity or
-    from the course; yaw rate from yaw; x and y from latitude and longitude. Interpolates channels of lower rate.
+    from the course; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
     """
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
@@ -369,7 +369,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
 
 def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
     """Course over ground [rad], interpolated where the car is slower than MIN_COURSE_SPEED; constant if it is never
-    faster."""
+    faster, unchanged if the table has no speed."""
     course = columns[COURSE]
     if "velocity_x" in columns:
         speed = np.abs(columns["velocity_x"])
@@ -478,7 +478,7 @@ def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: Vehi
 
 def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tuple[str, ...],
                    notes: list[str]) -> dict[str, int]:
-    """Channel -> number of used rows in which it has no number; adds a note on each such channel."""
+    """Channel -> number of used rows in which it has no number ("time": of all rows); adds a note on each."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     counts = {"time": table.rows_without_time,
               **{name: _count_missing_samples(table.time_ns[table.used], columns[name][table.used])
