@@ -69,7 +69,7 @@ def load_typestore(definitions: Path) -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """Store in which recorded definitions of these types replace its own; the same store if none differs or on conflict.
+    """Store in which recorded definitions of these types replace its own; the same store if none differs or on clashes.
 
     definitions: definitions in the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is
     ignored: its type remains as in the store, or unknown.
