@@ -114,7 +114,7 @@ class DriveLog:
         return replace(self, name=name or self.name, **parts)
 
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":
-        """The same drive with the road wheel angle of another steering calibration.
+        """The same drive with the road wheel angle by the steering ratio and offset of `vehicle`.
 
             road_wheel_angle = (steering_wheel_angle - steering_wheel_offset) / steering_ratio      [rad, left +]
 

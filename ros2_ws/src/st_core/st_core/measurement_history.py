@@ -45,7 +45,7 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
 def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] between two samples (see the module docstring) if it exceeds the tolerance, else 0.
+    """|d| [m] between two samples (see the module docstring) if above the tolerance, else and after long gaps 0.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """

@@ -167,7 +167,7 @@ class TimeSeries:
 
 
 def half_step_grid(start_ns: int, steps: int, step: float) -> np.ndarray:
-    """Instants [ns] 0, step/2, step, ... after a start: (2 * steps + 1,)."""
+    """Instants [ns] 0, step/2, step, ... [s] after a start: (2 * steps + 1,)."""
     return start_ns + np.round(np.arange(2 * steps + 1) * (0.5 * step / NANOSECOND)).astype(np.int64)
 
 

@@ -63,7 +63,7 @@ class InputSequence:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """States at 0, step, 2 step, ... after the start: `states` is (steps + 1, 6) float64, columns as STATE_NAMES."""
+    """States at 0, step, 2 step ... [s] after the start: `states` is (steps + 1, 6) float64, columns as STATE_NAMES."""
 
     step: float
     states: np.ndarray

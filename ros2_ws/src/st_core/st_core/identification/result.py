@@ -137,7 +137,7 @@ def _finite_or_none(number: float) -> float | None:
 
 
 def apply_to_vehicle(vehicle: VehicleParameters, outcomes: Iterable[Identification], date: str) -> VehicleParameters:
-    """The vehicle with every identified or doubtful value, and a derived lambda_ky recomputed. date: YYYY-MM-DD.
+    """The vehicle with all identified and doubtful values of its keys, derived lambda_ky recomputed. date: YYYY-MM-DD.
 
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
     """

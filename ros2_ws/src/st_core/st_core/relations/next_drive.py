@@ -76,8 +76,8 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
                    design_effect: float, points: np.ndarray, deviation: np.ndarray,
                    sparse: Sequence[Range]) -> NextDrives:
-    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: of candidate
-    screening. points: (k,). deviation: (k,) standard deviation of the curve. sparse: from `find_sparse_ranges`."""
+    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: see
+    `ScreenedCandidate`. points: (k,). deviation: (k,) standard deviation of the curve. sparse: `find_sparse_ranges`."""
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.compute_splines(points)

@@ -33,10 +33,10 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 @dataclass(frozen=True, eq=False)
 class RelationFit:
     """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of PENALTIES.
-    vector: in the space of the candidate. residuals: (n, m). indices: (a,) free parameters, the coefficients last.
-    sensitivities: (a, n, m), with respect to these parameters. penalty: (a, a). quadratic: approximation of the loss,
-    by block. held_out: (b,) loss of each block at values fitted without its fold. steps: by fold, step to these
-    values."""
+    vector: in the space of the candidate. residuals: (n, m) [SI], a row per window. indices: (a,) free parameters, the
+    coefficients last. sensitivities: (a, n, m), reduction of the residuals per scale of these parameters. penalty:
+    (a, a). quadratic: approximation of the loss, by block. held_out: (b,) loss of each block at values fitted without
+    its fold. steps: by fold, step to these values [parameter scales]."""
 
     candidate: Candidate | None
     smooth: float
