@@ -28,7 +28,7 @@ from .errors import RunError, check_readable, format_share, shorten
 from .mdf_table import is_signal_table, read_names, read_signals
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
-ROWS_OF_TIMES = 500  # number of rows in which the time columns of a table are compared
+ROWS_OF_TIMES = 500  # number of rows in which distinct times are counted, to find the finest time column
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
@@ -47,7 +47,7 @@ _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """Channels of a table; rows are in the order of the file, and rows without a time are left out."""
+    """Rows of a table with a time, in the order of the file; all rows, and no times, if no column contains the time."""
 
     file: Path
     names: tuple[str, ...]  # of all columns
@@ -61,14 +61,14 @@ class Table:
 
     @property
     def absolute(self) -> bool:
-        """Whether the times are UTC."""
+        """Whether the times are UTC: the first is later than 10^18 ns after 1970, in September 2001."""
         return len(self.time_ns) > 0 and int(self.time_ns[0]) > 10**18
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Reads a text file in UTF-8, UTF-16 (from some spreadsheets) or Windows-1252; converts line ends to \\n.
+    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell.
 
-    size: number of bytes to read, -1 for all. Raises RunError for a binary file.
+    size: number of bytes to read, in which bytes that are not UTF-8 are ignored; -1: all, with RunError if binary.
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
     return _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
@@ -92,7 +92,7 @@ def _decode(file: Path, size: int) -> str:
 
 
 def read_header(file: Path) -> list[str]:
-    """Reads the names of the columns; empty for a file that cannot be read as text or MDF."""
+    """Reads the names of the columns; empty for a file that is empty or cannot be opened, or an invalid MDF file."""
     if is_signal_table(file):
         return read_names(file)
     try:
@@ -103,8 +103,8 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Reads a CSV file, or the signals of an MDF file. Raises RunError for another binary file, unreadable times, or
-    rows that do not fit the header."""
+    """Reads a CSV file, or the signals of an MDF file. Raises RunError if the file, its units, times or numbers cannot
+    be read."""
     check_readable(file)
     warnings: list[str] = []
     if is_signal_table(file):
@@ -124,7 +124,7 @@ def read_table(file: Path, layout: Layout) -> Table:
 def join_tables(tables: Sequence[Table]) -> Table:
     """Joins the parts of a recording in the order of their start times, with the channels that all parts have.
 
-    Raises RunError for parts that overlap in time, because their clocks then differ.
+    Parts without a used row are left out. Raises RunError if parts overlap in time, because their clocks then differ.
     """
     parts = sorted((table for table in tables if table.used.any()), key=lambda part: part.time_ns[part.used][0])
     if len(parts) < 2:
@@ -149,8 +149,8 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
                 sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. Raises RunError.
 
-    sources: column of each channel; by default they are found by the names. above: lines before the header, which may
-    give the units.
+    sources: column of each channel; None: columns and units are found by the names, the first rows and `above`, the
+    lines before the header.
     """
     body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
@@ -196,7 +196,7 @@ def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndar
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
                   warnings: list[str]) -> dict[str, ColumnSource]:
-    """Finds the column of each channel; an unnamed first column of times (index of a data frame) is the time."""
+    """Finds the column of each channel; the time may be an unnamed first column. Raises RunError for a CAN log."""
     plain = {normalise(name) for name in names}
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
@@ -371,7 +371,7 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
                np.isfinite(_parse_number(cell.replace(",", "."))) for cell in single):
             marks.add(mark)  # a single mark, as in 12,5, is the decimal mark
         elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
-            marks.add(other)  # a repeated mark, as in 1,234,567, is not
+            marks.add(other)  # a repeated mark, as in 1,234,567, separates thousands
     doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
     if doubtful and (len(marks) > 1 or not marks):
         why = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
@@ -395,7 +395,7 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """Parses the rows to an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
-    out; raises RunError if these are half of the rows or more."""
+    out. Raises RunError if these are half of the rows or more, or the others cannot be read."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)

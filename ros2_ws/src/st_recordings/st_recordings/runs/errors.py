@@ -60,7 +60,7 @@ def log_warnings(warnings: Iterable[str]) -> None:
 @contextmanager
 def group_similar_warnings() -> Iterator[None]:
     """Context that abbreviates warnings which differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are
-    logged in full; of the others, only the file names are logged on exit."""
+    logged in full; of the others, one warning on exit lists up to 10 file names."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)
     try:
@@ -90,7 +90,7 @@ def join_problems(problems: Iterable[str]) -> str:
 
 
 def check_readable(path: Path) -> None:
-    """Raises RunError for a file that is missing, empty, compressed or cannot be opened."""
+    """Raises RunError for a folder, or a file that is missing, empty, compressed or cannot be opened."""
     try:
         if not path.is_file():
             raise RunError(path, "this is a folder, not a file" if path.exists() else "the file does not exist")

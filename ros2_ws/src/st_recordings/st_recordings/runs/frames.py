@@ -11,11 +11,11 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""If a frame is earlier than all of the last MAX_EARLY_FRAMES + 1 frames before it, the clock was set back; otherwise
-the frames are only out of order."""
+"""If a frame is earlier than each of the MAX_EARLY_FRAMES + 1 frames before it, the clock was set back; otherwise the
+frames are only out of order."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
-_FRAME_ID_AT = 12  # byte in st_msgs/CanFrames at which the length of header.frame_id is
+_FRAME_ID_AT = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
 _LENGTH = Struct("<I")
 
 
@@ -75,7 +75,7 @@ def merge_by_time(parts: Sequence[Frames]) -> Frames:
 
 
 def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
-    """(frames that differ from the previous one in time or content, number of duplicates)."""
+    """(frames without repetitions, their number); a repetition has time, id, bus, length and payload of the previous frame."""
     same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
     same &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
     rows = np.nonzero(same)[0]
@@ -88,12 +88,12 @@ def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
 def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]:
     """Moves the times after each backward step of the logger's clock forward.
 
-    A logger writes frames as they arrive, so a step back in time means that its clock was set. The times after it
-    continue where the previous ones end; the true gap between the two frames (a millisecond on a busy bus) is lost.
+    A logger writes frames as they arrive, so a step back in time (see MAX_EARLY_FRAMES) means that its clock was set.
+    The true interval across the step is lost (a millisecond on a busy bus); the median interval replaces it.
 
     Returns:
-        (frames in the order in which they were written, clock steps). A clock step is (time of the frame after the step
-        [ns], negative size of the step [s]).
+        (frames in the order in which they were written, clock steps). A clock step is (new time of the frame after the
+        step [ns], negative size of the step [s]).
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)

@@ -25,9 +25,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
          settings: ReadSettings | None = None) -> LoadedRun:
     """Reads one run. Raises RunError for a run that cannot be used.
 
-    vehicle: gives the steering ratio and offset for the road wheel angle; without it, the recording (bag, CSV) must
-    contain the road wheel angle. Samples that no working sensor produces (`st_core.checks.plausibility`) are left out
-    and listed in `auxiliary.implausible`. Then the corrections of the run.yaml are applied, with a warning.
+    vehicle: gives the steering ratio and offset for the road wheel angle, which the recording (bag, CSV) must contain
+    otherwise, and heading and sideslip if the yaw is the course over ground. Implausible samples are left out or NaN
+    (`st_core.checks.plausibility`), as `auxiliary.implausible` describes. Then the run.yaml corrects the drive.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -56,9 +56,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
-    """Applies the corrections of the run.yaml. Raises RunError if no samples remain.
+    """Applies the corrections of the run.yaml. Raises RunError if they are invalid or a time shift leaves no sample.
 
-    Labels count from the first sample, so they are shifted if the first samples are left out.
+    Labels count from the first INS sample, so they are shifted if the first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
     phrases = (*describe_corrections(source.settings.get("correct", {})),
@@ -67,7 +67,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
         return run
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
     if "yaw" in corrections and READERS[source.kind].scales_yaw:
-        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)
+        corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     try:
         log = apply_corrections(run.log, corrections, vehicle, left_out)
     except StCoreError as error:
@@ -81,7 +81,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings about time that only INS or only steering covers. Raises RunError if the two do not overlap in time."""
+    """Warnings about time that only INS or only steering covers. Raises RunError without overlap or with < 2 samples."""
     _check_size(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
@@ -95,7 +95,7 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
 
 
 def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
-    """Raises RunError, with the notes, if fewer than two measurements remain."""
+    """Raises RunError, with the notes, if fewer than two samples of INS or of steering remain."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
         problem = "it contains fewer than two measurements of INS or steering"
         reasons = (note.removeprefix(f"{source.where}: ") for note in notes)
@@ -103,7 +103,7 @@ def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each file, including the files in folders."""
+    """Path -> SHA-256 of each file; for a folder, of the files directly in it."""
     hashes = {}
     for path in paths:
         for file in sorted(path.iterdir()) if path.is_dir() else [path]:

@@ -45,7 +45,7 @@ class Layout:
     start: int  # offset of the first record
     id_size: int  # bytes of a record identifier
     fixed: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether the payload is in a separate record)
-    variable: set[int]  # identifiers of these payload records
+    variable: set[int]  # identifiers of the separate payload records
 
 
 def check_blocks(data: Buffer) -> Layout | None:
@@ -53,10 +53,10 @@ def check_blocks(data: Buffer) -> Layout | None:
 
     asammdf does not validate these blocks: it crashes for a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an
-    unfinalised file has no length, so its end is not checked.
+    unfinalised file may have no length; its end is then not checked.
 
     Returns:
-        The layout of the records in an unsorted file; None for a sorted file.
+        The layout of the records in the first data group; None if there is no group or its records are sorted.
     """
     if len(data) < 64 + 104:
         raise DamageError(f"it ends after {len(data)} bytes, within its header")
@@ -129,7 +129,7 @@ class _BlockChecker:
         return block.links[0]
 
     def _check_channel_group(self, offset: int, layout: Layout) -> tuple[int, int]:
-        """Adds a channel group to the layout; returns (offset of the next group, bytes of its own records)."""
+        """Adds a channel group to the layout; returns (offset of the next group, bytes of its fixed-size records)."""
         block = self._read_block(offset, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalidation_size = struct.unpack_from("<QQHHIII", self._data, block.content)
         if record in layout.fixed or record in layout.variable:
@@ -192,7 +192,7 @@ class _BlockChecker:
 
     def _check_time_conversion(self, offset: int) -> None:
         # asammdf ignores an invalid conversion and would read microseconds as seconds.
-        self._visited.discard(offset)  # groups share a conversion
+        self._visited.discard(offset)  # groups may share a conversion
         block = self._read_block(offset, (b"##CC",), links=4, content=24)
         kind, _, _, _, values = struct.unpack_from("<BBHHH", self._data, block.content)
         if kind not in _LINEAR_CONVERSIONS or (kind and (values != 2 or block.content + 40 > block.end)):
@@ -203,7 +203,7 @@ class _BlockChecker:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
-        """Number of bytes of records at a link, which leads to one block (compressed or not) or a list of blocks."""
+        """Number of unpacked bytes of records at a link, which leads to one block, packed or not, or a list."""
         size, lists, waiting = 0, 0, [offset]
         while waiting:
             offset = waiting.pop()

@@ -21,7 +21,7 @@ from .errors import RunError, format_share, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
-LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s; their sum in ns fits into int64
+LATEST_START, LONGEST_SESSION = 4 * 10**9, 1e9  # s since 1970, s; their sum in ns fits into int64
 MDF_OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # do not decode the frames
 MF4_EXTENSIONS = (".mf4", ".mdf")
 _VENDOR_KINDS = {".mfc": "compressed", ".mfe": "encrypted", ".mfm": "compressed and encrypted"}
@@ -68,10 +68,10 @@ def reject_unreadable(path: Path, head: bytes) -> None:
 
 
 def read_mf4(path: Path) -> frames.CanLog:
-    """Reads all CAN frames of an MDF 4 file in order of time. The warnings do not name the file.
+    """Reads the valid CAN frames of an MDF 4 file in order of time. The warnings do not name the file.
 
     A file that ends in the middle of a record, as is usual when the ignition is switched off, is read up to that
-    record, with a warning. Raises RunError for a file that contains no CAN frames or has a truncated block structure.
+    record, with a warning. Raises RunError for a file without CAN frames, with invalid blocks, or invalid times.
     """
     warnings: list[str] = []
     decoded_signals: list[str] = []
@@ -109,7 +109,7 @@ def quiet_asammdf() -> Iterator[None]:
     """Suppresses the output of asammdf, because it also prints the errors that it raises."""
     from asammdf.blocks.mdf_v4 import MDF4
 
-    # It closes the file, as the readers do themselves, and complains on stderr after a failed __init__.
+    # The destructor would close the file, which the readers do, and complain on stderr after a failed __init__.
     MDF4.__del__ = lambda mdf: None  # type: ignore[method-assign]
     logger = logging.getLogger("asammdf")
     level = logger.level
@@ -280,7 +280,7 @@ def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
 
 
 def _find_bus(log: Any, group: int) -> int:
-    """Finds the bus of a group in the name of the group, such as CAN1_Rx (layout 2); 0 if it is unknown."""
+    """Finds the bus in the name of a group or of its source, such as CAN1_Rx (layout 2); 0 if it is unknown."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
     for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):

@@ -51,11 +51,11 @@ class RawRun:
 
 def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True,
              needs_steering: bool = True) -> RawRun:
-    """Reads and aligns the INS recording and CAN logs of a run.
+    """Reads and aligns the INS recording and CAN logs of a run; if the whole log cannot be aligned, uses its longest
+    part that can. Raises RunError, but not for a refused alignment, which is part of the result.
 
     keep_frames: False discards the raw frames after decoding, because they use most of the memory. needs_steering:
-    False if the run need not contain a steering angle, and a CSV file no position. Raises RunError; a refused alignment
-    does not raise but is part of the result.
+    False if neither a steering angle nor, in a CSV file, a position is required.
     """
     if source.problem is not None:
         raise source.problem
@@ -106,7 +106,7 @@ def _split_log(can: CanLog) -> list[tuple[int, int]]:
 def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple[int, int]], options: Mapping[str, Any]
                          ) -> tuple[tuple[int, int], Alignment, list[SharedSignal]] | None:
     """((start, end) [ns], alignment, shared signals) of the longest part of a log that can be aligned; None if there is
-    only one part, or none can be aligned."""
+    only one part, or none of the MAX_PARTS longest can be aligned."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
         alignment, shared = align_clocks(ins, signals.between(*part), **options)
         if alignment.verdict is not Verdict.REFUSED:
@@ -123,7 +123,7 @@ def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings:
 
 
 def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings, run: RawRun) -> LoadedRun:
-    """Builds the drive of a decoded run, on the INS clock. Raises RunError, also for a refused alignment."""
+    """Builds the drive of a decoded run, on the INS clock. Raises RunError, also if the alignment is not accepted."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
         raise RunError(source.where, f"its clock cannot be aligned with the clock of the CAN log: {reasons}",
@@ -160,7 +160,7 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
 
 
 def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Finding, ...]:
-    """A finding about steering frames that the decoder rejected; empty if there are none."""
+    """A finding about steering frames that the decoder rejected; empty if there are none, or no INS samples."""
     assert run.steering is not None
     message = run.steering.message
     if message not in run.signals.rejected or not len(run.ins.time_ns):
@@ -186,7 +186,7 @@ def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
 
 
 def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:
-    """Arguments of `align_clocks`, from the settings or else from the run.yaml. Raises RunError."""
+    """Arguments of `align_clocks`, from the settings or else the run.yaml. Raises RunError for invalid bounds."""
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "the lower bound {:g} is not below the upper bound {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
@@ -197,7 +197,7 @@ def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str
 def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
     """Reads and aligns an INS recording and CAN logs, which need not contain the steering angle. Raises RunError.
 
-    files: INS recording (NCOM, VBO, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
+    files: INS recording (NCOM, VBO, bag, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
     """
     return read_raw(_find_pair(files), settings, keep_frames=False, needs_steering=False)
 
