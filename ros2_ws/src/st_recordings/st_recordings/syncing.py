@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 SHORTEST_PERIOD = 0.25
-"""Minimum time [s] between two synchronisations, so that frequent writes do not occupy the disk."""
+"""Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 
 
 class Syncer:
-    """Calls fdatasync on one file in a separate thread, after each `wake`.
+    """Calls fdatasync on one file in a separate thread after `wake`, at most once per SHORTEST_PERIOD.
 
     error: text of the last error, or empty. It is never cleared, because data of a failed call may be missing even if
-    later calls succeed. count: number of synchronisations. longest: duration of the slowest one [s].
+    later calls succeed. count: number of calls, with failed ones. longest: duration of the slowest call [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
@@ -42,7 +42,7 @@ class Syncer:
 
     @property
     def delay(self) -> float:
-        """Age of the oldest data that is not on the disk [s]."""
+        """Age of the oldest data whose synchronisation has not ended [s]; 0 if there is none."""
         with self._condition:
             since = [t for t in (self._waiting_since, self._syncing_since) if t is not None]
         return time.monotonic() - min(since) if since else 0.0

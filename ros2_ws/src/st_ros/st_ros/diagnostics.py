@@ -24,7 +24,7 @@ class Check:
 
 
 class Diagnostics:
-    """Publishes the checks that `collect` returns once a second, and whenever the node calls `publish`."""
+    """Publishes the checks from `collect` every PUBLISH_PERIOD and on `publish`; logs each change of a level."""
 
     def __init__(self, node: Node, hardware_id: str, collect: Callable[[], list[Check]]):
         self._node = node

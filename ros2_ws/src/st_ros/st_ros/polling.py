@@ -18,7 +18,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-UNRESOLVED_PREFIX = "_NODE_NAME"  # placeholder names begin so before discovery has resolved the name of a node
+UNRESOLVED_PREFIX = "_NODE_NAME"  # prefix of the placeholder for a name that discovery has not resolved
 UNRESOLVED_NODE = "a node whose name is not known yet"  # text shown for such a node
 SUBSCRIBER_COUNT_PERIOD = 0.05  # s between counts of subscribers; a count takes as long as filling a message
 SAMPLE_QOS = QoSProfile(depth=1000)  # 4 s at 250 Hz, so that a briefly blocked subscriber loses no message
@@ -101,7 +101,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self, now: float) -> bool:
-        """Whether it had subscribers at the last count, at most SUBSCRIBER_COUNT_PERIOD ago. now: monotonic [s]."""
+        """Whether the topic had subscribers within SUBSCRIBER_COUNT_PERIOD; False if disabled. now: monotonic [s]."""
         if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0
@@ -123,7 +123,7 @@ def match_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile
 
 
 def find_message_class(type_name: str) -> type | None:
-    """The Python class of "pkg/msg/Type"; None if its package is not installed."""
+    """The Python class of "pkg/msg/Type"; None if it is not installed."""
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

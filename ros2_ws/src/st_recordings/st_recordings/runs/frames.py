@@ -75,7 +75,7 @@ def merge_by_time(parts: Sequence[Frames]) -> Frames:
 
 
 def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
-    """(frames without repetitions, their number); a repetition has time, id, bus, length and payload of the previous frame."""
+    """(frames that differ from the previous one in time, id, bus, length or payload; number of the others)."""
     same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
     same &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
     rows = np.nonzero(same)[0]

@@ -49,7 +49,7 @@ class Reconstruction:
         return any(t.type_name == type_name and t.count for t in self._topics)
 
     def find_topic(self, type_name: str) -> Topic:
-        """The first topic of a type that has messages."""
+        """The first topic of a type with messages; `has` must be true for the type."""
         return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
@@ -61,8 +61,8 @@ class Reconstruction:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
 
     def reconstruct_odometry(self, fields: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Columns of nav_msgs/Odometry, reconstructed from raw packets. Raises RunError for damaged packets, or if no
-        packet has a fix and a time.
+        """Columns of nav_msgs/Odometry, reconstructed from raw packets. Raises RunError for packets of different
+        lengths, or if no packet has a fix and a time.
 
         fields: names of stamp, position x, y, quaternion x, y, z, w, velocity x, y and yaw rate, in this order.
         """
@@ -83,7 +83,7 @@ class Reconstruction:
         return {fields[0]: np.array(stamps, np.int64), **dict(zip(fields[1:], map(np.array, values), strict=True))}
 
     def read_origin(self) -> tuple[float, float, float] | None:
-        """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]."""
+        """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]; None if it was not recorded."""
         topic = next((t for t in self._topics if t.name.endswith(ORIGIN_TOPIC) and t.type_name == ORIGIN_TYPE
                       and t.count), None)
         if topic is None:
@@ -100,7 +100,7 @@ class Reconstruction:
         return Origin(source, (latitude, longitude, altitude) if source == GIVEN else None)
 
     def reconstruct_steering(self) -> dict[str, np.ndarray]:
-        """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError."""
+        """Columns of st_msgs/Steering, reconstructed from raw CAN frames. Raises RunError if they cannot be decoded."""
         from .can_signals import find_steering
 
         bridge = self._nodes.get("canedge_bridge", {})
@@ -174,7 +174,7 @@ def choose_auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, .
 def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
                            stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
                            reconstruction: Reconstruction) -> AuxiliaryData:
-    """Collects the auxiliary data of a bag for the checks; speeds are reconstructed if no topic has them.
+    """Collects the auxiliary data of a bag for the checks; what no topic contains is reconstructed if possible.
 
     columns: fields of the topics from `choose_auxiliary_fields`, except unreadable ones. stamps: times [ns] of "INS"
     and "steering". missing: channel -> number of messages without a usable value.
@@ -204,7 +204,7 @@ def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
-    """(INS quality, forward speed [m/s]) from raw packets; None for a quantity that they do not contain."""
+    """(INS quality, forward speed [m/s]) from raw packets; None for a quantity without a usable packet."""
     try:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
@@ -220,7 +220,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 
 def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """INS quality from st_msgs/InsStatus messages; their texts vary in length, so they are read one by one."""
+    """INS quality from st_msgs/InsStatus messages, read one by one as their texts vary in length; None if damaged."""
     try:
         rows = [[get_field(message, field) for field in _STATUS_FIELDS]
                 for _, message in deserialise("", storage, topic, store)]

@@ -73,7 +73,7 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
 
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
-    """One run per file, with the CAN logs of the same stem. NAME.run.yaml has priority for a file NAME.csv."""
+    """One run per file, with the CAN logs of the same stem. A run.yaml of the file alone has priority."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
                        "write a NAME.run.yaml for this run")
@@ -85,7 +85,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads the run.yaml of a single recording (same stem, or same folder) unless it is `path`; None if none."""
+    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes one run of it; None if none."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _read_content(own) if own.exists() and own != path else {"each": ""}
@@ -128,7 +128,7 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
 
 
 def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
-    """Finds the CAN logs among files that have the same folder and stem as a recording."""
+    """Finds, among `files`, the CAN logs with the same folder and stem as the recording `file`."""
     return [f for f in files if f.stem == file.stem and f.parent == file.parent
             and (f.suffix.lower() in CAN_EXTENSIONS or is_can_log(f))]
 

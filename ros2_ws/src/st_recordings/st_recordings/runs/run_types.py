@@ -22,7 +22,7 @@ class SteeringField:
     topic: str  # name of a topic in a bag, "" for a table
     field: str = "data"  # path to a number in a message, such as "drive.steering_angle", or name of a column
     quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or uncorrected steering wheel angle
-    unit: Literal["rad", "deg"] | None = None  # None: the unit that the header of a table states, or rad
+    unit: Literal["rad", "deg"] | None = None  # None: the unit that a table states, or else rad
     sign: int = 1  # 1 if left is positive in the recording, else -1
 
     @property
@@ -44,8 +44,8 @@ class Label:
 class RunSource:
     """The files of one run, and the settings of its run.yaml.
 
-    settings: offset [s], ins_can_latency (value and standard deviation [s]), dbc, signals (paths), layout
-    (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
+    settings: offset (INS minus CAN clock [s]), ins_can_latency (value and standard deviation [s]), dbc, signals (paths),
+    layout (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
     """
 
     name: str
@@ -81,8 +81,8 @@ class ReadSettings:
     signals: Path | None = None  # signal table; None as for dbc
     steering_sign: int = 1  # +1 if the decoded sensor is positive to the left, else -1
     steering_latency: float = 0.0
-    offset: float | None = None  # INS minus CAN clock [s]; None to estimate it
-    search: tuple[float, float] | None = None  # bounds of the estimated offset [s]
+    offset: float | None = None  # INS minus CAN clock [s]; None: as in the run.yaml, or else estimated
+    search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: none
     ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN
     accept_doubtful: bool = True
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering

@@ -17,7 +17,7 @@ from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .ncom import ACCURACIES, NcomLog, decode_status_channel, select_latest_values
 
 UNKNOWN_VARIANCE = 1e6
-"""As in oxts_bridge.convert: large enough that filters ignore the value, but finite so that they do not fail."""
+"""Variance [SI], as in oxts_bridge.convert: so large that filters ignore the value, but finite, so they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
 CAN_PERIOD_NS = 20_000_000
 """Duration of the frames in one can/frames message [ns]; 0.1 s in the live bridge."""
@@ -123,7 +123,7 @@ class Serialiser:
             "valid": valid})
 
     def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """Wheel speeds, one ROS message per frame of a CAN message; NaN for speeds that are not in the frame."""
+        """Wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels that are not in the frame."""
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))

@@ -23,7 +23,7 @@ GENERIC_NAMES = ("run", "bag")
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
-"""Longest gap [s] between the end of one file of a split bag and the start of the next."""
+"""Longest gap or overlap [s] between the end of one file of a split bag and the start of the next."""
 TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
                     ".hdf5", ".tdms", ".json", ".erg", ".ld")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
@@ -174,7 +174,7 @@ def _reject_unknown_file(file: Path) -> RunSource:
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
                       logs: Sequence[Path]) -> Iterator[RunSource]:
-    """Yields a source with a problem for each INS recording without CAN logs, or each CAN log without INS recording."""
+    """Yields a source for each INS recording without CAN logs, or, if there are none, for each session of CAN logs."""
     for file in recordings:
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
@@ -199,7 +199,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
-    """Groups bag files drive_0, drive_1, ... if each begins where the previous one ends."""
+    """Groups of two or more bag files drive_0, drive_1, ..., each of which begins when the previous one ends."""
     groups: list[list[Path]] = []
     for file in sorted(files, key=lambda f: (f.parent, natural_sort_key(f))):
         if groups and _is_continuation(groups[-1][-1], file):
@@ -235,7 +235,7 @@ def _make_unusable(path: Path, problem: str, advice: str) -> RunSource:
 
 
 def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
-    """Gives runs distinct names, because results are stored by name; adds the folder to a name that is already used."""
+    """Gives runs distinct names, because results are stored by name; adds folder or number to a name already used."""
     used: set[str] = set()
     named = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.where))):

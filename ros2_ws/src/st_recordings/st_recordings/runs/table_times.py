@@ -14,7 +14,7 @@ from .errors import RunError
 from .ins_log import LATEST_TIME, select_usable_rows
 
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
-# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored, because it may be in April or in May.
+# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless _order_dates can convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
@@ -64,7 +64,7 @@ def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[st
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
-    """Converts dates such as 25/04/2026 to 2026-04-25 if at least one date shows which number is the day."""
+    """Converts dates such as 25/04/2026 to 2026-04-25 if a date shows which number is the day; otherwise warns."""
     pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
@@ -104,7 +104,7 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
 
 
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
-    """Converts times to seconds, by the stated unit or an inferred format: HHMMSS, days, or ms, us or ns since 1970."""
+    """Converts times, in the stated unit or as HHMMSS, days, or ms, us, ns since 1970, to seconds without rollovers."""
     finite = times[np.isfinite(times)]
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
@@ -117,7 +117,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         return seconds
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
-    elif len(steps) and np.median(steps) < 2e-5:  # faster than any logger
+    elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
     for origin, factor, meaning in meanings if not source.stated else ():
         if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
@@ -143,7 +143,7 @@ def is_valid_hhmmss(hhmmss: Any) -> Any:
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
-    """Whether all numbers are valid HHMMSS.ss, and the step to a new minute is larger by 40."""
+    """Whether all numbers are valid HHMMSS.ss, and a step, to a new minute, exceeds the median step by 40."""
     if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or not is_valid_hhmmss(times).all():
         return False
     steps = np.diff(times)
@@ -153,7 +153,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, the times [ns], whether each is used). Raises RunError if no time is readable."""
+    """(whether each row has a time, the times [ns], whether each is used). Raises RunError if most are unusable."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
@@ -179,7 +179,7 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
 
 
 def _guess_time_unit(times: np.ndarray) -> str:
-    """The unit with which the times are plausible and their median step is 0.5 ms to 0.5 s; empty if there is none."""
+    """The unit with which all times are before LATEST_TIME and the median step is 0.5 ms to 0.5 s; empty if none is."""
     times = times[np.isfinite(times)]
     step = np.abs(np.diff(times))
     median_step = float(np.median(step[step > 0.0])) if step.any() else 0.0

@@ -38,7 +38,7 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if the magnitude of its correlation with the derivative of the heading is lower."""
 MIN_TURN_RATE = 0.01
-"""rad/s, due to heading noise of 0.1 deg at 5 Hz; the yaw rate is not checked if the median derivative is smaller."""
+"""rad/s, due to heading noise of 0.1 deg at 5 Hz; below this median |derivative|, the yaw rate is not checked."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -71,7 +71,7 @@ def read_vbo(file: Path, layout: Layout) -> Table:
 
 
 def lacks_steering(file: Path) -> bool:
-    """Whether [column names] has neither a road wheel nor a steering wheel angle."""
+    """Whether [column names] has names but no road wheel or steering wheel angle; False for an unreadable file."""
     try:
         names = _read_column_names(_split_sections(read_text(file, HEADER_SIZE)))
         sources = find_columns(file, names, Layout())

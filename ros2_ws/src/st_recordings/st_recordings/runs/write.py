@@ -45,7 +45,7 @@ class ImportResult:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> ImportResult:
-    """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag.
+    """Reads and checks a run of NCOM packets and CAN frames, and writes it, uncorrected, as a bag.
 
     check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
     the completed fraction, 0 to 1. Raises RunError if the run cannot be read or aligned, `check` rejects it, or the bag
