@@ -14,7 +14,7 @@ from .sensors import InsReading
 STEERING_MESSAGE = "Leaf_Steering"
 VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a live bus they share one channel
 
-FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; simultaneous frames are sent at this interval
+FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
 CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf, counted in a recording with 52 identifiers
 
 # Periods [ms] of other identifiers in that recording, which `--can-rate full` sends with random data.

@@ -31,7 +31,7 @@ MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
 class Driver:
     """Driver of one car. Call advance() before every step of the plant: it updates the two inputs of the plant.
 
-    steering_wheel_angle: true angle [rad, left +]. drive_force: sum of all wheels [N], braking < 0.
+    steering_wheel_angle: true [rad, left +]. drive_force: of all wheels [N], braking < 0. distance: along the road [m].
     """
 
     def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
@@ -112,7 +112,7 @@ class Driver:
         if abs(acceleration) < STEADY_ACCELERATION:
             integral = self._speed_integral + SPEED_INTEGRAL_GAIN * error * SAMPLING_TIME
             self._speed_integral = min(max(integral, -SPEED_INTEGRAL_LIMIT), SPEED_INTEGRAL_LIMIT)
-        # Cornering resistance per mass: lateral force of the front axle times the sine of the steering angle.
+        # Cornering resistance per mass: lateral force of the front axle times the sine of the road-wheel angle.
         cornering = abs(s[VX] * s[YAW_RATE] * math.sin(s[RACK])) * plant.to_rear / self.car.wheelbase
         target = acceleration + SPEED_GAIN * error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -MAX_BRAKING), MAX_DRIVE)

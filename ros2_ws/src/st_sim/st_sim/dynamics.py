@@ -24,8 +24,8 @@ ROLL_FREQUENCY, ROLL_DAMPING = 12.6, 0.4  # rad/s (2 Hz) and damping ratio of bo
 PITCH_TIME, COMPLIANCE_TIME = 0.08, 0.01  # s, time constants of pitch and longitudinal load transfer, and of compliance
 ROLLING_ONSET = 0.2  # m/s; below it the rolling resistance decreases to 0, so that it cannot move a parked car
 
-# Indices of the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: transient slip; A_Y, A_X:
-# specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
+# Indices of the state tuple. RACK, COMPLIANCE_ANGLE: road-wheel angles [rad]; S_FL to S_RR: tangents of the transient
+# slip angles; A_Y, A_X: specific force at the CG [m/s^2], filtered by the roll and pitch dynamics.
 X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, A_Y, A_Y_RATE, A_X = range(16)
 STATES = A_X + 1
 
@@ -100,7 +100,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
         F_y = D sin(C atan(B a - E (B a - atan(B a)))),  D = mu F_z,  B = K / (C D)
         K = p_ky1 F_z0 sin(p_ky4 atan(F_z / (p_ky2 F_z0))) lambda
-        mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a),  df_z = F_z / F_z0 - 1
+        mu = p_dy1 + p_dy2 df_z,  E = (p_ey1 + p_ey2 df_z)(1 - p_ey3 sgn a) <= 1,  df_z = F_z / F_z0 - 1
 
     A slip angle is positive when the wheel slides to its left; the force is then negative (to the right). The friction
     factor scales the peak D but not the slope K.
@@ -120,7 +120,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
 
 def lateral_share(longitudinal: float, peak: float) -> float:
-    """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| exceeds the peak D."""
+    """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| >= D, the peak."""
     used = longitudinal / peak
     return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
 
@@ -131,7 +131,7 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
 
     contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. friction: factor on the
     peak. slip: transient slip (state). across, along: velocity of the contact patch perpendicular to and in the wheel
-    plane [m/s]. drive: requested F_x [N].
+    plane [m/s]. drive: requested F_x [N], which is limited to MAX_PEAK_SHARE of the peak.
     """
     relaxation, combined, max_rate = contact
     speed = abs(along)
@@ -154,7 +154,7 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
 
 def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: float, wind_x: float,
               wind_y: float) -> tuple[float, float]:
-    """Drag and side force [N] in body axes; sideslip in still air causes no side force."""
+    """Force of the air along body x and y [N], from wind in map axes [m/s]; in still air, sideslip causes no F_y."""
     along, across, speed = -vx, -vy, hypot(vx, vy)
     if still_air:
         return 0.5 * AIR_DENSITY * speed * drag_area * along, 0.0
@@ -178,10 +178,10 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
 # long: the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
-    """Time derivative of the state, and wheel forces, loads and velocities.
+    """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
+    longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
-    surroundings: (friction, bank, grade [rad], wind_x, wind_y [m/s]). Second result: road-wheel angle [rad]; lateral
-    forces, longitudinal forces, loads [N], velocities across and along the wheel plane [m/s], each for FL, FR, RL, RR.
+    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: (friction, bank, grade [rad], wind [m/s]).
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
@@ -228,7 +228,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
         y_fl, y_fr = y_fl - thrust * load_fl, y_fr - thrust * load_fr
         y_rl, y_rr = y_rl - thrust * load_rl, y_rr - thrust * load_rr
 
-    # Forces in body axes. The rear wheels steer by less than 1 deg, so a first-order rotation is accurate to 2e-4.
+    # Forces in body axes. A first-order rotation of the rear wheels is accurate to 2e-4 up to 1 deg of rear steer.
     bx_fl, by_fl = x_fl * cos_l - y_fl * sin_l, x_fl * sin_l + y_fl * cos_l
     bx_fr, by_fr = x_fr * cos_r - y_fr * sin_r, x_fr * sin_r + y_fr * cos_r
     bx_rl, by_rl = x_rl - y_rl * steer_rear, y_rl + x_rl * steer_rear

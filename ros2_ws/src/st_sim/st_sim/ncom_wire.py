@@ -17,7 +17,7 @@ FLATTENING = 1 / 298.257223563
 _ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 UNDULATION = 45.5  # m, geoid above the ellipsoid (EGM96 near Eindhoven); units send altitude above the geoid by default
 GPS_EPOCH_UNIX_NS = 315_964_800_000_000_000
-LEAP_SECONDS_NS = 18_000_000_000  # GPS is ahead of UTC by 18 s since 2017
+LEAP_SECONDS_NS = 18_000_000_000  # GPS time has been 18 s ahead of UTC since 2017
 
 NO_DATA, RAW_IMU = 0, 1  # navigation status: without valid data, with inertial data only
 _INVALID = (math.nan, math.nan, math.nan)

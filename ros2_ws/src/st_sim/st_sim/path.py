@@ -41,7 +41,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn by an angle [deg, left +]; its curvature rises and falls linearly, each over a length `blend` [m].
+    """A turn by an angle [deg, left +]; its curvature rises to 1 / radius and falls linearly, each over `blend` [m].
 
     Raises ValueError if the blends alone turn by more than the angle.
     """

@@ -26,12 +26,12 @@ from .environment import Environment
 from .settings import Settings
 
 STEP = 0.002  # s, of Heun's method; halving it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
-STANDSTILL_SPEED = 0.02  # m/s; at lower speed with the brakes applied, the car is at rest
+STANDSTILL_SPEED = 0.02  # m/s; at lower v_x without a positive drive force, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
 class PlantOutputs(NamedTuple):
-    """Forces, loads, slip angles and speeds of the wheels (FL, FR, RL, RR), and accelerations of the body [SI]."""
+    """Forces in wheel axes, loads, slip angles and speeds of FL, FR, RL, RR, and acceleration of the body [SI]."""
 
     acceleration_x: float
     acceleration_y: float
@@ -51,7 +51,7 @@ class Truth:
 
     Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each of body
     plus road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
-    acceleration_x, _y: without gravity. wheel_speed: FL, FR, RL, RR.
+    acceleration_x, _y: of the motion, not the specific force. wheel_speed: FL, FR, RL, RR.
     """
 
     time: float

@@ -2,7 +2,7 @@
 
 Columns, all at the CG and SI: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay, and
 delta, the road-wheel angle (left +). Values are interpolated linearly but neither smoothed nor adjusted. The yaw
-acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate.
+acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate. Wheel speeds equal vx.
 """
 
 import csv

@@ -44,7 +44,7 @@ class RoadPlan:
         self.start = start
 
     def speed_at(self, distance: float) -> float:
-        """Initial speed at a distance [m/s]."""
+        """Target speed at a distance [m/s]."""
         return self._profile.interpolate(distance)[0]
 
     def make_demand(self, time: float, distance: float, speed: float) -> Demand:
@@ -64,7 +64,7 @@ class Phase:
 
 
 class PhasePlan:
-    """A circle driven in repeated phases: cruise, brake, rest, accelerate."""
+    """A circle driven in repeated phases. radius: [m]; side: 1 left, -1 right; speed: highest target speed [m/s]."""
 
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])
@@ -90,7 +90,7 @@ class PhasePlan:
 
 
 class OpenLoopPlan:
-    """Plan with constant speed and open-loop steering."""
+    """Plan with constant speed: straight ahead before time 0, then open-loop steering."""
 
     def __init__(self, manoeuvre: Manoeuvre):
         self.path = Path(straight(100.0, manoeuvre.speed))
@@ -121,7 +121,7 @@ def make_plan(manoeuvre: Manoeuvre) -> Plan:
 
 
 def _make_phases(manoeuvre: Manoeuvre) -> list[Phase]:
-    """Phases of the pedals. Braking ends at a speed instead of a time, with the steering wheel held."""
+    """Phases of the pedals. While braking, the steering wheel is held; braking ends at a speed instead of a time."""
     phases, end = [], 0.0
     for seconds, acceleration in manoeuvre.pedals:
         end += seconds

@@ -54,7 +54,7 @@ ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.00
 
 
 class _Noise:
-    """White noise plus a slow Gauss-Markov process."""
+    """White noise plus a slow Gauss-Markov process (standard deviations); time: its correlation time [s]."""
 
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw
@@ -135,7 +135,7 @@ def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:
 
 
 def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> tuple[float, float, float]:
-    """Specific force in the axes of the tilted body (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
+    """Specific force [m/s^2] in tilted body axes (FLU) for a horizontal acceleration (a_x, a_y, 0) and gravity."""
     forward, right, down = ax, -ay, -GRAVITY
     cp, sp, cr, sr = math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll)
     forward, down = cp * forward - sp * down, sp * forward + cp * down
@@ -156,7 +156,7 @@ class SteeringSensor:
 
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> tuple[list[float], float]:
-    """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]."""
+    """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]; 0 below their minimum."""
     wheels = [_read_unsigned(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
     return wheels, _read_unsigned(truth.velocity_x, MIN_VEHICLE_SPEED)
 

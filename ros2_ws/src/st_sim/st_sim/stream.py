@@ -43,7 +43,7 @@ class Output(NamedTuple):
 def find_start_up_status(time: float) -> tuple[int, float] | None:
     """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if it is not sent.
 
-    The phases are: no data and raw IMU data, both at 10 Hz, a pause, initialising with a delay of 1 s, locking, locked.
+    The phases: no data and raw IMU data, at 10 Hz; pause; initialising, delay 1 s; locking, delay falling to 0; locked.
     """
     if time < RAW_IMU_END:
         sent = round(time * 1000) % 100 == 0
@@ -62,7 +62,7 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Packets and frames with the sensor readings of a source, at most one tick ahead. ins_rate: epochs per second."""
+    """Outputs of a source, which is advanced at most one tick ahead of them. ins_rate: INS epochs per second."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
@@ -131,7 +131,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: longest delay [s]."""
+    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: after the deadline [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -181,7 +181,7 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
     """Send outputs at their deadlines, late ones at once, until their end or until stop_requested() returns True.
 
     started: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time of the
-    last output [s since the start].
+    last output [s since the start], 0 if none was sent.
     """
     due = 0.0
     for output in outputs:

@@ -85,7 +85,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes one run of it; None if none."""
+    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes a run of it; None if none."""
     for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
         try:
             content = _read_content(own) if own.exists() and own != path else {"each": ""}
