@@ -44,7 +44,7 @@ class Label:
 class RunSource:
     """The files of one run, and the settings of its run.yaml.
 
-    settings: offset (INS minus CAN clock [s]), ins_can_latency (value, standard deviation [s]), dbc and signals (paths),
+    settings: offset (INS minus CAN clock [s]), ins_can_latency (value, standard deviation [s]), dbc, signals (paths),
     layout (columns.Layout), correct (channel -> Correction), leave_out ((start, end) [s]).
     """
 
