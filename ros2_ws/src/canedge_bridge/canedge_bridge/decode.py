@@ -34,7 +34,7 @@ class Decoded:
 @dataclass
 class MessageStatistics:
     """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. dropped: failed in
-    mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals, None before."""
+    mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals, or None."""
 
     good: int = 0
     wrong_length: int = 0

@@ -58,7 +58,7 @@ class ReceiverStatus:
 
 
 class Receiver:
-    """Calls `on_frame(frame, time_ns)` in its own thread for every frame, also error and remote frames.
+    """Calls `on_frame(frame, time_ns)` in its own thread for every frame, including error and remote frames.
 
     open_bus: opens the bus; if it raises, it is called again after 0.1 s, a delay that doubles each time up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.

@@ -316,7 +316,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError if a layout cannot reach half of both limits of its range, as an unsigned steering angle."""
+    """Raises TableError if a layout cannot reach half of both limits of its range, e.g. an unsigned steering angle."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor

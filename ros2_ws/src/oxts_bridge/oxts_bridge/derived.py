@@ -39,7 +39,7 @@ class Settings:
 
 
 def derive_columns(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Derived columns by name, in the order and units (m, deg, s) of the vendor's tools."""
+    """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools."""
     has_fix = (columns.kind != EMPTY) & ~columns.approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")

@@ -25,7 +25,7 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 _SYNC = bytes([SYNC])
 
-# Index of the first byte of each field. A checksum is the low byte of the sum of bytes 1 to the one before it.
+# Index of the first byte of each field. A checksum is the low byte of the sum of all bytes from byte 1 up to it.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
 LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
 VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61

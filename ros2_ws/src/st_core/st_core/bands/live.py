@@ -96,7 +96,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: by (model, mode), number of scored windows, and by level of those inside.
+    half_widths: as in `LiveBands`. counts: (model, mode) -> (scored windows, by level those completely inside).
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -140,7 +140,7 @@ class AdaptiveBands:
         return found, reason
 
     def observe(self, score: Score) -> None:
-        """Update a band and its counts by a score of an earlier prediction; of a model and mode, in order of time."""
+        """Update a band and its counts by the score of an earlier prediction. Call in order of time for each band."""
         errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         pair = score.model, score.mode
         inside = self._bands[pair].observe(score.start_ns, errors)
