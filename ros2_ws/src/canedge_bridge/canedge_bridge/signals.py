@@ -47,7 +47,7 @@ UNITS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
     "s": ("s", 1.0, ("sec", "seconds")), "ms": ("s", 1e-3, ("msec",)), "min": ("min", 1.0, ("minutes",)),
     "h": ("h", 1.0, ("hours",)),
 }
-"""Unit -> (SI unit, factor, other spellings in DBC files, case ignored)."""
+"""Unit -> (unit in CANONICAL_SIGNALS, factor to it, other spellings in DBC files, case ignored)."""
 _UNIT_OF = {text: unit for unit, (_, _, spellings) in UNITS.items() for text in (unit, *spellings)}
 
 

@@ -70,7 +70,7 @@ class GpsClock:
         return self._compute_time() is not None and self._unconfirmed is None and self._late_count == 0
 
     def hint(self, minute: int) -> None:
-        """Set the minute, from a status-only packet (no valid milliseconds) or the host's clock, if none is known yet."""
+        """Set the minute, from a status-only packet (no milliseconds) or the host's clock, if none is known yet."""
         if self.minute is None:
             self.minute = minute
 
