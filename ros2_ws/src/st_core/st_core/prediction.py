@@ -74,8 +74,8 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `stability` for the number needed. From NaN in the state or an input on, the
-    trajectory is NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
+    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input
+    makes all states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
