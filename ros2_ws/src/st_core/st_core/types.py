@@ -47,8 +47,8 @@ class ControlInput:
 class InputSequence:
     """Inputs over a horizon on the half-step grid 0, step/2, step, ...: 2 * steps + 1 values each, as ControlInput.
 
-    NaN marks an unknown input; states that depend on it are NaN from there on. signals: further signals that a model needs
-    (`Model.signals`), by name, on the same grid.
+    NaN marks an unknown input; states that depend on it are NaN from there on. signals: further signals that a model
+    needs (`Model.signals`), by name, on the same grid.
     """
 
     road_wheel_angle: np.ndarray
