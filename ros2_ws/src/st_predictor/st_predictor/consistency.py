@@ -27,11 +27,11 @@ NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sam
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: worst confirmed fault; "note" for other findings; "" without. values: by finding."""
+    """Result of a check. severity: of the worst confirmed fault; else "note" with, "" without, unconfirmed findings."""
 
     severity: str
     message: str
-    values: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, str] = field(default_factory=dict)  # finding -> value with unit, or its severity
 
 
 class Consistency:

@@ -53,7 +53,7 @@ class PathBuilder:
             header.frame_id = map_frame
 
     def fill(self, start_ns: int, trajectory: Trajectory, vehicle: VehicleParameters) -> PathMessage:
-        """The trajectory at the INS point; each pose is stamped with the instant it is predicted for."""
+        """Sets `message` to the trajectory at the INS point; each pose has the stamp for which it is predicted."""
         x, y = cg_to_ins_position(trajectory.x, trajectory.y, trajectory.yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
         half_yaw = 0.5 * trajectory.yaw
         self.message.header.stamp = from_nanoseconds(start_ns)
@@ -100,7 +100,7 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
 
 def make_planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
                          vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
-    """Message of a prediction with planned inputs on the half-step grid. plan_ns: stamp of the plan, 0 for a course."""
+    """As `make_prediction_message`, for planned inputs at half steps. plan_ns: stamp of the plan, 0 for a course."""
     message = PlannedPrediction(
         model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
         road_wheel_angle=_to_array(inputs.road_wheel_angle), velocity_x_dot=_to_array(inputs.velocity_x_dot))

@@ -28,7 +28,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Predictions of one model."""
+    """Predictions of one model and mode."""
 
     starts_ns: np.ndarray  # (n,) ascending
     states: np.ndarray  # (n, points, 6) at the CG [SI], in the order of STATE_FIELDS

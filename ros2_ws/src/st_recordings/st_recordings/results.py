@@ -186,7 +186,7 @@ def collect_versions() -> dict[str, str]:
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
-    """Formats the coverage of the published bands, one line for each mode with bands.
+    """Formats the observed coverage of the bands, one line for each mode; its count is the largest of all models.
 
     rows: statistics of st_msgs/ErrorSummary.
     """

@@ -25,7 +25,7 @@ AXES = ("along", "across", "yaw")
 
 
 class PredictionBands:
-    """Bands around the predicted paths: from a bands file, adapted to the errors of this run, or both.
+    """Bands around the predicted paths: from a bands file, adapted to the errors of this run, both, or none.
 
     file_hashes: hash of the model file by model, "" for a model of the paper. models, runners: as for `Evaluator`.
     Raises ConfigurationError for bands of another car, model or configuration.
