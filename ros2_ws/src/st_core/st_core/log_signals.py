@@ -25,7 +25,7 @@ def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
 class LogSignals:
     """Measurements of a DriveLog at any instants; NaN where unknown.
 
-    maximum_gap [s], filter_cutoff [Hz], acceleration: limit and filter mode of `timeseries.filtered_derivative`.
+    maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):

@@ -1,7 +1,7 @@
 """Reads and writes configuration in a safe subset of YAML: mappings with text keys, lists and plain values.
 
 Files may come from other people, so other features of YAML are refused: references (a few hundred bytes can expand to
-billions of values), tags, duplicate keys (YAML silently uses the last one), several documents, deep nesting.
+billions of values), tags, duplicate keys (PyYAML silently uses the last one), several documents, deep nesting.
 """
 
 import difflib
@@ -108,7 +108,7 @@ def suggest_key(key: str, known: Iterable[str]) -> str:
 
 
 def format_number(value: float) -> str:
-    """A number with all its digits, in a form that YAML reads as a number (1.0e-06, not 1e-06)."""
+    """A number with all its digits, in a form that PyYAML reads as a number (1.0e-06, not 1e-06)."""
     text = repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
 

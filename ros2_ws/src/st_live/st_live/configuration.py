@@ -171,7 +171,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def find_recordings(path: Path) -> tuple[Path, list[Path]]:
-    """(bag with the measurements, bag with the scores: "errors" in the run folder, else the same) of a bag or run."""
+    """(bag with the measurements, [bag with the scores]: `errors` next to the bag, or else the bag) of a bag or run."""
     bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
     errors = bag.parent / "errors"
     return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
