@@ -101,7 +101,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self, now: float) -> bool:
-        """Whether the topic had subscribers within SUBSCRIBER_COUNT_PERIOD; False if disabled. now: monotonic [s]."""
+        """Whether it has subscribers, counted every SUBSCRIBER_COUNT_PERIOD; False if disabled. now: monotonic [s]."""
         if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

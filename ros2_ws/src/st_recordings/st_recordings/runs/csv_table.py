@@ -39,7 +39,7 @@ _NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
 _FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value has a larger magnitude
-MAX_YAW_RATE = 3.0  # rad/s; a column with larger values is in deg/s
+MAX_YAW_RATE = 3.0  # rad/s; a yaw rate column with larger values is in deg/s, and yaw is not compared with it
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
@@ -47,7 +47,7 @@ _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a table with a time, in the order of the file; all rows, and no times, if no column contains the time."""
+    """The rows of a table that have a time, in the order of the file; without a time column, all rows but no times."""
 
     file: Path
     names: tuple[str, ...]  # of all columns
@@ -55,9 +55,9 @@ class Table:
     columns: Mapping[str, np.ndarray]  # SI values by channel, (n,) each; NaN where a number is missing
     time_ns: np.ndarray  # (n,)
     rows_without_time: int
-    used: np.ndarray  # (n,) whether ins_log.select_usable_rows selects the row
+    used: np.ndarray  # (n,) whether the time is usable (ins_log.select_usable_rows)
     warnings: tuple[str, ...]  # each names the file
-    texts: Mapping[str, str] = field(default_factory=dict)  # first cell of each channel that has no numbers
+    texts: Mapping[str, str] = field(default_factory=dict)  # channel without numbers -> its first cell, shortened
 
     @property
     def absolute(self) -> bool:
@@ -68,7 +68,7 @@ class Table:
 def read_text(file: Path, size: int = -1) -> str:
     """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell.
 
-    size: number of bytes to read, in which bytes that are not UTF-8 are ignored; -1: all, with RunError if binary.
+    size: bytes to read, ignoring those that are not UTF-8; -1: all bytes, or RunError for a binary file.
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
     return _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
@@ -186,7 +186,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
 
 
 def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times in a column, plus the nanoseconds in the second column of a ROS stamp if the first has whole seconds."""
+    """Times in a column, plus the second column of a ROS stamp [ns] if these fit: whole seconds, and below 1 s."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
