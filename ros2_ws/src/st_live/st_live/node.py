@@ -53,7 +53,7 @@ class SuiteState:
 
 
 class Monitor:
-    """Node that receives messages in its own thread. `state` is replaced, never modified: readers need no lock."""
+    """ROS node with a thread that receives messages. `state` is replaced, never modified: readers need no lock."""
 
     def __init__(self, domain_id: int | None = None):
         self.state = SuiteState()
@@ -84,14 +84,14 @@ class Monitor:
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all nodes are in the graph; returns the missing ones."""
+        """Wait until all nodes are in the graph, at most `timeout` [s]; returns the missing ones."""
         end = time.monotonic() + timeout
         while (missing := names - set(self.find_node_names())) and time.monotonic() < end:
             time.sleep(0.05)
         return missing
 
     def add_statuses(self, statuses: Iterable[Status]) -> None:
-        """Add statuses of this process or of a node to the newest ones."""
+        """Store statuses of this process or of a node; each replaces the earlier one of the same name."""
         with self._lock:
             self.state = replace(self.state, health={**self.state.health, **{s.name: s for s in statuses}})
 
@@ -121,7 +121,7 @@ class Monitor:
             self._executor.spin()
 
     def _update(self, **changes: Any) -> None:
-        with self._lock:  # called from several threads
+        with self._lock:  # other threads call `add_statuses`
             self.state = replace(self.state, **changes)
 
     def _read_predictions(self) -> None:
@@ -148,7 +148,7 @@ def render_progress(state: SuiteState, elapsed: float, duration: float | None, t
 
 
 def render_motion(state: SuiteState) -> Text:
-    """Motion of the car at the start of the newest prediction."""
+    """Line on the start of the newest prediction, which may be of any model: speed, steering, v_x r; computing time."""
     p = state.prediction
     if p is None or not len(p.velocity_x):
         return Text("no prediction yet", style="dim")
@@ -158,7 +158,7 @@ def render_motion(state: SuiteState) -> Text:
 
 
 def render_errors(state: SuiteState) -> RenderableType:
-    """Table of the mean, maximum and RMS of the horizon-mean errors so far [m], by model and mode."""
+    """Table of mean, largest magnitude and RMS of the horizon-mean errors so far [m], by model and mode."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the end of the first prediction", style="dim")

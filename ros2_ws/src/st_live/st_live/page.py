@@ -57,7 +57,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """Wait for a frame after number `after`; returns it and its number, or a comment after KEEP_ALIVE_PERIOD."""
+        """Wait for a frame after number `after` or for the stop; (frame, number), a comment after KEEP_ALIVE_PERIOD."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number
@@ -148,7 +148,7 @@ class LiveView:
 
     def open(self, folder: Path, domain: int | None, predictor: Mapping[str, Any], title: str,
              console: Console) -> None:
-        """Start the page and print its address. predictor: parameters of that node. Raises SuiteError if it fails."""
+        """Start the page and print its address. predictor: parameters of that node. Raises SuiteError on failure."""
         if not self._page:
             return
         self._processes = Processes(folder, domain)
@@ -183,7 +183,7 @@ class LiveView:
 
 
 def _find_reachable_address(host: str) -> str:
-    """Address at which other devices reach the page; ALL_ADDRESSES: address of the interface of the default route."""
+    """The host; for ALL_ADDRESSES, the address of the interface of the default route, LOOPBACK if there is none."""
     if host != ALL_ADDRESSES:
         return host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -38,7 +38,7 @@ RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
 GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, less with age; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
-RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by probability
+RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by level of the band
 # Half the line width in screen points, the same at every zoom.
 THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
@@ -221,8 +221,8 @@ class Scene:
                       number: int) -> None:
         """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D.
 
-        Each line is as wide as the distance to the next. The edges of the widest band are drawn above all areas to
-        show the bands of every model.
+        Lines are 1.2 times as wide as their spacing, to leave no gaps. The edges of the widest band are
+        drawn above all areas, so that the bands of every model remain visible.
         """
         edges = [project(*side.T) for band in ribbons[:1] for side in (band.left, band.right)]
         self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN_LINE, order=0.8)

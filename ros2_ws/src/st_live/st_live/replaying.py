@@ -34,7 +34,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     """Replay a bag with its recorded configuration; returns the outcome and the name of the vehicle.
 
     The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
-    rate: playback speed relative to the recording; 0: as fast as the nodes can follow. adaptive: as for
+    rate: playback speed relative to the recording; 0: as fast as the nodes can follow. bands, adaptive: as for
     `set_bands_and_course`. settings: topics of external recordings. Raises RunError, SuiteError and ConfigurationError.
     """
     steering = settings.steering
@@ -72,7 +72,7 @@ def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
 
 def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
           console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
-    """topics: topics of odometry and steering, by message type. options: additional options of the player."""
+    """Run nodes and player. topics: of odometry and steering in the bag, by type. options: more player options."""
     problem, interrupted = "", False
     predictor = parameters["predictor"]
     with (claim_domain(read_domain_id()) as domain, Suite(folder, parameters, domain) as suite,
@@ -98,7 +98,7 @@ def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mappin
 
 
 def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
-    """Show progress until the player has finished. Raises SuiteError if another process ends first."""
+    """Show progress until the player has finished. Raises SuiteError if it fails or another process ends first."""
     speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes can follow"
     columns = (TextColumn("{task.description}"), BarColumn(),
                TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())

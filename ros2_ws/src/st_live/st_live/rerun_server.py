@@ -1,7 +1,7 @@
 """Shows Rerun recordings in the browser, with Rerun's server on the loopback interface.
 
-Rerun's page requests four external addresses (a font, usage data, a release check, an example list). It is forwarded
-with a Content-Security-Policy that makes the browser block these requests.
+Rerun's page requests four external addresses (a font, usage data, a release check, an example list). A proxy adds
+a Content-Security-Policy that makes the browser block them.
 """
 
 import http.client
@@ -74,7 +74,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def show_recording(folder: Path, file: Path, console: Console) -> None:
-    """Serve a recording (.rrd), show its address, and wait for Ctrl-C.
+    """Serve a recording (.rrd), show its address, and wait for Ctrl-C or the end of Rerun.
 
     folder: for settings and logs. Raises SuiteError without rerun-sdk or if the start fails.
     """
@@ -110,7 +110,7 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
     processes.environment |= dict.fromkeys(
         ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
     # The executable is started directly, because it would survive the end of its wrapper script `rerun`. Given a URL,
-    # it starts no server for recordings, which would use 3 % of a core while idle.
+    # Rerun starts no server for recordings, which would use 3 % of a core while idle.
     executable = importlib.metadata.distribution("rerun-sdk").locate_file("rerun_cli/rerun")
     rerun = processes.start("rerun", [
         str(executable), recording, "--serve-web", "--bind", LOOPBACK,

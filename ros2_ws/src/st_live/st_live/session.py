@@ -136,7 +136,7 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     or is already running.
     """
     console = console or Console()
-    # The virtual Leaf uses a free domain, so that no other suite receives its messages; the real car uses domain 0.
+    # Unless ROS_DOMAIN_ID is set, the virtual Leaf uses a free domain, isolated from other suites; the car, domain 0.
     requested_domain = read_domain_id()
     if requested_domain is None and not source:
         requested_domain = 0
@@ -179,7 +179,7 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
                 stop_requested: Callable[[], bool] = lambda: False) -> bool:
-    """Start nodes and wait until all are in the graph; False after a request to stop. Raises SuiteError."""
+    """Start nodes and wait until all are in the graph; False after a request to stop. SuiteError: one ended or is missing."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT

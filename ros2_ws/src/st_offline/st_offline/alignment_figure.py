@@ -15,11 +15,11 @@ from st_core.palette import MEASURED_COLOUR, RC
 
 OTHER_COLOUR = "#d55e00"
 CLOSE_UP_DURATION = 10.0  # s
-MAX_POINTS = 4000  # per line
+MAX_POINTS = 4000  # per line; with a whole-number stride, up to twice as many are drawn
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed over the whole run, yaw rate over the 10 s with the most motion, correlation, lags."""
+    """Write the figure: speed (else the first signal), 10 s of yaw rate with much motion, correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -40,7 +40,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     mapped = alignment.to_reference_ns(signal.other_time_ns - round(signal.latency * 1e9))
     reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
     values = signal.other
-    if "curvature" in signal.name:  # a linear function of the reference, to which it is fitted
+    if "curvature" in signal.name:  # `other` is a steering angle: scaled to the curvature by a linear fit
         known = np.isfinite(signal.reference)
         values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
     start = -np.inf

@@ -34,12 +34,12 @@ from ..suite import VIEW_NICE
 
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s, duration of the measured track shown, and time between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
-MAX_AGE = 1.0  # s; an older prediction or steering angle is not shown
+MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
-INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the preferred mode last
+INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # of several, the last is shown
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
@@ -55,7 +55,7 @@ QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all 
 
 
 class NodeHealth(NamedTuple):
-    """Newest diagnostics of a node. timeout: until it counts as silent [s]. checks: (level, text) by name."""
+    """Newest diagnostics of a node. timeout: from `received` [s] until it is silent [s]. checks: (level, text)."""
 
     received: float
     timeout: float
@@ -63,7 +63,7 @@ class NodeHealth(NamedTuple):
 
 
 class PassengerFrames:
-    """Turns messages of a running suite into frames for the page. All times are in s of the monotonic clock.
+    """Turns messages of a running suite into frames for the page. Times of receipt are in s of the monotonic clock.
 
     `pose` is the pose of the CG in the map; track and paths are in the body axes of this pose: x forward, y left.
     """
@@ -105,7 +105,7 @@ class PassengerFrames:
                 self._predictions[kind][message.model] = now, message
 
     def make_frame(self, now: float) -> dict[str, Any]:
-        """Content of the page, for JSON. `received`: time of the newest odometry, null before the first."""
+        """Content of the page, for JSON. Before the first odometry, `received` is null and there is no pose."""
         level, text = self._find_worst_check(now)
         sample, (mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
         current_modes = [mode for mode, predictions in self._predictions.items()

@@ -1,4 +1,4 @@
-"""Plays odometry, steering and plans of a recording together with /clock, in a process started by `st replay`.
+"""Plays odometry, steering, plans and map origin of a recording with /clock, in a process started by `st replay`.
 
 Messages are published byte for byte in the order of their log times, except that an external steering topic is
 converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the clock waits until predictor and evaluator
@@ -57,7 +57,7 @@ class Follower:
         self._progresses = True
 
     def wait(self, clock_ns: int) -> None:
-        """Wait until the node is at most `lead` behind the clock, or for the timeout."""
+        """Wait until the node is at most `lead` behind the clock, but no longer than the timeout."""
         end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
         previous_ns = self._newest_ns
         subscriptions = [subscription for subscription, _ in self._sources]
@@ -73,7 +73,7 @@ class Follower:
 
 
 def read_header_stamp(data: bytes) -> int:
-    """header.stamp [ns] of a serialised message that begins with a header; CDR data begin with 4 bytes of their own."""
+    """header.stamp [ns] of a serialised message that begins with a header, after 4 bytes of CDR encapsulation."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return seconds * 1_000_000_000 + nanoseconds
 
@@ -110,7 +110,7 @@ class Player:
         self._reported_at = 0.0
 
     def play(self) -> int:
-        """Play the recording; returns 0 after its end or a stop signal, 1 without subscribers."""
+        """Play the recording; returns 0 after its end or a stop signal, 1 if not all subscribers appeared."""
         with AnyReader([self._bag], default_typestore=load_typestore(definitions_folder())) as reader:
             publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
@@ -162,7 +162,7 @@ class Player:
         return converted
 
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
-        """Wait for the subscribers of every topic and of the clock; returns whether all have subscribed in time."""
+        """Wait for the subscribers of every topic and of the clock; False after the timeout or a stop signal."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
         expected = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in expected.items()):

@@ -132,7 +132,7 @@ def _format_pair(axes: dict[str, float] | None) -> str:
 
 
 def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
-    """95 % intervals of the values in model files, by the name of the model."""
+    """95 % intervals of the values in model files, by model and (effect, parameter)."""
     return {file.model().name: {(effect, name): estimate.interval for effect, parts in file.effects.items()
                                 for name, estimate in parts.items() if estimate.interval is not None} for file in files}
 
@@ -155,7 +155,7 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
-    The fractions of all causes and of the residual add up to 1."""
+    The fractions of the kinds of causes (parameters, sensors) and of the residual add up to 1."""
     summary = {}
     for model, squares_of_model in sums.get("shares", {}).items():
         if not squares_of_model["starts"]:

@@ -28,7 +28,7 @@ class Scorer:
         self._sums: list[Sums] = []
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation; starts with an incomplete measured horizon are left out."""
+        """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted."""
         conditions = conditions_at(self._signals, starts_ns)
         inside = self._bands.domain(conditions)
         for (model, mode), errors in block.errors.items():
@@ -97,10 +97,10 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
 
-    Levels: the LEVELS of the band, and its highest level up to the last of LEVELS.
-    coverage: number of paths entirely inside, by level; axes: the same for each axis alone; seconds: number inside
-    throughout each second; cells: the same by speed, lateral acceleration and second. Each [m, m, rad]: interval_score,
-    mean over the horizon; crps, mean over the whole seconds; half_width, at the whole seconds.
+    Levels: the LEVELS of the band, and its highest up to the last of LEVELS; for reliability, all. coverage,
+    reliability: number of paths entirely inside, by level; axes: for each axis alone; conditions: by one condition;
+    seconds: number inside throughout each second; cells: the same by speed, lateral acceleration and second. Each
+    [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at these.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
@@ -182,7 +182,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: shares and means by model and mode, None without scored starts; known_recordings: as in `Scorer.sums`."""
+    """models: shares and means by model and mode, None without scored starts; known_recordings: of `Scorer`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}

@@ -74,7 +74,7 @@ def unit_symbol(text: str) -> str:
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
-    """An estimate rounded according to its interval, such as "57.30 ± 0.02 m"; empty without a value."""
+    """An estimate rounded by its interval: "57.30 ± 0.02 m", if asymmetric "57.3 (56.9 to 58.8) m"; or empty."""
     if value is None:
         return ""
     ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""
@@ -105,7 +105,7 @@ def describe_stretches(finding: Finding) -> str:
 
 
 def describe_effect(finding: Finding) -> str:
-    """Effect of a finding on predictions or fits; empty if unknown."""
+    """Effect of a finding on predictions or fits; empty if unknown, except for an error."""
     if finding.concerns_only_acceleration:
         return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
