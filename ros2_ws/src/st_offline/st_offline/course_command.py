@@ -22,7 +22,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     OutputError if no course can be built or written."""
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
-    passes: list[Pass] = []  # in the map frame of the first run with a known origin
+    passes: list[Pass] = []  # in the map of the first run with an origin; others are not shifted
     origin: tuple[float, float] | None = None
     failed = 0
     for source in find_runs(runs):

@@ -101,8 +101,8 @@ def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) ->
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:
-    """(suspect, reference) drives. Raises ConfigurationError if no suspect drive can be used, or none of the reference
-    drives that were given."""
+    """(suspect, reference) drives, with distinct names. Raises ConfigurationError if no suspect drive can be used, or
+    none of the reference drives that were given."""
     sources = find_runs(request.runs)
     reference_sources = find_runs(request.reference) if request.reference else []
     if not sources:
@@ -168,7 +168,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 
 
 def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
-    """The figures, in the order of the page."""
+    """The figures in the order of the page, without those that lack data."""
     runs = _logs(request.drives)
     # discovery.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))

@@ -27,7 +27,7 @@ HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
-MAX_ROWS = 14  # a partition with more parts is drawn in one row
+MAX_ROWS = 14  # a partition with more parts, and the places, are drawn in one row
 AXIS_LIMIT = 3.0  # end of the axis, at which intervals are cut off
 
 
@@ -48,7 +48,7 @@ class FigureData:
 
     @property
     def channel(self) -> str:
-        """Channel with the largest significant excess over the expected error."""
+        """Channel with the largest significant excess over the expected error; the first channel if there is none."""
         channels = list(self.before.squares)
         known = [w for w in self.discovery.where if w.channel in channels]
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
@@ -115,7 +115,7 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
 
 
 def draw_axle_curves(data: FigureData) -> PageFigure | None:
-    """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of the slip angles."""
+    """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of slip angles."""
     curves = data.discovery.axle_curves
     if not curves or not data.discovery.model:
         return None
@@ -181,7 +181,7 @@ def draw_maps(data: FigureData) -> PageFigure | None:
 
 
 def _find_worst_run(data: FigureData) -> tuple[int | None, np.ndarray]:
-    """(index of the run with the largest error in `data.channel`, its errors [SI]). Runs with a straight track are
+    """(index of the run with the largest RMS error in `data.channel`, its errors [SI]). Runs with a straight track are
     left out if there are others. The index is None without errors."""
     samples = data.before
     squares = samples.squares.get(data.channel)

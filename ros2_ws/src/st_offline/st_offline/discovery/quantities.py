@@ -65,7 +65,7 @@ def format_value(value: float, unit: str) -> str:
 
 
 def format_metres(value: float) -> str:
-    """A length [m] to the centimetre; to the millimetre below 0.1 m."""
+    """A length [m] to the centimetre, below 0.095 m to the millimetre; "unknown" if not finite."""
     if not math.isfinite(value):
         return "unknown"
     return f"{value:.2f} m" if abs(value) >= 0.095 else f"{value:.3f} m"
@@ -148,7 +148,7 @@ def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
 
 
 def spell_out(name: str) -> str:
-    """Description of the relation with this `Candidate.name`."""
+    """Description of the relation with this `Candidate.name`; the name itself for an unknown term or quantity."""
     term, _, argument = name.partition(" over ")
     quantity, _, factor = argument.partition(" times ")
     if term not in TERM_NAMES or quantity not in QUANTITY_NAMES:

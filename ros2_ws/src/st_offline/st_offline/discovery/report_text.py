@@ -47,7 +47,7 @@ PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_riv
 
 def name_with_alternatives(discovery: Discovery, effect: result.FoundEffect, first: str = "") -> str:
     """An effect and its alternatives with their values. first: text for the effect itself, by default its name and
-    value. The value of an added load is reported as an upper limit."""
+    value. The value of an alternative with a prior, such as an added load, is reported as an upper limit."""
     fitted = {c.name: c.parameters for c in discovery.candidates}
     texts = [first or f"{to_words(effect.name)} {format_briefly(effect.name, effect.parameters)}"]
     for name in effect.alternatives:
@@ -185,7 +185,7 @@ def describe_varying(effect: result.VaryingEffect) -> str:
 
 
 def count_agreement(effect: result.FoundEffect) -> str:
-    """Number of runs, or parts of runs, and of sites in which an effect is significant on its own."""
+    """Numbers of runs (or parts of runs) and sites in which an effect is significant, with the sign of the whole."""
     counts = []
     for partition in ("run", "site"):
         parts = effect.agreement.get(partition, ())
@@ -196,7 +196,7 @@ def count_agreement(effect: result.FoundEffect) -> str:
 
 
 def describe_residual(discovery: Discovery) -> str:
-    """Residual position error, noise floor, the run with the largest error, and the runs with increased errors."""
+    """Residual position error, noise floor, worst run and runs with increased errors; "" without position errors."""
     position = discovery.errors.get("position_5s")
     if position is None:
         return ""
@@ -352,7 +352,7 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
 
 
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
-    """Recommendations, the most important first."""
+    """Recommendations, the most important first; ["nothing"] if there are none."""
     lines = _vehicle_lines(discovery, update)
     for name, changes in (update.not_folded if update is not None else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "

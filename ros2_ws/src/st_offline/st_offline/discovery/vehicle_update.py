@@ -31,9 +31,9 @@ from .drives import Request
 HORIZON, STEP = 5.0, 0.05  # s, of the predictions that are compared
 START_INTERVAL = 5.0  # s, between prediction starts
 MIN_SPEED = 1.5  # m/s, at the start of a prediction
-POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ less at the end of the horizon count as equal
-MAX_POSITION_DIFFERENCE = 0.02  # m; with a larger mean difference, the effective corrections are dropped
-SIGNIFICANCE_LEVEL = 0.05  # of a paired t-test over the predictions of a drive, which do not overlap
+POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of the horizon count as equal
+MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
+SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
 VALUE_TOLERANCE = 1e-5  # largest relative difference from rounding to SIGNIFICANT_DIGITS
 SLIP_SPEED_KEY = "minimum_slip_speed"
@@ -81,9 +81,9 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
-    Effects that an entry can express are folded in the order in which they act. An effect is skipped if predictions
-    would change: if the recordings contain the road-wheel angle, or if the effect does not commute with an earlier one,
-    such as play in the steering. Minor and effective corrections never change the vehicle file."""
+    Effects that an entry can express are folded in the order in which they act. An effect is skipped if its
+    values are outside the limits of the file, or if predictions would change: with recordings of the road-wheel angle,
+    or without commuting with an earlier effect (steering play). Minor and effective corrections are never folded."""
     if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
@@ -134,7 +134,7 @@ def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded:
 
 def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
     """minimum_slip_speed [m/s] at which the base models and this model are stable; models that no value stabilises are
-    ignored."""
+    ignored; the value of the car if all are."""
     step = PredictionSettings().step
     required = [slip_speed_needed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
@@ -142,7 +142,8 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it."""
+    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it;
+    (0, inf) if these are invalid in a vehicle file."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
@@ -268,8 +269,8 @@ def update_vehicle_text(request: Request, car: VehicleParameters, changes: Mappi
 
 def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
                     tolerance: float) -> str:
-    """A vehicle file with these entries replaced; a new file if a value of the edited one differs from that of `car` by
-    more than a relative `tolerance`."""
+    """A vehicle file with these entries replaced; a new file if the edited one is invalid or differs from `car` in a
+    value by more than a relative `tolerance`."""
     try:
         new = edit_entries(text, entries)
         read = VehicleParameters.from_yaml(new)

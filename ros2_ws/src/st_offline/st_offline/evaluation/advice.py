@@ -34,7 +34,7 @@ from .tables import write_csv
 from .work import Task, load_models
 
 REPETITIONS = 5  # measurements of each call
-MIN_MEASUREMENT_TIME = 0.02  # s, processor time
+MIN_MEASUREMENT_TIME = 0.02  # s, processor time of one measurement
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
 LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
@@ -93,7 +93,7 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: lateral error [m].
+    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: of lateral errors [m].
     level, width: level and mean lateral half-width [m] of the calibrated band, None with too few runs. within: lateral
     error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge of the speed bin [m/s]; all
     runs have the same weight."""
@@ -160,7 +160,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv. Unusable runs are skipped silently. tolerance: lateral error [m]."""
+    """Print the tables, write advice.csv if there is a folder. Unusable runs are skipped. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = make_advice_rows(advice.costs, advice.accuracies)
@@ -178,7 +178,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
 
 
 def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
-    """Measure costs and accuracies on all usable runs. Raises ConfigurationError if there is none."""
+    """Measure costs on the longest usable run, accuracies on all. Raises ConfigurationError if no run is usable."""
     settings = {variant.prediction.step: variant for variant in vary_step(task.settings)}
     models = load_models(task)
     samples: dict[Key, list[ErrorSamples]] = {}

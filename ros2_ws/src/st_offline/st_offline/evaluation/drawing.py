@@ -117,7 +117,7 @@ def _round_number(number: re.Match) -> str:
 
 
 def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a line to at most MAX_POINTS points: the smallest and largest value of each section."""
+    """Reduce a line to at most MAX_POINTS points: smallest and largest value of each section, or one NaN."""
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)

@@ -16,8 +16,8 @@ STANDSTILL_SPEED = 0.5  # m/s
 CURVATURE_LIMITS = (0.01, 0.005)  # 1/m
 LATERAL_ACCELERATION_LIMITS = (0.8, 0.4)  # m/s^2
 MIN_PART_DURATION = 1.5  # s; a shorter part is merged into its longer neighbour
-MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, mean magnitude in a straight that is called braking or accelerating
-MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # heading change
+MIN_LONGITUDINAL_ACCELERATION = 0.7  # m/s^2, magnitude of the mean in a straight called braking or accelerating
+MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # rad, heading change
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class DrivePart:
 
 
 def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
-    """The labelled parts of a drive; without labels, the detected parts in time order."""
+    """Labelled parts of a drive; without labels, the detected parts in time order; empty below two INS samples."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9

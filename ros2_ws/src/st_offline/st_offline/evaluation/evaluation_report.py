@@ -164,7 +164,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 
 def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
-    """Draw the hindsight RMSE of each model, for at most MAX_RUNS runs, those with the largest lateral errors."""
+    """Draw the hindsight RMSE of each model for at most MAX_RUNS runs, the worst laterally; None without runs."""
     if not reports:
         return None
     models = list(dict.fromkeys(m for r in reports for m in r.models))
@@ -180,7 +180,7 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
     with apply_style():
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
         layout = figure.get_layout_engine()
-        assert isinstance(layout, ConstrainedLayoutEngine)  # set by `style`
+        assert isinstance(layout, ConstrainedLayoutEngine)  # set by `apply_style`
         layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
         for axes, axis in zip(panels, REPORTED_AXES, strict=True):
             for row, report in enumerate(chosen):

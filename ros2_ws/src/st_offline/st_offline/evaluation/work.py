@@ -240,8 +240,8 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehiclePara
                        course: Course | None) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
-    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers,
-    and for a course at another location."""
+    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers
+    and a course at another location, ConfigurationError for planned columns whose times do not increase."""
     inputs: dict[Mode, FutureInputs] = {}
     plan = _read_planned_columns(run.provenance["files"], vehicle)
     if plan is not None:
@@ -260,13 +260,13 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehiclePara
 
 
 def load_course(task: Task) -> Course | None:
-    """Course of a task, None without a file. Raises ConfigurationError."""
+    """Course of a task, None without a file. Raises ConfigurationError for an invalid file."""
     return None if task.course is None else Course.from_yaml(task.course[1], task.course[0])
 
 
 def _read_planned_columns(files: Mapping[str, str],
                           vehicle: VehicleParameters) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Time [ns] and inputs for `recorded_plan` from the first CSV with planned columns; None if none."""
+    """Time [ns] and inputs for `recorded_plan` from the first CSV with t and planned columns; None without one."""
     for file in (Path(name) for name in files if name.lower().endswith(".csv")):
         names = read_header(file)
         kind = next((kind for kind in (PLANNED_INPUTS, PLANNED_PATH) if set(kind) <= set(names)), None)

@@ -26,17 +26,17 @@ from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, format_rounded
 
-MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
+MAX_POINTS = 4000  # in a scatter plot, up to twice as many by whole strides; more would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
-MAX_DISAGREEMENT = 0.15  # relative difference of two stiffnesses
+MAX_DISAGREEMENT = 0.15  # of two stiffnesses, relative to the regression of the paper
 STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify steering` and `st identify ins` first."
 RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
 def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the offset in each straight window with both estimates, and the residuals of the yaw rate."""
+    """Draw the steering offset in each straight window, both its estimates, and the residuals of the yaw rate."""
     data = outcome.figure
     with apply_style():
         figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
@@ -240,7 +240,7 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
-    """Fit the stiffnesses by prediction, and compare them with the regression of the paper on the same drives."""
+    """Fit the stiffnesses by prediction, and mark those "doubtful" that contradict the paper's regression."""
     outcome = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
