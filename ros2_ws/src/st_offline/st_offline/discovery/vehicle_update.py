@@ -142,8 +142,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted without it;
-    (0, inf) if these are invalid in a vehicle file."""
+    """`error` and `worse` of `VehicleUpdate`, from fits without the predicted drive; (0, inf) if one is not foldable."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
