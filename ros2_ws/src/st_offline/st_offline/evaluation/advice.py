@@ -160,7 +160,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables, write advice.csv into a given folder; unusable runs are skipped. tolerance: lateral [m]."""
+    """Print the tables and write advice.csv, unless no folder is given. tolerance: of the lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = make_advice_rows(advice.costs, advice.accuracies)
