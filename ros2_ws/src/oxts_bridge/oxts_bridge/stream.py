@@ -159,8 +159,9 @@ class HostMinute:
             self._untimed_since = received_ns
         if received_ns - self._untimed_since <= HOST_MINUTE_DELAY_NS:
             return False
+        is_unknown = clock.minute is None
         clock.hint(packet_time.compute_host_minute(received_ns, received.packet.milliseconds))
-        return True
+        return is_unknown
 
 
 class StreamStatistics:

@@ -84,3 +84,10 @@ def test_replay_of_frames_alone_is_refused(raw, tmp_path):
     folder = write_bag(tmp_path / "drive", *raw)
     with pytest.raises(RunError, match="its steering is only in CAN frames"):
         check_bag(folder, LEAF, force=True)
+
+
+def test_bag_without_frames_is_no_can_log(raw, tmp_path):
+    log, frames = raw
+    folder = write_bag(tmp_path / "drive", log, frames.select(slice(0, 0)))
+    with pytest.raises(RunError, match="this bag contains no CAN frames"):
+        read_can_logs([folder])

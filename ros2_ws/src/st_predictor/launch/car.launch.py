@@ -62,7 +62,8 @@ def suite_node(package, executable, *overrides, **options):
 
 
 def steering_parameters(context):
-    """Overrides of steering parameters from the arguments, else from car.yaml; without both, nodes.yaml applies."""
+    """Overrides of steering parameters: the arguments, else car.yaml of `car` (sign 1 and latency 0 by default); none
+    if `car` is empty, so that nodes.yaml applies."""
     steering = {}
     if CAR.perform(context):
         steering = {"steering_sign": 1, "steering_latency": 0.0}

@@ -81,11 +81,13 @@ class Consistency:
             self.verdict = _make_pending_verdict(driving_time)
             return
         cpu_start = time.thread_time()
-        findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
+        try:
+            findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
+        finally:
+            self.cpu_time += time.thread_time() - cpu_start
+            self._not_before = started + self.cpu_time / self._share
         self._faults = frozenset(finding.name for finding in findings if finding.severity != "note")
         self.verdict = _make_verdict(findings, previous_faults, log.duration)
-        self.cpu_time += time.thread_time() - cpu_start
-        self._not_before = started + self.cpu_time / self._share
 
 
 def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:

@@ -106,7 +106,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
         return report
     except OSError as error:
         name = error.filename or target
-        raise RecoveryError(f"{name}: {error.strerror or error}; the original is untouched") from error
+        raise RecoveryError(f"{name}: {error.strerror or error}; this file is unchanged") from error
 
 
 def _recover_directory(source: Path, target: Path) -> RecoveryReport:

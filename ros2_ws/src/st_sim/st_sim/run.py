@@ -122,7 +122,7 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     candidates = [(vehicle.resolve().parent / "can.dbc", vehicle.resolve().parent / "signals.yaml"),
                   *((folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml") for folder in configs)]
     for dbc, signals in candidates:
-        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config))
+        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config.resolve()))
         if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
     raise SimulationError(f"--config {config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables "

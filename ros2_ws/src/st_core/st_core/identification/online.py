@@ -204,7 +204,8 @@ class OnlineIdentifier:
         bends = min(times.left, times.right)
         filled = sum(time >= 5.0 for time in times.speeds)
         needs = {
-            "steering_wheel_offset": [(times.used, 10.0, "driving"), (max(times.straight, bends), 5.0, "straights")],
+            "steering_wheel_offset": [(times.used, 10.0, "driving"),
+                                      (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
             "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
                                (filled, 2, "speeds, 5 s each")],

@@ -111,7 +111,7 @@ class CourseInput:
     @property
     def is_used(self) -> bool:
         """Whether the newest start used inputs of the course."""
-        return self._forecast.inputs is not None
+        return not self._origin_problem and self._forecast.inputs is not None
 
     def make_check(self, predicts: bool) -> Check:
         """Diagnostic check. predicts: whether the newest tick made predictions."""

@@ -132,7 +132,8 @@ class IdentifierNode(Node):
         if self._problem:
             checks.append(Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept"))
         else:
-            checks.append(Check("vehicle file", diagnostics.OK, "as at the start", {"resets": self._resets}))
+            text = "changed, and the estimates were reset" if self._resets else "as at the start"
+            checks.append(Check("vehicle file", diagnostics.OK, text, {"resets": self._resets}))
         return checks
 
     def close(self) -> None:

@@ -96,8 +96,8 @@ class MarkersNode(Node):
                 marker = self._make_marker(Marker.TRIANGLE_LIST, model, round(100 * ribbon.level), now_ns,
                                            colour_of(model), alpha)
                 marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-                # Below the paths; bands of one level differ in height, which sets their drawing order.
-                z = -0.3 - 0.02 * number - 0.1 * ribbon.level
+                # Below the paths, at different heights, which set the drawing order.
+                z = -0.3 - 0.02 * number - 0.2 * ribbon.level
                 marker.points = [Point(x=px, y=py, z=z)
                                  for px, py in ribbon.make_triangles(RIBBON_STRIDE).reshape(-1, 2).tolist()]
                 markers.append(marker)

@@ -102,6 +102,8 @@ def _read_bag(path: Path) -> CanLog:
     storage = open_bag(path)
     store = add_definitions(load_typestore(definitions_folder()), storage.definitions(), [CAN_FRAME])
     topics = sorted((t for t in storage.topics() if t.type_name == CAN_FRAME and t.count), key=lambda t: t.name)
+    if not topics:
+        raise RunError(path, f"this bag contains no CAN frames ({CAN_FRAME})", "remove it from the command")
     parts, notes, steps = list[Frames](), list[str](), list[tuple[int, float]]()
     for bus, topic in enumerate(topics, start=1):
         columns = read_fields(path, storage, topic, _BAG_FIELDS, store)

@@ -215,5 +215,5 @@ def _find_pair(files: Sequence[Path]) -> RunSource:
     if len(raw) != 1:
         count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{count} of INS recording and CAN logs is among these files",
-                       "give one INS recording (.ncom, .csv or .vbo) and its CAN logs")
+                       "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
     return raw[0]

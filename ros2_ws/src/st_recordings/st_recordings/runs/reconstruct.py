@@ -186,7 +186,8 @@ def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: M
     on_can = by_type.get(INS_ON_CAN)
     ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
     if WHEEL_SPEEDS not in by_type and reconstruction.bus_is_described:
-        wheels, ins_speed = reconstruction.decode_speeds()
+        wheels, decoded_speed = reconstruction.decode_speeds()
+        ins_speed = ins_speed or decoded_speed
     if NCOM in by_type and (quality is None or ins_speed is None):
         packet_quality, packet_speed = _decode_packets(by_type[NCOM]["raw_packet"])
         quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
