@@ -148,7 +148,7 @@ def render_progress(state: SuiteState, elapsed: float, duration: float | None, t
 
 
 def render_motion(state: SuiteState) -> Text:
-    """Line on the start of the newest prediction, which may be of any model: speed, steering, v_x r; computing time."""
+    """Speed, road-wheel angle and v_x r at the start of the newest prediction, with its model and computing time."""
     p = state.prediction
     if p is None or not len(p.velocity_x):
         return Text("no prediction yet", style="dim")

@@ -179,7 +179,7 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
 
 def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
                 stop_requested: Callable[[], bool] = lambda: False) -> bool:
-    """Start nodes and wait until all are in the graph; False after a request to stop. Raises SuiteError otherwise."""
+    """Start nodes and wait until they are in the graph; False after a stop request. Raises SuiteError if one fails."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT

@@ -19,7 +19,7 @@ MAX_POINTS = 4000  # per line; with a whole-number stride, up to twice as many a
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed (else the first signal), 10 s of yaw rate with much motion, correlation, lags."""
+    """Write the figure: speed, 10 s in which the yaw rate varies most (or else the first signal), correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):

@@ -39,7 +39,7 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
-INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # of several, the last is shown
+INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the page shows the last available
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
     "vehicle/steering": "steering",
@@ -55,7 +55,7 @@ QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all 
 
 
 class NodeHealth(NamedTuple):
-    """Newest diagnostics of a node. timeout: from `received` [s] until it is silent [s]. checks: (level, text)."""
+    """Newest status of a node, which counts as silent `timeout` [s] after `received` [s]. checks: (level, text)."""
 
     received: float
     timeout: float

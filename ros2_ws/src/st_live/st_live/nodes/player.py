@@ -110,7 +110,7 @@ class Player:
         self._reported_at = 0.0
 
     def play(self) -> int:
-        """Play the recording; returns 0 after its end or a stop signal, 1 if not all subscribers appeared."""
+        """Play the recording; returns 0 after its end or a stop signal, 1 if a subscriber is missing."""
         with AnyReader([self._bag], default_typestore=load_typestore(definitions_folder())) as reader:
             publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):

@@ -100,7 +100,7 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     Levels: the LEVELS of the band, and its highest up to the last of LEVELS; for reliability, all. coverage,
     reliability: number of paths entirely inside, by level; axes: for each axis alone; conditions: by one condition;
     seconds: number inside throughout each second; cells: the same by speed, lateral acceleration and second. Each
-    [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at these.
+    [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at each.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
@@ -182,7 +182,7 @@ def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
 
 
 def summarise_bands(sums: Sums) -> dict[str, Any]:
-    """models: shares and means by model and mode, None without scored starts; known_recordings: of `Scorer`."""
+    """models: shares and means by model and mode, None without starts; known_recordings: see `Scorer.get_sums`."""
     return {"known_recordings": sums.get("known_recordings", []),
             "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
                        for model, modes in sums.get("models", {}).items()}}

@@ -74,7 +74,7 @@ def unit_symbol(text: str) -> str:
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
-    """An estimate rounded by its interval: "57.30 ± 0.02 m", if asymmetric "57.3 (56.9 to 58.8) m"; or empty."""
+    """An estimate rounded by its interval: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; "" for None."""
     if value is None:
         return ""
     ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""

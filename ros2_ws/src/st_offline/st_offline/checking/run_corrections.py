@@ -32,7 +32,7 @@ def check_file_name(file: Path) -> None:
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. Advice of other
-    kinds, for notes or against a more severe finding appears in comments only. Paths are relative to `file`."""
+    kinds, on notes, or in conflict with an earlier finding appears in comments only. Paths are relative to `file`."""
     corrections: dict[str, Any] = {}
     lines = [HEADER]
     for finding in findings:

@@ -185,7 +185,7 @@ def describe_varying(effect: result.VaryingEffect) -> str:
 
 
 def count_agreement(effect: result.FoundEffect) -> str:
-    """Numbers of runs (or parts of runs) and sites in which an effect is significant, with the sign of the whole."""
+    """Numbers of runs (or parts of runs) and sites with a significant estimate of the same sign as the overall one."""
     counts = []
     for partition in ("run", "site"):
         parts = effect.agreement.get(partition, ())

@@ -81,9 +81,9 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
-    Effects that an entry can express are folded in the order in which they act. An effect is skipped if its
-    values are outside the limits of the file, or if predictions would change: with recordings of the road-wheel angle,
-    or without commuting with an earlier effect (steering play). Minor and effective corrections are never folded."""
+    Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
+    exceed the limits of the file or if predictions would change: for recordings of the road-wheel angle, and for an
+    effect that does not commute with an earlier one (steering play). Minor and effective corrections are not folded."""
     if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
@@ -142,7 +142,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`, from fits without the predicted drive; (0, inf) if one cannot fold."""
+    """`error` and `worse` of `VehicleUpdate`, from fits without the drive; (0, inf) if they cannot be folded."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:

@@ -93,7 +93,7 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: of lateral errors [m].
+    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: lateral error [m].
     level, width: level and mean lateral half-width [m] of the calibrated band, None with too few runs. within: lateral
     error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge of the speed bin [m/s]; all
     runs have the same weight."""
@@ -160,7 +160,7 @@ class Advice:
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv, unless no folder is given. tolerance: of the lateral error [m]."""
+    """Print the tables, write advice.csv if the task has a folder; skip unusable runs. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         advice = measure_runs(sources, task)
     rows = make_advice_rows(advice.costs, advice.accuracies)

@@ -26,7 +26,7 @@ from ..checking.gate import check_log, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, format_rounded
 
-MAX_POINTS = 4000  # in a scatter plot, up to twice as many by whole strides; more would only overlap
+MAX_POINTS = 4000  # in a scatter plot, approximately; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
