@@ -25,7 +25,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
-TRUNCATION_WARNING = "{} is truncated: its recorder was killed; later data are not {}"
+TRUNCATION_WARNING = "{} is truncated: the recorder was killed; later data are not {}"
 LEAF_TIMEOUT = 20.0  # s until the virtual Leaf must have started to send
 
 

@@ -135,4 +135,4 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:
         return ""
     return (f"The rear slip per v_x^2 r is {slip:.2e} +/- {uncertainty:.1e} s^2/m, but the vehicle file gives "
-            f"{expected:.2e} s^2/m: its rear stiffness, or the load on the rear axle, is wrong.")
+            f"{expected:.2e} s^2/m: check its rear stiffness and the load on the rear axle.")

@@ -51,7 +51,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         relative_uncertainty = math.hypot(known.uncertainty / stiffness, table_uncertainty,
                                           load_sensitivity * load_uncertainty)
         uncertainty = value * relative_uncertainty
-        cause = ("the difference is due to steering and suspension compliance." if value < 1.0 else "compliance cannot "
+        cause = ("a possible cause is steering and suspension compliance." if value < 1.0 else "compliance cannot "
                  "make an axle stiffer than its tyres, so surface, temperature or inflation pressure differs.")
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")

@@ -175,7 +175,7 @@ class OnlineIdentifier:
             value, deviation = self.fit.values[k], self.fit.deviations[k]
             reason = missing[name] or self.fit.problem
             if not reason and not deviation / (value if k else 1.0) <= MAX_DEVIATIONS[k]:
-                reason = "its uncertainty is still too large"
+                reason = "the uncertainty is still too large"
             status: OnlineStatus = "unestimated" if reason else "estimated"
             if not missing[name] and implausible.get(name):
                 status, reason = "invalid", implausible[name]

@@ -163,6 +163,6 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
                          "is not affected.")
     if len(line.intercepts) > 1:
         difference = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
-        sentences.append(f"The sweeps differ by up to {difference:.2f} deg at the road wheel: due to play, friction or "
-                         "turntables that were zeroed in between.")
+        sentences.append(f"The sweeps differ by up to {difference:.2f} deg at the road wheel. Possible causes are "
+                         "play, friction, and turntables that were zeroed in between.")
     return sentences
