@@ -29,7 +29,7 @@ from .vehicle_update import VehicleUpdate
 
 SCHEMA = 3
 FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
-MAX_ROWS = 8  # maximum number of rows of a table; discovery.json contains all
+MAX_ROWS = 8  # of regions, other effects and undetectable effects; discovery.json contains all
 FILE_MEANINGS = {
     "report.html": "one page, with all figures", "discovery.json": "all numbers; keys in docs/manual/discovery.md",
     "vehicle.yaml": "the corrected vehicle file, for --vehicle of every command",
@@ -127,7 +127,7 @@ def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, c
 
 
 def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
-    """Tables of the page by layout (narrow, wide), largest entries first."""
+    """Tables of the page by layout (narrow, wide), without empty ones; all but the changed entries are sorted."""
     metres = quantities.format_metres
     channels = []
     for name, error in sorted(discovery.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):

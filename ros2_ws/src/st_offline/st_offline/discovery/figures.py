@@ -28,7 +28,7 @@ MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced ch
 MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts, and the places, are drawn in one row
-AXIS_LIMIT = 3.0  # end of the axis, at which intervals are cut off
+AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are cut off there
 
 
 @dataclass(frozen=True)

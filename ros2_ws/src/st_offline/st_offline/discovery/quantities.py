@@ -108,8 +108,8 @@ def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> st
 
 
 def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
-    """Values of an effect without intervals, to about two significant digits of the deviation from the neutral
-    value."""
+    """Values of an effect without intervals, to two significant digits; factors to two decimals, or more if the
+    deviation from 1 is below 0.1."""
     definitions = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():

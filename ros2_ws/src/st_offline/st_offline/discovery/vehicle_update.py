@@ -35,7 +35,7 @@ POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of t
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-VALUE_TOLERANCE = 1e-5  # largest relative difference from rounding to SIGNIFICANT_DIGITS
+VALUE_TOLERANCE = 1e-5  # relative; twice the largest error of rounding to SIGNIFICANT_DIGITS
 SLIP_SPEED_KEY = "minimum_slip_speed"
 KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
 
