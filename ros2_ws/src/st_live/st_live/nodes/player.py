@@ -101,7 +101,7 @@ class Player:
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
-            # With a lead of one tick, exactly one tick is due; each publishes either a prediction or a status.
+            # With a lead of one tick, exactly one tick is due, and that tick publishes a prediction or a status.
             Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, read_issued_at),
                                   "predictor/status": (PredictorStatus, read_header_stamp)}, 1.0 / options.tick_rate),
             Follower(self._node, {"evaluator/errors": (PredictionError, read_header_stamp)},
