@@ -48,7 +48,7 @@ class VehicleUpdate:
     model: augmented model for `vehicle`; a folded effect keeps only its effective correction beyond the named value.
     folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
     because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
-    error: mean held-out position error of the base model after 5 s, (original file, updated file) [m].
+    error: mean position error of the base model after 5 s [m], held-out with several drives, (original, updated file).
     worse: drives with a significantly larger error with the updated file. objections: implausible values of the car.
     required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
     """
@@ -142,7 +142,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`, from fits without the drive; (0, inf) if they cannot be folded."""
+    """`error` and `worse` of `VehicleUpdate`; fits exclude the drive unless it is the only one; (0, inf): not foldable."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
