@@ -142,7 +142,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`; fits exclude the drive unless it is the only one; (0, inf): not foldable."""
+    """`error`, `worse` of `VehicleUpdate`; fits exclude the drive unless it is the only one; (0, inf): unfoldable."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
