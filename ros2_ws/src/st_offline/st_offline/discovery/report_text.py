@@ -319,10 +319,14 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
     """Recommendations on the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
-        where = f", with a significant increase in {', '.join(update.worse)}" if update.worse else ""
-        before, after = map(format_metres, update.error)
-        lines.append("vehicle.yaml is not written: alone it would change the position error after 5 s from "
-                     f"{before} to {after} on held-out drives{where}; use model.yaml")
+        before, after = update.error
+        worse = ", ".join(update.worse)
+        where = f", with a significant increase in {worse}" if worse else ""
+        drives = "held-out drives" if discovery.leave_one_out else "these drives"
+        reason = (f"values fitted without {worse} are outside the limits of a vehicle file" if math.isinf(after) else
+                  f"alone it would change the position error after 5 s from {format_metres(before)} to "
+                  f"{format_metres(after)} on {drives}{where}")
+        lines.append(f"vehicle.yaml is not written: {reason}; use model.yaml")
     if update is not None and update.required_slip_speed:
         lines.append(f"model.yaml needs minimum_slip_speed = {update.required_slip_speed:g} m/s for stable steps of "
                      "50 ms: set it in the vehicle file and run st discover again")
