@@ -1,5 +1,6 @@
 """The vehicle file that st discover updates: its predictions equal those of the model, other entries are unchanged."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,6 +60,10 @@ def test_file_that_predicts_worse_is_not_written(recorded_drive):
     written = update_vehicle(found, make_request(recorded_drive))
     assert not written.text and written.vehicle == CAR and written.model.values["mass"]["factor"] == 1.5
     assert written.error == folded.error
+    (advice,) = [line for line in recommend(found, written) if "is not written" in line]
+    assert "alone it would change" in advice and "on these drives" in advice  # one drive, so none is held out
+    outside = replace(written, error=(0.0, math.inf), worse=("weave",))
+    assert "values fitted without weave are outside the limits" in "".join(recommend(found, outside))
 
 
 def test_file_that_improves_the_mean_but_worsens_a_drive_is_not_written(tmp_path):
