@@ -61,6 +61,14 @@ def test_course_and_run_with_different_origins_share_one_map(folder, tmp_path):
     assert "elsewhere" not in content["runs"] and "map origins are 55.6 km apart" in " ".join(result.output.split())
 
 
+def test_run_without_an_origin_among_others_is_named(folder, tmp_path):
+    base, _ = folder
+    write_geographic(tmp_path / "geographic.csv", weave(40.0))
+    result = st("course", "build", base / "old.csv", tmp_path / "geographic.csv", "--vehicle", base / "car.yaml", "-o",
+                tmp_path / "course.yaml")
+    assert result.exit_code == 0 and "warning: old: without a map origin" in result.output
+
+
 @pytest.mark.parametrize("kind", ["inputs", "path"])
 def test_planned_columns_add_a_mode(folder, tmp_path, kind):
     base, _ = folder

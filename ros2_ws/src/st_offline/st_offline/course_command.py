@@ -24,6 +24,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
     passes: list[Pass] = []  # in the map of the first run with an origin; others are not shifted
     origin: tuple[float, float] | None = None
+    without_origin: list[str] = []
     failed = 0
     for source in find_runs(runs):
         try:
@@ -35,6 +36,8 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
                     origin = origin or (latitude, longitude)
                     offset = compute_origin_offset(origin, latitude, longitude)
                     run_passes = Course(tuple(run_passes)).shift(*offset).passes
+                else:
+                    without_origin.append(source.name)
         except (RunError, StCoreError) as error:
             failed += 1
             print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
@@ -45,6 +48,9 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {parts}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
+    if origin and without_origin:
+        print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin; not shifted, so "
+                   "correct only if recorded in the map of the first run with an origin[/yellow]", console)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
