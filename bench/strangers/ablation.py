@@ -45,11 +45,12 @@ LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplai
 IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "RMS_CLIP_LIMIT": fit, "DIVERGED_ERROR": fit, "MIN_CURVATURE": evidence,
              "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
              "MAX_SCALED_ERROR": loss,
-             "SIGN_DRAWS": evidence, "CONTENDERS": sys.modules[Search.__module__],
+             "SIGN_DRAWS": evidence, **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), sys.modules[Search.__module__]),
              **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"),
                              sys.modules[make_partitions.__module__])}
 IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
-                            "CELL_SIZE", "MIN_STRETCH_DURATION"), error_regions)
+                            "CELL_SIZE", "MIN_STRETCH_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),
+                           error_regions)
 CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
              "DRAWS": axles, "GAIN_SPEED": axles, "MIN_SAMPLES": axles, **IN_SEARCH, **IN_REGIONS}
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)

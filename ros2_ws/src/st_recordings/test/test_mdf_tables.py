@@ -95,6 +95,15 @@ def test_layout_of_a_run_file_names_signals(drive, tmp_path):
     assert_same(read(source, CAR).log, drive, 2, steering=1e-4, rotated=True)
 
 
+def test_signal_that_the_file_lacks_is_refused_by_its_name(drive, tmp_path):
+    write_signals(tmp_path / "drive.mf4", drive)
+    (tmp_path / "drive.run.yaml").write_text("csv: drive.mf4\ncolumns: {yaw: Kurs}\n")
+    (source,) = find_runs([tmp_path / "drive.run.yaml"])
+    with pytest.raises(RunError, match=r"columns: yaw: drive\.mf4 has no column 'Kurs'") as error:
+        read(source, CAR)
+    assert "asammdf" not in str(error.value)
+
+
 def test_logs_of_frames_remain_can_logs(tmp_path):
     frames = [LogFrame(10_000 * k, 1, 0x002, bytes(8)) for k in range(100)]
     log = write_layout_2(tmp_path / "frames.mf4", 1_700_000_000 * 10**9, frames)

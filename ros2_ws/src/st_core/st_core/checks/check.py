@@ -67,11 +67,13 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     if not driven:
         results.findings += vehicle_relations.check_standstill(motion) if long_enough else []
     else:
-        stuck = sampling.find_stuck_channels(motion, channels)
-        results.findings += stuck
-        if not broken & {*INS_SIGNALS}:  # every further check needs all of these channels
+        ins_is_usable = not broken & {*INS_SIGNALS}  # every further check needs all of these channels
+        if ins_is_usable:
             motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
                              acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
+        stuck = sampling.find_stuck_channels(motion, channels)
+        results.findings += stuck
+        if ins_is_usable:
             _check_relations(motion, log, vehicle, time_unit, stuck, broken | find_broken_channels(stuck), results)
     # Accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (

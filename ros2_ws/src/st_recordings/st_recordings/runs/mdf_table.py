@@ -95,6 +95,8 @@ def _open_file(file: Path) -> Iterator[Any]:
         with quiet_asammdf():
             mdf = MDF(file, **MDF_OPTIONS)
             yield mdf
+    except RunError:
+        raise
     except Exception as error:  # any, from asammdf
         raise RunError(file, f"asammdf cannot read the file ({shorten(error)})", "copy or export it again") from None
     finally:
