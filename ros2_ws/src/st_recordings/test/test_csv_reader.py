@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from st_recordings.runs.columns import Layout
-from st_recordings.runs.csv import MOTION_SIGNALS, build_ins_log, has_drive_columns, read_csv
+from st_recordings.runs.csv import (
+    MOTION_SIGNALS,
+    _count_missing_samples,
+    build_ins_log,
+    has_drive_columns,
+    read_csv,
+)
 from st_recordings.runs.csv_table import read_table
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.ins_log import yaw_from_quaternion
@@ -164,3 +170,13 @@ def test_binary_file_with_the_extension_csv_is_refused(tmp_path: Path) -> None:
     file.write_bytes(b"\xe7\xff\x80" * 100)
     with pytest.raises(RunError, match="this is not a text file"):
         read_csv(file)
+
+
+def test_lost_samples_of_a_slower_channel_are_counted_by_rows():
+    """Steering in every second row, of which one sample in seven is lost: the blanks in between are no losses."""
+    time_ns, column = np.arange(1000) * 10_000_000, np.full(1000, np.nan)
+    column[::2] = 1.0
+    column[0:-2:14] = np.nan
+    column[[0, 998]] = 1.0
+    lost = 500 - int(np.isfinite(column).sum())
+    assert lost > 60 and _count_missing_samples(time_ns, column) == lost

@@ -1,5 +1,6 @@
 """MDF files of measured signals, as INCA, CANape and asammdf write them, are read as tables."""
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from raw_drives import write_drives
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.can_formats import is_can_log
+from st_recordings.runs.columns import Layout
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.mdf_table import is_signal_table
+from st_recordings.runs.mdf_table import is_signal_table, read_signals
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +104,21 @@ def test_signal_that_the_file_lacks_is_refused_by_its_name(drive, tmp_path):
     with pytest.raises(RunError, match=r"columns: yaw: drive\.mf4 has no column 'Kurs'") as error:
         read(source, CAR)
     assert "asammdf" not in str(error.value)
+
+
+def test_names_of_repeated_and_decoded_signals(tmp_path):
+    """The longer of two signals, no unit twice, times before the trigger, and a comment as in decoded CAN logs."""
+    with MDF() as mdf:
+        mdf.start_time = datetime.fromtimestamp(0, UTC)
+        mdf.append([Signal(np.ones(2), np.arange(2.0), name="YawRate", unit="deg/s")])
+        mdf.append([Signal(np.arange(5.0), np.arange(5.0) - 0.01, name="YawRate", unit="rad/s"),
+                    Signal(np.arange(5.0), np.arange(5.0) - 0.01, name="x [m]", unit="m",
+                           comment="CAN2.CAN_DataFrame.ID=0x2")])
+        file = mdf.save(tmp_path / "decoded.mf4")
+    assert is_signal_table(file)
+    names, body = read_signals(file, Layout(units={"t": "s"}))
+    assert names == ["t [s]", "YawRate [rad/s]", "x [m]"]
+    assert body.splitlines()[0] == "-0.010000,0,0"
 
 
 def test_logs_of_frames_remain_can_logs(tmp_path):

@@ -108,14 +108,15 @@ def _read_bag(path: Path) -> CanLog:
     for bus, topic in enumerate(topics, start=1):
         columns = read_fields(path, storage, topic, _BAG_FIELDS, store)
         time_ns, length = columns["header.stamp"], columns["dlc"]
-        if not time_ns.all():
+        if 2 * np.count_nonzero(time_ns) < len(time_ns):
             time_ns = read_log_times(storage, topic.name, time_ns)
             notes.append(f"frames of {topic.name} have no stamp; the times of reception are used")
         flags = REMOTE * columns["is_rtr"] + ERROR * columns["is_error"]
-        frames, found = remove_clock_steps(Frames(
+        frames = Frames(
             time_ns, columns["id"].astype(np.uint32) | np.uint32(EXTENDED) * columns["is_extended"],
             np.where(np.arange(8) < length[:, None], columns["data"], 0).astype(np.uint8),
-            np.minimum(length, 8).astype(np.uint8), np.full(len(length), bus, np.uint8), flags.astype(np.uint8)))
+            np.minimum(length, 8).astype(np.uint8), np.full(len(length), bus, np.uint8), flags.astype(np.uint8))
+        frames, found = remove_clock_steps(frames.select(time_ns > 0))
         parts.append(frames)
         steps += found
     frames = merge_by_time(parts)

@@ -508,8 +508,11 @@ def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
     time_ns: (n,), of the rows.
     """
     known_rows = np.flatnonzero(np.isfinite(column))
-    row_step = np.median(np.diff(known_rows)) if len(known_rows) >= 3 else 1
+    row_steps = np.diff(known_rows)
+    row_step = int(np.median(row_steps)) if len(known_rows) >= 3 else 1
     if row_step > 1:
+        if np.mean(row_steps % row_step == 0) > MIN_REGULAR_SHARE:
+            return round((known_rows[-1] - known_rows[0]) / row_step) + 1 - len(known_rows)
         steps = np.diff(time_ns[known_rows])
         step = np.median(steps)
         if np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_SHARE:

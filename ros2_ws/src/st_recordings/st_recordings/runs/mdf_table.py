@@ -7,6 +7,7 @@ import mmap
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from .columns import Layout, find_ambiguous_steering, find_columns
 from .errors import RunError, shorten
 from .mf4 import MDF_OPTIONS, quiet_asammdf
 
-_RAW_FRAMES = re.compile(rb"CAN_(Data|Remote|Error)Frame")  # channels of raw frames, stored as plain text
+_RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
+"""Name of a channel of raw frames, after the end of a block head; texts of decoded files may contain it elsewhere."""
 
 
 def is_signal_table(file: Path) -> bool:
@@ -56,10 +58,12 @@ def read_signals(file: Path, layout: Layout) -> tuple[list[str], str]:
     """
     with _open_file(file) as mdf:
         signals = _list_signals(mdf)
-        named = {source.column for source in find_columns(file, [name for name, _, _ in signals], layout).values()}
+        names = ["t [s]", *(name for name, _, _ in signals)]
+        named = {source.column - 1 for source in find_columns(file, names, layout).values()}
         chosen = [(name, mdf.get(group=group, index=index)) for number, (name, group, index) in enumerate(signals)
                   if number in named or find_columns(file, [name], Layout()) or find_ambiguous_steering([name])]
-        start_us = round(mdf.header.start_time.timestamp() * 1e6)
+        start = mdf.header.start_time  # without a time zone it is read as UTC, so that all machines agree
+        start_us = round((start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp() * 1e6)
     chosen = [(name, signal) for name, signal in chosen
               if signal.samples.ndim == 1 and signal.samples.dtype.kind in "biuf"]
     times = [start_us + np.round(signal.timestamps * 1e6).astype(np.int64) for _, signal in chosen]
@@ -68,21 +72,25 @@ def read_signals(file: Path, layout: Layout) -> tuple[list[str], str]:
     for number, (stamps, (_, signal)) in enumerate(zip(times, chosen, strict=True)):
         is_valid = slice(None) if signal.invalidation_bits is None else ~signal.invalidation_bits
         cells[np.searchsorted(time_us, stamps[is_valid]), number] = signal.samples[is_valid]
-    rows = [f"{time // 10**6}.{time % 10**6:06d}," + ",".join(f"{cell:.12g}" for cell in row)
+    rows = [f"{time / 1e6:.6f}," + ",".join(f"{cell:.12g}" for cell in row)
             for time, row in zip(time_us.tolist(), cells.tolist(), strict=True)]
     return ["t [s]", *(name for name, _ in chosen)], "\n".join(rows)
 
 
 def _list_signals(mdf: Any) -> list[tuple[str, int, int]]:
-    """(name with unit, group, index) of all signals except times; only the first of those with the same name."""
+    """(name with unit, group, index) of all signals except times; of those with the same name, the one with the most
+    samples."""
     found: dict[str, tuple[str, int, int]] = {}
+    counts: dict[str, int] = {}
     for group, content in enumerate(mdf.groups):
+        count = content.channel_group.cycles_nr
         for index, channel in enumerate(content.channels):
             name = channel.name.split("\\")[0]  # INCA appends the device: YawRate\CAN-Monitoring:1
-            if index == mdf.masters_db.get(group) or name in found:
+            if index == mdf.masters_db.get(group) or count <= counts.get(name, -1):
                 continue
             unit = mdf.get_channel_unit(group=group, index=index)
-            found[name] = f"{name} [{unit}]" if unit else name, group, index
+            has_unit = not unit or name.endswith(f"[{unit}]")
+            found[name], counts[name] = (name if has_unit else f"{name} [{unit}]", group, index), count
     return list(found.values())
 
 

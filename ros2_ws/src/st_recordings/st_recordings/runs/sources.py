@@ -13,7 +13,7 @@ from .bag_storage import read_time_span
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .errors import RunError
-from .mf4 import parse_session
+from .mf4 import MF4_EXTENSIONS, parse_session
 from .readers import READERS, Reader, find_reader
 from .run_file import RUN_FILE, RUN_SUFFIX, find_logs, find_run_of_each, is_run_file, read_run_file
 from .run_types import RunSource
@@ -182,7 +182,10 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
-        if others and not logs:
+        signals = [name for name in others if Path(name).suffix.lower() in MF4_EXTENSIONS]
+        if signals and not logs:
+            advice = f"{signals[0]} contains signals but no CAN frames: give the log with the frames"
+        elif others and not logs:
             advice += f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
         yield _make_unusable(file, f"no CAN log belongs to it: {why}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():

@@ -15,7 +15,7 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
-    if steering is None and bag.is_own_can_log(source.where):
+    if steering is None and any(map(bag.is_own_can_log, source.files)):
         from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
         return read_raw_run(replace(source, can=source.files), vehicle, settings)
