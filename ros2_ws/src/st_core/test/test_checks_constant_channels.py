@@ -72,3 +72,15 @@ def test_long_standstill_gives_no_finding_about_velocity_axes(log, leaf):
     long = replace(log, ins_time_ns=times, steering_time_ns=times + 5_000_000, **constant, **moving)
     found = check(long, leaf).findings
     assert "velocity_axes" not in [finding.name for finding in found]
+
+
+def test_jumping_acceleration_is_not_also_reported_as_constant(log, leaf):
+    """It is left out, so that no rows of other channels are left out for its constant part."""
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    jumping = log.acceleration_y + 25.0 * (np.floor(time / 2.0) % 2)
+    jumping[time > 0.6 * time[-1]] = 12.0
+    faulty = check(replace(log, acceleration_y=jumping), leaf)
+    names = {finding.name for finding in faulty.findings if "acceleration_y" in finding.channels}
+    assert "channel_jumps" in names and "channel_frozen" not in names
+    estimates = check(replace(log, acceleration_y=None), leaf).estimates
+    assert {name: faulty.estimates[name] for name in estimates} == estimates
