@@ -43,7 +43,8 @@ class LiveBag:
 
     def __init__(self, folder: Path, car: VehicleParameters):
         self.folder, self.car = folder, car
-        self.path_shift = 0.0  # m, added to the end of one predicted path
+        self.path_shift = 0.0  # m or rad, added to the end of one predicted path
+        self.shifted_column = "x"
         self.score_shift = 0.0  # m, added to the lateral scores of one model and mode
         self.without_predictions = False
         self.contains_its_car = True
@@ -97,7 +98,7 @@ class LiveBag:
             self._count += 1
             names = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
             columns = {name: path.states[:, k].copy() for k, name in enumerate(names)}
-            columns["x"][-1] += self.path_shift if self._count == 41 else 0.0
+            columns[self.shifted_column][-1] += self.path_shift if self._count == 41 else 0.0
             messages.append(serialise(
                 PREDICTION, header=header(start.time_ns, "map"), issued_at=stamp(0), model=model, step=path.step,
                 road_wheel_angle=start.inputs.road_wheel_angle, velocity_x_dot=start.inputs.velocity_x_dot, **columns,
@@ -152,6 +153,13 @@ def test_deviation_of_two_millimetres_is_found_and_located(live):
     result = st_verify(live.folder)
     assert result.exit_code == 1 and "live differs from offline" in result.output
     assert st_verify(live.folder, "--tolerance", "0.003").exit_code == 0
+
+
+def test_deviation_of_yaw_alone_is_found(live):
+    live.shifted_column, live.path_shift = "yaw", 0.002
+    assert verify(live.write()).largest < 1e-9
+    result = st_verify(live.folder)
+    assert result.exit_code == 1 and "of yaw 2 mrad (limit 1 mrad)" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["discovered late", "restarted"])

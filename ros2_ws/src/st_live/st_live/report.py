@@ -115,7 +115,7 @@ def _draw_map(axes: Axes, results: Results) -> None:
         axes.plot(x, y, "o", ms=4, color="k", zorder=4)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="east, m", ylabel="north, m")
-    axes.set_title(f"Measured track and predictions from {len(starts)} starts", fontsize=9)
+    axes.set_title(f"Hindsight: measured track and predictions from {len(starts)} starts", fontsize=9)
     handles = [Line2D([], [], color=MEASURED_COLOUR, lw=3, alpha=0.45, label="measured")]
     handles += [Line2D([], [], color=MODEL_COLOUR[m], ls=MODEL_LINE[m], label=m) for m in results.models()]
     handles += [Line2D([], [], color="k", marker="o", ms=4, ls="", label="start")]

@@ -18,6 +18,7 @@ from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
+from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 from st_recordings import recorded_results
 from st_recordings.paths import new_folder
@@ -43,7 +44,6 @@ class Comparison:
     n_starts: int = 0  # forecasts compared
     start_difference: float = 0.0  # of the start positions [m], which depend only on the state estimates
     path_difference: float = 0.0  # between positions at any point [m]
-    yaw_difference: float = 0.0  # between yaw angles at any point [rad]
     worst_start_ns: int = 0  # start of the forecast with the largest path difference
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
@@ -52,6 +52,7 @@ class Comparison:
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
     n_planned: int = 0  # compared predictions with the inputs of a plan or course
     planned_difference: float = 0.0  # between their positions at any point [m]
+    yaw_difference: float = 0.0  # between yaw angles at any point of a prediction [rad]
 
     @property
     def largest(self) -> float:
@@ -151,7 +152,7 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
                 result.worst_start_ns = int(starts_ns[rows][finite][distance.max(axis=1).argmax()])
             result.path_difference = max(result.path_difference, float(distance.max()))
             result.start_difference = max(result.start_difference, float(distance[:, 0].max()))
-            result.yaw_difference = max(result.yaw_difference, float(np.abs(difference[..., 4]).max()))
+            result.yaw_difference = max(result.yaw_difference, float(np.abs(wrap_angle(difference[..., 4])).max()))
         for mode, predictions in planned.items():
             _compare_planned(result, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, mode_scores in scores.items():
@@ -166,10 +167,12 @@ def _compare_planned(result: Comparison, planned: PlannedPredictions, starts_ns:
     _, computed, recorded = np.intersect1d(starts_ns, planned.starts_ns, assume_unique=True, return_indices=True)
     difference = states[computed] - planned.states[recorded]
     distance = np.hypot(difference[..., 0], difference[..., 1])
-    distance = distance[np.isfinite(distance).all(axis=1)]
-    result.n_planned += len(distance)
-    if distance.size:
-        result.planned_difference = max(result.planned_difference, float(distance.max()))
+    finite = np.isfinite(distance).all(axis=1)
+    result.n_planned += int(finite.sum())
+    if finite.any():
+        result.planned_difference = max(result.planned_difference, float(distance[finite].max()))
+        yaw_difference = float(np.abs(wrap_angle(difference[finite][..., 4])).max())
+        result.yaw_difference = max(result.yaw_difference, yaw_difference)
 
 
 def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
@@ -191,8 +194,9 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
                    console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
-    0: no difference exceeds `tolerance` [m], and the reason is known for every score that is complete on one side only;
-    1: any other result; 2: nothing to compare. replayed: play the recording through the nodes and compare their output.
+    0: no difference exceeds `tolerance` [m; rad for yaw angles], and the reason is known for every score that is
+    complete on one side only; 1: any other result; 2: nothing to compare. replayed: play the recording through the
+    nodes and compare their output.
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
@@ -252,7 +256,8 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     n_cut = sum(c.n_cut for c in result.comparisons)
     n_settling = sum(c.n_settling for c in result.comparisons)
     n_planned = sum(c.n_planned for c in result.comparisons)
-    passed = result.largest <= tolerance and not n_disagree
+    yaw_difference = max(c.yaw_difference for c in result.comparisons)
+    passed = max(result.largest, yaw_difference) <= tolerance and not n_disagree
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(result.comparisons, key=lambda c: c.path_difference)
     location = ""
@@ -261,8 +266,9 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
         location = f"; the path that differs most: {worst.model} at {time} UTC"
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
     console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
-                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm); {n_disagree} scores "
-                  f"complete on one side only, {n_cut} incomplete because the nodes stopped{location}",
+                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), of yaw "
+                  f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_disagree} scores complete "
+                  f"on one side only, {n_cut} incomplete because the nodes stopped{location}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
                   "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)

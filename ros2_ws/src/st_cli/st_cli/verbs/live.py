@@ -51,8 +51,8 @@ def demo(
     with shared.report_errors("demo", SuiteError):
         car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
-        about = {"what": title, "source": "recorded drive" if drive else "virtual Leaf",
-                 "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
+        what, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
+        about = {"what": what, "source": source, "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
         status = _run(f"demo-{title}", about, car.vehicle, car.make_bridge_parameters(), run_options, output,
                       duration=duration, source=car.start)
     raise typer.Exit(status)

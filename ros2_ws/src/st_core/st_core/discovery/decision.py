@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from ..channels import CHANNEL_OF_COLUMN, CHANNELS
-from .evidence import Evidence, relative_reduction
+from .evidence import Evidence, describe_position_reduction, relative_reduction
 from .result import Outcome, Reason
 from .settings import Limits
 
@@ -81,7 +81,7 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
                       f"reduces the baseline error of every channel by at most {find_most_affected(e, limits)[1]:.1%}, "
-                      f"and the position error after 5 s by {100 * position_reduction(e):.1f} cm")
+                      f"and {describe_position_reduction(position_reduction(e))}")
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
@@ -98,8 +98,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                       "its value is at a bound, so the best fit is beyond the physical range")
     return _reject_varying(e, limits) or Reason(
         ACCEPTED, e.name, {"gain": e.gain, "p_value": e.p_value, "position": e.position},
-        f"it reduces the errors by {e.share:.1%} and the position error after 5 s by {100 * e.position:.1f} cm (p = "
-        f"{e.p_value:.2g}), and does not vary significantly between parts of the drives")
+        f"it reduces the errors by {e.share:.1%} and {describe_position_reduction(e.position)} (p = {e.p_value:.2g}), "
+        f"and does not vary significantly between parts of the drives")
 
 
 def judge_correction(e: Evidence, limits: Limits) -> Reason:
@@ -146,8 +146,8 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
     if e.gain < limits.relevant and position_reduction(e) < limits.relevant_position:
         return Reason(IRRELEVANT, e.name, {"gain": e.gain, "position": position_reduction(e),
                                            "relevant": limits.relevant, "relevant_position": limits.relevant_position},
-                      f"it is significant, but reduces the errors by {e.share:.1%} and the position error after 5 s by "
-                      f"{100 * position_reduction(e):.1f} cm; {limits.relevant:.1%} or "
+                      f"it is significant, but reduces the errors by {e.share:.1%} and "
+                      f"{describe_position_reduction(position_reduction(e))}; {limits.relevant:.1%} or "
                       f"{100 * limits.relevant_position:.0f} cm is required")
     return None
 
@@ -223,8 +223,8 @@ def _describe_effect_size(e: Evidence, limits: Limits) -> str:
     """Clause with the largest error reductions."""
     channel, share = find_most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
-    where = " in one driving condition" if e.position_in_condition > e.position else ""
-    return f"it reduces {channel_part}the position error after 5 s by {100 * position_reduction(e):.1f} cm{where}"
+    where = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
+    return f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{where}"
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:

@@ -85,6 +85,12 @@ class Evidence:
         return relative_reduction(self.gain)
 
 
+def describe_position_reduction(reduction: float) -> str:
+    """Object of "it reduces": the position error and its reduction, given in [m]."""
+    size = "less than 0.1" if abs(reduction) < 5e-4 else f"{100.0 * reduction:.1f}"
+    return f"the position error after 5 s by {size} cm"
+
+
 def relative_reduction(gain: float) -> float:
     """Relative reduction of the RMS error [1], 1 - exp(-gain); negative if errors grow."""
     return -float(np.expm1(-gain))

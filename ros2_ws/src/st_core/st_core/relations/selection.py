@@ -7,7 +7,7 @@ import numpy as np
 from scipy import stats
 
 from ..contract import describe_instability
-from ..discovery.evidence import Agreement, pool_ratios
+from ..discovery.evidence import Agreement, describe_position_reduction, pool_ratios
 from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._relation import MAX_COEFFICIENT, SPLINES
@@ -170,7 +170,7 @@ def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarr
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
-            f"and the position error after 5 s by {100 * average_finite(position_gain):.1f} cm")
+            f"and {describe_position_reduction(average_finite(position_gain))}")
 
 
 def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,

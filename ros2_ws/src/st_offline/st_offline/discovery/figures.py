@@ -147,12 +147,13 @@ def draw_axle_curves(data: FigureData) -> PageFigure | None:
 def draw_maps(data: FigureData) -> PageFigure | None:
     """Draw the track of the run with the largest errors, and its predictions with base and complete model, coloured by
     their error."""
-    run, errors = _find_worst_run(data)
+    run = _find_worst_run(data)
     if run is None:
         return None
     models = [("base model", data.before)] + ([("complete model", data.after)] if data.after else [])
     factor, unit = quantities.display_unit(UNITS[data.channel])
-    largest = factor * max(float(np.nanmax(errors)), 1e-12)
+    largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[data.channel][samples.run == run]), initial=1e-12))
+                           for _, samples in models)
     with apply_style():
         log = data.runs[run]
         is_wide = _aspect_ratio(log) > MIN_ASPECT
@@ -180,18 +181,17 @@ def draw_maps(data: FigureData) -> PageFigure | None:
         return save_figure(figure, data.output, "map", title, caption)
 
 
-def _find_worst_run(data: FigureData) -> tuple[int | None, np.ndarray]:
-    """(index of the run with the largest RMS error in `data.channel`, its errors [SI]). Runs with a straight track are
-    left out if there are others. The index is None without errors."""
+def _find_worst_run(data: FigureData) -> int | None:
+    """Index of the run with the largest RMS error of the base model in `data.channel`; None without errors. Runs with a
+    straight track are left out if there are others."""
     samples = data.before
     squares = samples.squares.get(data.channel)
     if squares is None or not len(squares):
-        return None, np.empty(0)
+        return None
     runs = np.unique(samples.run)
     wide = [_aspect_ratio(data.runs[r]) > MIN_ASPECT for r in runs]
     runs = runs[wide] if any(wide) else runs
-    run = int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
-    return run, np.sqrt(squares[samples.run == run])
+    return int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
 
 
 def _aspect_ratio(log: DriveLog) -> float:
