@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from st_core.sideslip import derive_yaw_rate
 
+from .binary_table import BINARY_EXTENSIONS, read_binary_table
 from .columns import (
     COLUMNS,
     UNITS,
@@ -92,10 +93,12 @@ def _decode(file: Path, size: int) -> str:
 
 
 def read_header(file: Path) -> list[str]:
-    """Reads the names of the columns; empty for a file that is empty or cannot be opened, or an invalid MDF file."""
+    """Reads the names of the columns; empty for a file that is empty or cannot be read."""
     if is_signal_table(file):
         return read_names(file)
     try:
+        if file.suffix.lower() in BINARY_EXTENSIONS:
+            return read_binary_table(file)[0]
         lines = read_text(file, 1 << 16).splitlines()
         return _split_header(lines[_find_header_line(lines)])[0] if lines else []
     except (OSError, RunError):
@@ -103,13 +106,15 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Reads a CSV file, or the signals of an MDF file. Raises RunError if the file, its units, times or numbers cannot
-    be read."""
+    """Reads a table of text, MDF signals, MATLAB or Arrow. Raises RunError if the file, its units, times or numbers
+    cannot be read."""
     check_readable(file)
     warnings: list[str] = []
     if is_signal_table(file):
         names, body = read_signals(file, layout)
         return replace(parse_table(file, names, body, ",", layout, warnings), names=tuple(read_names(file)))
+    if file.suffix.lower() in BINARY_EXTENSIONS:
+        return parse_table(file, *read_binary_table(file), ",", layout, warnings)
     text = read_text(file)
     skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
     *above, header, body = (text + "\n").split("\n", skipped + 1)

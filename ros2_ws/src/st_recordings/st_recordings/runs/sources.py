@@ -10,6 +10,7 @@ from st_core import yaml_text
 from ..paths import natural_sort_key
 from .bag_storage import EXTENSIONS as BAG_EXTENSIONS
 from .bag_storage import read_time_span
+from .binary_table import BINARY_EXTENSIONS
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .errors import RunError
@@ -24,8 +25,7 @@ DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", "
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0
 """Longest gap or overlap [s] between the end of one file of a split bag and the start of the next."""
-TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".mat", ".parquet", ".feather", ".h5",
-                    ".hdf5", ".tdms", ".json", ".erg", ".ld")
+TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".h5", ".hdf5", ".tdms", ".json", ".erg", ".ld")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
 """Extensions of text tables that programs often export in addition to their own files."""
@@ -84,7 +84,9 @@ def _explain_no_run(folder: Path) -> list[RunSource]:
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
     others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    return [*(_make_single_run(f, bag) for f in bags), *map(_reject_unknown_file, others)] or [_make_unusable(
+    binary = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
+    return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary),
+            *map(_reject_unknown_file, others)] or [_make_unusable(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
@@ -123,8 +125,11 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
     reader = find_reader(path)
     if reader is None or reader.needs_can or is_can_log(path):
         return True
-    if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and any(
-            other.stem == path.stem and other != path and find_reader(other) for other in files):
+    same_stem = [(other, other_reader) for other in files if other.stem == path.stem and other != path
+                 and (other_reader := find_reader(other)) and other.suffix.lower() not in BINARY_EXTENSIONS]
+    if path.suffix.lower() in BINARY_EXTENSIONS and any(other.has_drive(file) for file, other in same_stem):
+        return False  # probably the same drive
+    if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and same_stem:
         return False  # probably exported from the other file
     return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
             or (path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files)))))

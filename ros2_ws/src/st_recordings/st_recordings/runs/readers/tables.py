@@ -1,4 +1,4 @@
-"""Registers the readers of CSV, MDF and VBOX files: tables of a drive, or of the INS in a drive with CAN logs."""
+"""Registers the readers of tables (CSV, MDF, MATLAB, Arrow, VBOX) of a drive, or of the INS beside CAN logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,6 +8,7 @@ from st_core.corrections import Correction
 from st_core.vehicle import VehicleParameters
 
 from .. import csv
+from ..binary_table import BINARY_EXTENSIONS
 from ..columns import Layout
 from ..csv_table import Table, join_tables, read_table
 from ..ins_log import InsLog
@@ -35,6 +36,6 @@ def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, 
     register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **tests))
 
 
-_register("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS), read_table, has_drive=csv.has_drive_columns,
-          is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
+_register("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
+          has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
 _register("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)

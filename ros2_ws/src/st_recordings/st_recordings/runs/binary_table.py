@@ -1,0 +1,144 @@
+"""Reads tables from files of MATLAB (.mat up to version 7) and Apache Arrow (.parquet, .feather).
+
+They become text as of a CSV file, so that names, units, times and rates are handled in the same way.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .columns import Layout, find_columns
+from .errors import RunError, shorten
+
+ARROW_EXTENSIONS = (".parquet", ".feather")
+BINARY_EXTENSIONS = (".mat", *ARROW_EXTENSIONS)
+MAX_MATRIX_COLUMNS = 32
+"""A matrix with more columns is an image or a map; the columns of a smaller one become signals NAME_1, NAME_2, ..."""
+SAMPLE_FIELDS = ("data", "value", "values")
+"""Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
+NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit")
+
+
+class Signal(NamedTuple):
+    """Samples of a signal.
+
+    path: names of the structs that contain it, and its own name. time: (name, times (n,)) from the innermost struct
+    that has a time vector of this length; None if there is none.
+    """
+
+    path: tuple[str, ...]
+    unit: str
+    samples: np.ndarray  # (n,)
+    time: tuple[str, np.ndarray] | None
+
+
+def read_binary_table(file: Path) -> tuple[list[str], str]:
+    """(header, rows separated by commas) of a file. Raises RunError if it cannot be read or contains no signals."""
+    try:
+        status = file.stat()
+    except OSError as error:
+        raise RunError(file, f"cannot be read: {error.strerror}") from None
+    return _read_version(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read_version(file: Path, mtime_ns: int, size: int) -> tuple[list[str], str]:
+    frame = _read_arrow(file) if file.suffix.lower() in ARROW_EXTENSIONS else _read_matlab(file)
+    return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
+
+
+def _read_arrow(file: Path) -> Any:
+    import pandas as pd
+
+    try:
+        frame = (pd.read_parquet if file.suffix.lower() == ".parquet" else pd.read_feather)(file)
+    except ImportError:
+        raise RunError(file, "files of Apache Arrow need the package pyarrow", "install it, or export a CSV file"
+                       ) from None
+    except Exception as error:  # any, from pyarrow
+        raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
+    return frame if isinstance(frame.index, pd.RangeIndex) else frame.reset_index()
+
+
+def _read_matlab(file: Path) -> Any:
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(file, simplify_cells=True)
+    except NotImplementedError:
+        raise RunError(file, "this is a file of MATLAB version 7.3", "save it with save(..., '-v7'), or export a CSV "
+                       "file") from None
+    except Exception as error:  # any, from scipy
+        raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None
+    signals = list(_find_signals({name: value for name, value in content.items() if not name.startswith("__")}))
+    if not signals:
+        objects = " but objects such as timeseries or tables" if "__function_workspace__" in content else ""
+        raise RunError(file, f"it contains no vectors{objects}", "save the samples as vectors or fields of a struct")
+    return _join_signals(signals)
+
+
+def _join_signals(signals: list[Signal]) -> Any:
+    """Table of the signals. With several time vectors, each time [s] has a row, in which other signals are NaN; without
+    any, the signals of the most frequent length are taken."""
+    import pandas as pd
+
+    leaves = Counter(signal.path[-1] for signal in signals)
+    rasters: list[tuple[str, np.ndarray]] = []
+    columns: list[dict[str, np.ndarray]] = []
+    length = Counter(len(signal.samples) for signal in signals).most_common(1)[0][0]
+    untimed: dict[str, np.ndarray] = {}
+    for signal in signals:
+        name = signal.path[-1] if leaves[signal.path[-1]] == 1 else "_".join(signal.path)
+        name += f" [{signal.unit}]" if signal.unit else ""
+        if signal.time is None:
+            if len(signal.samples) == length:
+                untimed[name] = signal.samples
+            continue
+        times = signal.time[1]
+        number = next((k for k, (_, raster) in enumerate(rasters) if np.array_equal(raster, times)), len(rasters))
+        if number == len(rasters):
+            rasters.append(signal.time)
+            columns.append({})
+        if not np.array_equal(signal.samples, times):
+            columns[number][name] = signal.samples
+    if len(rasters) < 2:
+        return pd.DataFrame({rasters[0][0]: rasters[0][1], **columns[0]} if rasters else untimed)
+    factors = [find_columns(Path(), [name], Layout())["t"].factor for name, _ in rasters]
+    parts = [pd.DataFrame(part, index=np.round(times * factor, 6))  # equal times in other units differ by rounding
+             for (_, times), factor, part in zip(rasters, factors, columns, strict=True)]
+    merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)
+    return merged.rename_axis("t [s]").reset_index()
+
+
+def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
+                  times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[Signal]:
+    """Signals in structs, arrays of structs and matrices. times: (name, times) of the surrounding structs."""
+    if isinstance(value, dict):
+        vectors = [name for name, entry in value.items() if _is_vector(entry)]
+        source = find_columns(Path(), vectors, Layout()).get("t")
+        own = [(vectors[source.column], value[vectors[source.column]])] if source else []
+        if isinstance(axis := value.get("X"), dict) and _is_vector(axis.get("Data")):
+            own.append(("time", axis["Data"]))  # dSPACE ControlDesk
+            value = {name: entry for name, entry in value.items() if name != "X"}
+        unit = next((value[name] for name in UNIT_FIELDS if isinstance(value.get(name), str)), "")
+        for name, entry in value.items():
+            is_sample_field = path and name.lower() in SAMPLE_FIELDS
+            yield from _find_signals(entry, path if is_sample_field else (*path, name),
+                                     unit if is_sample_field else "", (*own, *times))
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
+        for number, entry in enumerate(value, 1):
+            labels = [entry[name] for name in NAME_FIELDS if entry.get(name)] if isinstance(entry, dict) else []
+            yield from _find_signals(entry, (*path[:-1], str(labels[0])) if labels else (*path, str(number)), "", times)
+    elif _is_vector(value):
+        yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
+    elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < value.shape[1] <= MAX_MATRIX_COLUMNS:
+        for number, column in enumerate(value.T, 1):
+            yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
+
+
+def _is_vector(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == 1 and len(value) > 1 and value.dtype.kind in "biuf"
