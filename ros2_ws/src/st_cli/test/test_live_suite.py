@@ -15,7 +15,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 from rich.console import Console
 from st_cli.verbs import live, raw_logs
-from st_live import configuration, session
+from st_live import configuration, report, session
 from st_live.node import Status, SuiteState, render_progress
 from st_live.suite import SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
@@ -47,6 +47,20 @@ def test_demo_refuses_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: 
     for fragment in fragments:
         assert fragment in result.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_too_short_run_is_refused_with_the_unit() -> None:
+    for verb, seconds in ((live.demo, "2"), (live.demo, "nan"), (live.live, "0.5")):
+        result = run(verb, "--duration", seconds)
+        assert result.exit_code == 2 and f"{seconds} s is shorter than the minimum of" in result.stderr
+
+
+def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:
+    models = {model: {mode: {"n_incomplete": count} for mode in ("forecast", "hindsight")}
+              for model, count in (("linear", 50), ("augmented", 51))}
+    assert report.describe_incomplete(models) == "hindsight 50 to 51, forecast 50 to 51"
+    assert report.describe_incomplete({"linear": models["linear"]}) == "hindsight 50, forecast 50"
+    assert report.describe_incomplete({"linear": {"hindsight": {"n_incomplete": 0}}}) == ""
 
 
 @pytest.mark.parametrize("verb", [live.demo, live.live])

@@ -49,6 +49,8 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
         console.print(line, highlight=False, soft_wrap=True)
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
+    if text := describe_incomplete(summary["models"]):
+        console.print(f"starts without a complete horizon, not in the table: {text}", highlight=False)
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
                           ("summary.json", "this table"), ("paths.png", "the figure")):
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
@@ -164,6 +166,17 @@ def _format_cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, An
         is_best = value is not None and abs(value) <= min(magnitudes) + 5e-4  # half of the last digit shown
         parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if is_best else ""))
     return Text(" | ").join(parts)
+
+
+def describe_incomplete(models: dict[str, Any]) -> str:
+    """Number of starts of one model without a complete horizon, by mode, as a range if the models differ; "" if none.
+
+    models: as in summary.json.
+    """
+    counts = {mode: sorted({modes[mode]["n_incomplete"] for modes in models.values() if mode in modes})
+              for mode in ("hindsight", "forecast", "course", "plan")}
+    return ", ".join(f"{mode} {' to '.join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))}"
+                     for mode, numbers in counts.items() if any(numbers))
 
 
 def make_headline(summary: dict[str, Any]) -> str:

@@ -146,7 +146,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
-    """Content of summary.json: statistics of the horizon means of complete scores [m, rad], band coverage, ticks."""
+    """Content of summary.json: statistics of the horizon means of complete scores, band coverage, ticks."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
@@ -154,8 +154,9 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     for row in results.bands:  # coverage is null where nothing was counted
         models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | json_ready(
             {"0.5": row.coverage_50, "0.9": row.coverage_90})
-    return {**about, "models": models, "ticks": results.ticks, "configuration_hash": results.configuration_hash,
-            "versions": collect_versions()}
+    units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
+    return {**about, "units": units, "models": models, "ticks": results.ticks,
+            "configuration_hash": results.configuration_hash, "versions": collect_versions()}
 
 
 def _summarise_errors(scores: MeanErrors | None) -> dict[str, Any]:

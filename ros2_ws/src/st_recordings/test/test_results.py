@@ -67,6 +67,7 @@ def test_summary_equals_the_statistics_of_the_arrays(run_folder: Path) -> None:
     summary = summarise(read_results(run_folder), {"what": "test"})
     assert list(summary["models"]) == ["kinematic", "linear"]
     assert summary["configuration_hash"] == "cafe"
+    assert summary["units"] == {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
     assert summary["ticks"] == {"due": 100, "predicted": 90, "skipped": 10,
                                 "skipped_by_reason": {"stale": 4, "overrun": 2, "slow": 4}}
     for model, modes in summary["models"].items():

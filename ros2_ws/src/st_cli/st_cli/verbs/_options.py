@@ -24,6 +24,16 @@ def _check_sign(value: int | None) -> int | None:
     return value
 
 
+def at_least(minimum: float) -> Callable[[float | None], float | None]:
+    """Callback of an optional duration [s]; typer's own message about a number that is too small has no unit."""
+    def check(value: float | None) -> float | None:
+        if value is not None and not value >= minimum:
+            raise typer.BadParameter(f"{value:g} s is shorter than the minimum of {minimum:g} s")
+        return value
+
+    return check
+
+
 Runs = Annotated[list[Path], typer.Argument(
     help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(

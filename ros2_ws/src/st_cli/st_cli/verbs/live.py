@@ -27,7 +27,8 @@ def demo(
     plant_vehicle: Path | None = typer.Option(
         None, help="Vehicle file of the simulated car; default: --vehicle, which is the vehicle file of the nodes.",
         exists=True, dir_okay=False),
-    duration: float | None = typer.Option(None, help="Seconds of driving; default 60, or the whole drive.", min=6.0),
+    duration: float | None = typer.Option(
+        None, help="Seconds of driving, at least 6; default 60, or the whole drive.", callback=shared.at_least(6.0)),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
@@ -67,7 +68,8 @@ def live(
     ncom_address: str = typer.Option("0.0.0.0", help="Local address to listen on; default all, as the RT broadcasts."),
     ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
     car_options: shared.ReadOptions = shared.ReadOptions(),
-    duration: float | None = typer.Option(None, help="Stop after this many seconds; default: until Ctrl-C.", min=1.0),
+    duration: float | None = typer.Option(
+        None, help="Stop after this many seconds, at least 1; default: until Ctrl-C.", callback=shared.at_least(1.0)),
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),

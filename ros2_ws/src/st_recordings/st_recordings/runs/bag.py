@@ -105,6 +105,13 @@ def is_own_can_log(path: Path) -> bool:
     return lacks_steering(path) and CAN_FRAME in _read_types(path)
 
 
+def may_carry_steering(topic: Topic) -> bool:
+    """Whether --steering-topic may name a topic: it has messages other than odometry, raw data and text, and is not one
+    of KNOWN_TOPICS."""
+    return bool(topic.count) and not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
+        ODOMETRY, NCOM, CAN_FRAME, CAN_FRAMES, "std_msgs/msg/String")
+
+
 def _read_types(path: Path) -> set[str]:
     """Types of the recorded messages; empty for a bag that cannot be read."""
     try:
@@ -270,7 +277,8 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
         recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
-        other = ", or name the topic of the steering angle with --steering-topic" if type_name == STEERING else ""
+        has_other = type_name == STEERING and any(map(may_carry_steering, topics))
+        other = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
         raise RunError(path, f"it contains no message of type {type_name}; recorded: {recorded}",
                        f"also record the topic {PREFERRED_TOPICS[type_name]}{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
