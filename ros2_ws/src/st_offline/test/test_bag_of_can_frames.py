@@ -17,6 +17,7 @@ from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.cdr import CAN_FRAME, ODOMETRY
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, Frames
+from st_recordings.runs.raw import read_pair
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text())
 BUSES = ("/can0/from_can_bus", "/can10/from_can_bus")
@@ -70,6 +71,14 @@ def test_steering_is_decoded_from_the_frames(raw, tmp_path, storage, stamped):
     np.testing.assert_array_equal(run.log.ins_time_ns, log.ins_time_ns)
     assert run.alignment.verdict is Verdict.NOT_NEEDED
     assert any("have no stamp; the times of reception are used" in text for text in run.warnings) == (not stamped)
+
+
+def test_bag_needs_no_alignment_but_a_search_is_done(raw, tmp_path):
+    folder = write_bag(tmp_path / "drive", *raw)
+    with pytest.raises(RunError, match="all its messages are on one clock, so there is nothing to align"):
+        read_pair([folder], ReadSettings())
+    pair = read_pair([folder], ReadSettings(search=(-1.0, 1.0)))
+    assert abs(pair.alignment.offset_ns) < 50_000_000
 
 
 def test_frames_without_steering_are_refused(raw, tmp_path):

@@ -6,8 +6,9 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from functools import lru_cache, wraps
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,27 @@ def replace_file(path: Path, text: str) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], Any]], Callable[[Path], Any]]:
+    """Decorator that caches a function of a file until size or modification time of the file change.
+
+    maxsize: number of files whose results are kept.
+    """
+    def decorate(function: Callable[[Path], Any]) -> Callable[[Path], Any]:
+        cached = lru_cache(maxsize)(lambda file, mtime_ns, size: function(file))
+
+        @wraps(function)
+        def call(file: Path) -> Any:
+            try:
+                status = file.stat()
+            except OSError:
+                return function(file)  # it reports the error
+            return cached(file, status.st_mtime_ns, status.st_size)
+
+        return call
+
+    return decorate
 
 
 def natural_sort_key(path: Path) -> tuple[list[tuple[bool, int, str]], str]:

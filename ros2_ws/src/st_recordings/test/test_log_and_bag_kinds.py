@@ -204,6 +204,14 @@ def test_clock_of_a_vbo_is_aligned_with_a_can_log(tmp_path: Path, drive_folder: 
     assert aligned.alignment.offset_ns - reference.alignment.offset_ns == pytest.approx(shift, abs=10_000_000)
 
 
+def test_alignment_names_the_log_it_finds_and_refuses_a_file_it_cannot_use(tmp_path: Path, drive_folder: Path) -> None:
+    (tmp_path / "signals.csv").write_text("t,x,y,yaw,vx,vy,yaw_rate,delta\n0,0,0,0,0,0,0,0\n")
+    pair = read_pair([drive_folder / "run.ncom"], ReadSettings())
+    assert pair.warnings[0].endswith("run.ncom: its CAN log in the same folder is used: run.log")
+    with pytest.raises(RunError, match=r"signals\.csv: this is neither the INS recording run\.ncom nor one of its CAN"):
+        read_pair([drive_folder / "run.ncom", tmp_path / "signals.csv"], ReadSettings())
+
+
 def test_vbo_without_steering_is_paired_with_the_can_log(tmp_path: Path, drive_folder: Path,
                                                          drive_log: DriveLog) -> None:
     head, mark, data = vbo(drive_log).partition("[data]\n")

@@ -116,9 +116,9 @@ def test_names_of_repeated_and_decoded_signals(tmp_path):
                            comment="CAN2.CAN_DataFrame.ID=0x2")])
         file = mdf.save(tmp_path / "decoded.mf4")
     assert is_signal_table(file)
-    names, body = read_signals(file, Layout(units={"t": "s"}))
+    names, body = read_signals(file, Layout(units={"t": "s"}), [])
     assert names == ["t [s]", "YawRate [rad/s]", "x [m]"]
-    assert body.splitlines()[0] == "-0.010000,0,0"
+    assert body.splitlines()[0] == "-0.01,0.0,0.0"
 
 
 def test_logs_of_frames_remain_can_logs(tmp_path):
@@ -133,3 +133,28 @@ def test_damaged_file_is_refused(drive, tmp_path):
     (source,) = find_runs([file])
     with pytest.raises(RunError, match="asammdf cannot read the file"):
         read(source, CAR)
+
+
+def test_texts_arrays_and_repeated_names(tmp_path):
+    """An enumeration and an array are refused as text, not as missing; of equal names the longer signal is used."""
+    time = np.arange(60) * 0.1
+    values = dict.fromkeys(("x", "y", "yaw", "velocity_y", "yaw_rate", "road_wheel_angle"), np.zeros(60))
+    vectors = np.rec.fromarrays([np.zeros((60, 2))], dtype=[("yaw", "<f8", (2,))])
+    for name, samples, text in (("velocity_x", np.array([b"SNA"] * 60), "SNA"), ("yaw", vectors, "array")):
+        with MDF() as mdf:
+            mdf.append([Signal(np.zeros(3), time[:3], name="x")])
+            mdf.append([Signal(samples, time, name=name, encoding="utf-8")])
+            mdf.append([Signal(signal, time, name=other) for other, signal in {
+                "velocity_x": time, **values}.items() if other != name])
+            file = mdf.save(tmp_path / f"{name}.mf4")
+        warnings: list[str] = []
+        read_signals(file, Layout(), warnings)
+        assert warnings == [f"{file}: 2 signals have the name of x; the one with the most samples is used"]
+        with pytest.raises(RunError, match=f"column {name} has no numbers, but text such as '{text}'"):
+            read(find_runs([file])[0], CAR)
+
+
+def test_advice_for_many_drives_names_the_extension_of_the_file(drive, tmp_path):
+    file = write_signals(tmp_path / "drive.mf4", drive, yaw="Kurs")
+    with pytest.raises(RunError, match=r"`csv: drive\.mf4` and .*`each: '\*\.mf4'`"):
+        read(find_runs([file])[0], CAR)

@@ -152,7 +152,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     for k, f in enumerate(findings):
         low, high = limits.get(f.name, (np.inf, -np.inf))
         if f.value is not None and low <= f.value <= high:
-            text = f"{f.text}; velocity_y is not measured, so yaw may be the course and the lag may be due to sideslip"
+            text = f"{f.text}; velocity_y is missing or 0, so yaw may be the course and the lag may be due to sideslip"
             severity = f.severity if f.name == "steering_lag" else Severity.NOTE
             findings[k] = replace(f, severity=severity, text=text, advice=advice)
     return findings

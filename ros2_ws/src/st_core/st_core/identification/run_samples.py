@@ -89,8 +89,8 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     for log in logs:
         for name in needed:
             if not CHANNELS[name].is_measured_in(log):
-                raise IdentificationError(f"{log.name}: {name} is not measured, and this identification needs it: "
-                                          "record it with a dual-antenna INS, or leave the drive out")
+                raise IdentificationError(f"{log.name}: {name} is missing or 0 throughout, and this identification "
+                                          "needs it: record it with a dual-antenna INS, or leave the drive out")
     prepared = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     biases = []
     for k, log in enumerate(prepared):

@@ -27,8 +27,8 @@ from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_d
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
 ROAD_WHEEL, STEERING_WHEEL, HEADING, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
-COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines "
-                 "`{kind}: {name}`{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*.{kind}'`)")
+COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `{key}: {name}`"
+                 "{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*{extension}'`)")
 STEERING_ADVICE = ("name its column by --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
                    "right is positive; or also give the CAN log that contains the steering angle")
 COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
@@ -201,7 +201,8 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
         raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
                        COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],
-                                            kind="vbo" if table.file.suffix.lower() == ".vbo" else "csv"))
+                                            extension=(extension := table.file.suffix),
+                                            key="vbo" if extension.lower() == ".vbo" else "csv"))
     doubtful = (find_ambiguous_steering(table.names) or "")[:60]
     if ROAD_WHEEL in needed and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",

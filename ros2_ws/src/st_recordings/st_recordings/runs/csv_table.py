@@ -94,9 +94,9 @@ def _decode(file: Path, size: int) -> str:
 
 def read_header(file: Path) -> list[str]:
     """Reads the names of the columns; empty for a file that is empty or cannot be read."""
-    if is_signal_table(file):
-        return read_names(file)
     try:
+        if is_signal_table(file):
+            return read_names(file)
         if file.suffix.lower() in BINARY_EXTENSIONS:
             return read_binary_table(file)[0]
         lines = read_text(file, 1 << 16).splitlines()
@@ -111,7 +111,7 @@ def read_table(file: Path, layout: Layout) -> Table:
     check_readable(file)
     warnings: list[str] = []
     if is_signal_table(file):
-        names, body = read_signals(file, layout)
+        names, body = read_signals(file, layout, warnings)
         return replace(parse_table(file, names, body, ",", layout, warnings), names=tuple(read_names(file)))
     if file.suffix.lower() in BINARY_EXTENSIONS:
         return parse_table(file, *read_binary_table(file), ",", layout, warnings)

@@ -15,14 +15,15 @@ from st_core.vehicle import VehicleParameters
 
 from ..paths import json_ready
 from . import csv
-from .can_formats import EXTENSIONS
+from .bag import is_own_can_log
+from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
 from .clocks import INS_ON_CAN, align_clocks
 from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
-from .readers import READERS
+from .readers import READERS, find_reader
 from .run_file import TABLE_KEYS
 from .run_types import LoadedRun, ReadSettings, RunSource, find_signal_files, make_drive_log
 from .sources import find_runs
@@ -61,7 +62,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         raise source.problem
     if not source.where.is_dir():  # a folder is a bag, and its reader checks it
         check_readable(source.where)
-    can = read_can_logs(source.can)
+    can = read_can_logs(source.can or source.files)
     dbc, signals_file = find_signal_files(source, settings)
     table = load_signal_table(dbc, signals_file)
     signals = decode_signals(can.frames, table)
@@ -72,7 +73,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     read_ins = csv.read_motion if source.kind == "csv" and not needs_steering else READERS[source.kind].read_ins
     assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
     ins, options = read_ins(source, settings), choose_clock_settings(source, settings)
-    if source.can == source.files and options["offset"] is None:  # a bag, with the frames on the clock of the odometry
+    if not source.can and options["offset"] is None and options["search"] is None:
+        # a bag with the frames on the clock of its odometry
         alignment, shared = alignment_not_needed(), list[SharedSignal]()
     else:
         alignment, shared = align_clocks(ins, signals, **options)
@@ -89,7 +91,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + latency_source
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
-                  (*ins.warnings, *can.warnings, *faults, *notes))
+                  (*source.notes, *ins.warnings, *can.warnings, *faults, *notes))
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
@@ -199,21 +201,30 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
     files: INS recording (NCOM, VBO, bag, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
     """
-    return read_raw(_find_pair(files), settings, keep_frames=False, needs_steering=False)
+    return read_raw(_find_pair(files, settings), settings, keep_frames=False, needs_steering=False)
 
 
-def _find_pair(files: Sequence[Path]) -> RunSource:
-    tables = [f for f in files if f.suffix.lower()[1:] in TABLE_KEYS]
-    logs = [f for f in files if f.suffix.lower() in EXTENSIONS]
+def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
+    logs = [f for f in files if is_can_log(f)]
+    tables = [(f, reader) for f in files if f not in logs and (reader := find_reader(f)) and reader.key in TABLE_KEYS]
     if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # find_runs would read the table as a complete drive
-        return RunSource(tables[0].stem, tables[0].suffix.lower()[1:], (tables[0],), tuple(logs))
+        ((table, reader),) = tables
+        return RunSource(table.stem, reader.kind, (table,), tuple(logs))
     runs = find_runs(files)
     for run in runs:
         if run.problem is not None:
             raise run.problem
+    if [run.kind for run in runs] == ["bag"] and not runs[0].can:
+        if is_own_can_log(runs[0].where) and (settings.search or settings.offset is not None):
+            return runs[0]
+        raise RunError(runs[0].where, "all its messages are on one clock, so there is nothing to align")
     raw = [run for run in runs if run.can]
     if len(raw) != 1:
         count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{count} of INS recording and CAN logs is among these files",
                        "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
+    used = {*raw[0].files, *raw[0].can, raw[0].run_file}
+    if unused := [file for file in files if file.is_file() and file not in used]:
+        raise RunError(unused[0], f"this is neither the INS recording {raw[0].where.name} nor one of its CAN logs "
+                       f"({', '.join(log.name for log in raw[0].can)})", "give a log of CAN frames, or leave it out")
     return raw[0]

@@ -51,11 +51,12 @@ class RunSource:
     name: str
     kind: str  # kind of the reader ("bag", "ncom", "csv", "vbo"), or "" for a source with a problem
     files: tuple[Path, ...]
-    can: tuple[Path, ...] = ()
+    can: tuple[Path, ...] = ()  # CAN logs; empty also for a bag that itself contains the frames
     labels: tuple[Label, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     problem: RunError | None = None  # why the source cannot be a run
     run_file: Path | None = None
+    notes: tuple[str, ...] = ()  # warnings about the choice of files
 
     @property
     def arguments(self) -> str:

@@ -158,10 +158,12 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
                 reader.kind != "csv" or not own_logs or reader.has_drive(file)):
             runs.append(_make_single_run(file, reader))
             continue
+        notes: tuple[str, ...] = ()
         if given and not own_logs and not logs and reader.needs_can:
             own_logs = find_logs(file, sorted(file.parent.iterdir()))
+            notes = (f"{file}: its CAN log in the same folder is used: {', '.join(log.name for log in own_logs)}",)
         if own_logs:
-            runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs)))
+            runs.append(RunSource(file.stem, reader.kind, (file,), tuple(own_logs), notes=notes))
             logs = [f for f in logs if f not in own_logs]
         else:
             without_logs.append(file)

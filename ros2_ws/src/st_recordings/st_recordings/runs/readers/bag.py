@@ -1,7 +1,6 @@
 """Registers the reader of rosbag2 recordings: bag directories and single storage files."""
 
 import json
-from dataclasses import replace
 from typing import Any
 
 from st_core.vehicle import VehicleParameters
@@ -18,7 +17,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
     if steering is None and any(map(bag.is_own_can_log, source.files)):
         from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
-        return read_raw_run(replace(source, can=source.files), vehicle, settings)
+        return read_raw_run(source, vehicle, settings)
     splits = source.files if len(source.files) > 1 else ()
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
     recorded = {name: dict(record) for name, record in drive.records.items()}
