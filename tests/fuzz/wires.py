@@ -53,8 +53,8 @@ class Pipeline:
             seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
             place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
             self.status.update(packet.channel, packet.batch_s, seconds, place)
-        event = self.events.detect(received)
-        assert event is None or 0 < event.gps_ns < LAST_STAMP_NS
+        event_ns = self.events.detect(received)
+        assert event_ns is None or 0 < event_ns < LAST_STAMP_NS
         motion = extract_motion(received)
         if motion is not None:
             for origin in self.origins:

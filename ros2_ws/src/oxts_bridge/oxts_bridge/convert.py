@@ -58,14 +58,11 @@ class Publishers:
         self._odometry = Odometry(header=Header(frame_id=settings.map_frame), child_frame_id=frame)
         self._velocity = TwistWithCovarianceStamped(header=Header(frame_id=frame))
         for covariance in (self._odometry.twist.covariance, self._velocity.twist.covariance):
-            for i in (21, 28, 35):
-                covariance[i] = settings.angular_velocity_stddev**2 or UNKNOWN_VARIANCE
+            covariance[21::7] = settings.angular_velocity_stddev**2 or UNKNOWN_VARIANCE
         self._imu = Imu(header=Header(frame_id=frame))
-        for i in (0, 4, 8):
-            self._imu.angular_velocity_covariance[i] = settings.angular_velocity_stddev**2
-            self._imu.linear_acceleration_covariance[i] = settings.linear_acceleration_stddev**2
-        service = NavSatStatus(service=NavSatStatus.SERVICE_GPS)
-        self._fix = NavSatFix(header=Header(frame_id=frame), status=service)
+        self._imu.angular_velocity_covariance[::4] = settings.angular_velocity_stddev**2
+        self._imu.linear_acceleration_covariance[::4] = settings.linear_acceleration_stddev**2
+        self._fix = NavSatFix(header=Header(frame_id=frame), status=NavSatStatus(service=NavSatStatus.SERVICE_GPS))
         self._ncom = Ncom(header=Header(frame_id=frame))
         self._time_reference = TimeReference(header=Header(frame_id=frame), source="ncom")
         x, y, z = map(float, settings.base_to_ins)
@@ -112,8 +109,7 @@ class Publishers:
                 _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
                 _set_twist(message.twist.twist, motion)
-                variances = compute_variances(accuracy.position) or (UNKNOWN_VARIANCE,) * 3
-                _set_diagonal(message.pose.covariance, 7, variances)
+                message.pose.covariance[:15:7] = compute_variances(accuracy.position) or UNKNOWN_VARIANCE
                 orientation_covariance = _rotate_orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK
                 _set_block(message.pose.covariance, 21, orientation_covariance)
                 _set_block(message.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
@@ -141,7 +137,7 @@ class Publishers:
         message.latitude, message.longitude = degrees(motion.latitude), degrees(motion.longitude)
         message.altitude = motion.altitude + undulation
         message.status.status = get_fix_status(status.get("GpsPosMode"))
-        _set_diagonal(message.position_covariance, 4, variances or (0.0,) * 3)
+        message.position_covariance[::4] = variances or 0.0
         message.position_covariance_type = (
             NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
@@ -254,10 +250,6 @@ def _set_block(covariance: Any, first: int, block: tuple[float, ...]) -> None:
     """Set a 3 x 3 block of a 6 x 6 matrix; first: index of the first element of the block."""
     for row in (0, 1, 2):
         covariance[first + 6 * row : first + 6 * row + 3] = block[3 * row : 3 * row + 3]
-
-
-def _set_diagonal(covariance: Any, step: int, variances: Vector) -> None:
-    covariance[0], covariance[step], covariance[2 * step] = variances
 
 
 def _set_pose(pose: Any, position: Vector, motion: Motion) -> None:

@@ -5,8 +5,7 @@ packets without valid navigation (status other than 3, 4, 21, 22). Checked by: t
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.signal import lfilter, lfilter_zi
@@ -17,29 +16,24 @@ from .motion import Motion
 from .ncom import STATUS_ONLY, Packet
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
-# Accuracy of the horizontal speed while the unit gives none [m/s].
-UNKNOWN_SPEED_ACCURACY = 0.14
+# Lowest speed with a track while the unit gives no velocity accuracy [m/s].
+MIN_TRACK_SPEED = 0.14
 # Distance is not integrated across a step of the packet time that is backward or longer than this [s] (joined files).
 LONGEST_STEP = 10.0
 # Two successive steps give the sampling rate if they differ by less than this fraction.
 _STEP_TOLERANCE = 0.01
 
 
-@dataclass
-class Settings:
-    """Status values that derived columns depend on, as pairs (index of the first packet to which it applies, value).
+Changes: TypeAlias = Sequence[tuple[int, tuple[Any, ...]]]
+"""Values of status fields that change: (index of the first packet to which they apply, values; None: invalid)."""
 
-    speed_accuracy: 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s], NaN if unknown.  acceleration_filter,
-    rate_filter: (cutoff [Hz], damping ratio), each None if invalid.
+
+def derive_columns(columns: Columns, velocity_accuracy: Changes, acceleration_filter: Changes,
+                   rate_filter: Changes) -> Mapping[str, np.ndarray]:
+    """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools.
+
+    velocity_accuracy: north and east [m/s].  acceleration_filter, rate_filter: cutoff [Hz] and damping ratio.
     """
-
-    speed_accuracy: list[tuple[int, float]]
-    acceleration_filter: list[tuple[int, tuple[Any, ...]]]
-    rate_filter: list[tuple[int, tuple[Any, ...]]]
-
-
-def derive_columns(columns: Columns, settings: Settings) -> Mapping[str, np.ndarray]:
-    """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools."""
     has_fix = (columns.kind != EMPTY) & ~columns.approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")
@@ -51,12 +45,12 @@ def derive_columns(columns: Columns, settings: Settings) -> Mapping[str, np.ndar
     s, c = np.sin(attitude.yaw), np.cos(attitude.yaw)
     east, north, up = motion.velocity
     out["Vf"], out["Vl"] = east * c + north * s, east * s - north * c
-    _add_speed_and_slip(out, motion, level_rate[2], _forward_fill(settings.speed_accuracy, len(columns)))
+    _add_speed_and_slip(out, motion, level_rate[2], velocity_accuracy)
     _add_distances(out, columns, seconds)
     out["Af"], out["Al"], out["Ad"] = flu_from_frd(level_axes.to_enu(motion.acceleration))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _add_angular_acceleration(out, columns, seconds)
-    _add_filtered(out, columns, seconds, settings)
+    _add_filtered(out, columns, seconds, acceleration_filter, rate_filter)
     for prefix, vector in (("IsoVo", motion.body_velocity), ("IsoVh", (out["Vf"], -out["Vl"], up)),
                            ("IsoAo", _compute_ground_acceleration(motion))):
         out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = vector
@@ -75,29 +69,24 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
     return np.where(is_timed, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
-def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, accuracy: np.ndarray) -> None:
-    """Slip is track minus heading. yaw_rate: clockwise, in level axes [rad/s]. accuracy: as Settings.speed_accuracy."""
+def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: Changes) -> None:
+    """Slip is track minus heading. yaw_rate: clockwise, in level axes [rad/s].
+
+    Track, slip and curvature are NaN up to a speed of 2 sqrt(north^2 + east^2) of the velocity accuracies.
+    """
     east, north, up = motion.velocity
     speed = np.hypot(north, east)
     out["Speed2d"] = speed
     out["Speed3d"] = np.sqrt(north**2 + east**2 + up**2)
-    limit = np.where(np.isnan(accuracy), UNKNOWN_SPEED_ACCURACY, accuracy)
-    moving = np.greater(speed, limit, where=~np.isnan(speed), out=np.zeros(len(speed), bool))
+    limits = np.array([MIN_TRACK_SPEED, *(MIN_TRACK_SPEED if None in sigma else 2 * (sigma[0]**2 + sigma[1]**2) ** 0.5
+                                          for _, sigma in velocity_accuracy)])
+    newest = np.searchsorted([first for first, _ in velocity_accuracy], np.arange(len(speed)), side="right")
+    moving = np.greater(speed, limits[newest], where=~np.isnan(speed), out=np.zeros(len(speed), bool))
     track = np.where(moving, np.degrees(np.arctan2(east, north)), np.nan)
     slip = track - 90.0 + np.degrees(motion.attitude.yaw)
     out["Track"] = track
     out["Slip"] = slip - 360.0 * np.ceil((slip - 180.0) / 360.0)
     out["Curvature"] = np.divide(yaw_rate, speed, where=moving, out=np.full(len(speed), np.nan))
-
-
-def _forward_fill(changes: list[tuple[int, float]], count: int) -> np.ndarray:
-    """Column of a value that is constant between changes; NaN before the first change."""
-    if not changes:
-        return np.full(count, np.nan)
-    where = np.array([index for index, _ in changes])
-    values = np.array([np.nan if value is None else value for _, value in changes], float)
-    newest = np.searchsorted(where, np.arange(count), side="right") - 1
-    return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
 def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
@@ -137,33 +126,32 @@ def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) 
     out["Yx"], out["Yy"], out["Yz"] = result
 
 
-def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, settings: Settings) -> None:
+def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: Changes,
+                  rate_filter: Changes) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
-    groups = (("FiltA", columns.acceleration, settings.acceleration_filter),
-              ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), settings.rate_filter))
-    for prefix, signal, changes in groups:
+    for prefix, signal, changes in (("FiltA", columns.acceleration, acceleration_filter),
+                                    ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), rate_filter)):
         series = np.flatnonzero(regular & ~np.isnan(signal).any(axis=0))
-        first = [(int(np.searchsorted(series, index)), *setting) for index, setting in changes]
+        settings = [(int(np.searchsorted(series, index)), setting) for index, setting in changes]
         for axis, values in zip("xyz", signal, strict=True):
             out[prefix + axis] = filtered = np.full(len(seconds), np.nan)
-            filtered[series] = filter_low_pass(seconds[series], values[series], first)
+            filtered[series] = filter_low_pass(seconds[series], values[series], settings)
 
 
-def filter_low_pass(seconds: np.ndarray, values: np.ndarray,
-                    settings: Sequence[tuple[int, float | None, float | None]]) -> np.ndarray:
+def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: Changes) -> np.ndarray:
     """Values filtered by the second-order low-pass with the settings that the unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
-    settings: (index of the first sample, cutoff fc [Hz], damping ratio z); both 0: no filter; one 0 or None: ignored.
+    settings: (index of the first sample, (cutoff fc [Hz], damping ratio z)); both 0: no filter; one 0 or None: ignored.
     NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
     the first of them.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)
     changes: list[tuple[int, tuple[float, float]]] = []
-    for start, cutoff, damping in settings:
+    for start, (cutoff, damping) in settings:
         if cutoff is None or damping is None or (cutoff > 0) != (damping > 0):
             continue
         if not changes or changes[-1][1] != (cutoff, damping):

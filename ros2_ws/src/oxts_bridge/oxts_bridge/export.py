@@ -1,7 +1,7 @@
 """Exports an NCOM file to CSV for `st ncom`: the values of every packet, and every change of the status."""
 
 import csv
-import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeAlias
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .channels import B6_BIT7_CLEAR, FIELDS, Value
-from .derived import Settings, compute_gps_seconds, derive_columns
+from .derived import Changes, compute_gps_seconds, derive_columns
 from .file_decoder import EMPTY, KINDS, REGULAR, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import RAW_IMU, NcomError
 from .packet_time import WEEK_MS
@@ -27,7 +27,7 @@ _RETAINED = frozenset(
     if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
 _SETTINGS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
              63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
-"""Status channel -> fields that derived columns depend on."""
+"""Status channel -> fields that derived columns and surface angles depend on."""
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
 
@@ -49,14 +49,13 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     columns = decode_file(ncom_path)
     changes, settings = _read_status(columns)
     table = _make_table(columns, settings)
-    names = list(table)
     with Path(csv_path).open("w", encoding="ascii", newline="") as file:
-        file.write(",".join(names) + "\n")
+        file.write(",".join(table) + "\n")
         for start in range(0, len(columns), _ROWS_PER_WRITE):
             rows = slice(start, start + _ROWS_PER_WRITE)
             # str() gives the shortest text that reads back as the same number; NaN becomes empty.
-            texts = (map(str, table[name][rows].tolist()) for name in names)
-            cells = [["" if text == "nan" else text for text in column] for column in texts]
+            cells = [["" if text == "nan" else text for text in map(str, column[rows].tolist())]
+                     for column in table.values()]
             file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
     if status_path is not None:
         with Path(status_path).open("w", encoding="ascii", newline="") as file:
@@ -67,8 +66,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     return len(columns)
 
 
-def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
-    n = len(columns)
+def _make_table(columns: Columns, settings: Mapping[int, Changes]) -> dict[str, np.ndarray]:
+    """Columns of the CSV by name. settings: values of the fields in _SETTINGS, by channel."""
     is_timed = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(is_timed, columns.gps_ns // 1_000_000, 0)
     degrees, out_type = np.degrees, np.array(KINDS, "<U8")[columns.kind]
@@ -76,32 +75,25 @@ def _make_table(columns: Columns, settings: Settings) -> dict[str, np.ndarray]:
         out_type[i] = TRIGGER_NAMES[int(columns.channel[i])]
     heading = degrees(columns.heading)
     has_navigation = np.isin(columns.kind, (REGULAR, TRIGGER)) & (columns.navigation_status != RAW_IMU)
-    quality = np.where(has_navigation, np.where(columns.approximate, "approx", "valid"), "")
     return {
-        "pkt": np.arange(n),
-        "start_offset": columns.offset,
-        "out_type": out_type,
-        "nav_mode": columns.navigation_status,
-        "channel": columns.channel,
-        "time": compute_gps_seconds(columns),
+        "pkt": np.arange(len(columns)), "start_offset": columns.offset, "out_type": out_type,
+        "nav_mode": columns.navigation_status, "channel": columns.channel, "time": compute_gps_seconds(columns),
         "week": np.where(is_timed, (gps_ms // WEEK_MS).astype(str), ""),
         "tow": np.where(is_timed, gps_ms % WEEK_MS / 1e3, np.nan),
-        "quality": quality,
+        "quality": np.where(has_navigation, np.where(columns.approximate, "approx", "valid"), ""),
         **dict(zip(("Ax", "Ay", "Az"), columns.acceleration, strict=True)),
         **dict(zip(("Wx", "Wy", "Wz"), degrees(columns.angular_rate), strict=True)),
-        "Lat": degrees(columns.latitude),
-        "Lon": degrees(columns.longitude),
-        "Alt": columns.altitude,
+        "Lat": degrees(columns.latitude), "Lon": degrees(columns.longitude), "Alt": columns.altitude,
         **dict(zip(("Vn", "Ve", "Vd"), columns.velocity_ned, strict=True)),
         "Heading": np.where(heading < 0, heading + 360.0, heading),
-        "Pitch": degrees(columns.pitch),
-        "Roll": degrees(columns.roll),
-        **derive_columns(columns, settings),
+        "Pitch": degrees(columns.pitch), "Roll": degrees(columns.roll),
+        **derive_columns(columns, velocity_accuracy=settings[4], acceleration_filter=settings[74],
+                         rate_filter=settings[63]),
     }
 
 
-def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
-    """Changes of all status fields, and the status values that derived columns depend on."""
+def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, Changes]]:
+    """Changes of all status fields, and the values of the fields in _SETTINGS by channel."""
     tracker = StatusTracker()
     last_values: dict[str, Value] = {}
     changes: list[Change] = []
@@ -123,13 +115,10 @@ def _read_status(columns: Columns) -> tuple[list[Change], Settings]:
             first_packet = i if columns.kind[i] == TRIGGER else i + 1
             settings[channel].append((first_packet, tuple(map(tracker.get, _SETTINGS[channel]))))
     changes.extend(_compute_surface_angles(columns, settings[60]))
-    changes.sort(key=lambda change: change[0])
-    speed_accuracy = [(first, math.nan if None in sigma else 2 * (sigma[0] ** 2 + sigma[1] ** 2) ** 0.5)
-                      for first, sigma in settings[4]]
-    return changes, Settings(speed_accuracy, acceleration_filter=settings[74], rate_filter=settings[63])
+    return sorted(changes, key=lambda change: change[0]), settings
 
 
-def _compute_surface_angles(columns: Columns, surfaces: list[tuple[int, tuple[Value, ...]]]) -> list[Change]:
+def _compute_surface_angles(columns: Columns, surfaces: Changes) -> list[Change]:
     """Changes of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
 
         R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)

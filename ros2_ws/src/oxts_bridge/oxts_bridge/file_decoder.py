@@ -187,7 +187,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
 
     The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
     computed by counting minute rollovers up to the next late packet, or to the next transmitted minute that differs
-    from the count; there, the clock steps packet by packet again.
+    from the count; there, the clock steps through _SINGLE_STEPS packets again.
 
     ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. hints: (index, minute) for
     each status-only packet that sent a minute; index: number of timed packets before it.
@@ -196,23 +196,23 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     ahead = step % packet_time.MINUTE_MS
     is_late, is_jump = ahead >= packet_time.HALF_MINUTE_MS, ahead * 1_000_000 > packet_time.LARGEST_STEP_NS
     wraps = np.cumsum((step < 0) & ~is_late)
+    # Minute of each packet that has one, less the rollovers before it: constant while the count is right.
+    timed = np.flatnonzero(minutes >= 0)
+    bases = minutes[timed] - wraps[timed]
+    stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, packet_time.NEW, packet_time.SAME).astype(np.int8)
-    waiting, clock, start, rows = deque(hints), packet_time.GpsClock(), 0, _FIRST_ROWS
+    waiting, clock, start = deque(hints), packet_time.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
-            block = slice(start, min(start + rows, len(ms)))
-            counted = wraps[block] + (clock.minute - wraps[start - 1])
-            differs = is_late[block] | ((minutes[block] >= 0) & (minutes[block] != counted))
-            run = slice(start, start + int(differs.argmax()) if differs.any() else block.stop)
-            if run.stop > start:
-                times[run] = counted[:run.stop - start] * packet_time.MINUTE_MS + ms[run]
-                clock.minute, clock.milliseconds = divmod(int(times[run.stop - 1]), packet_time.MINUTE_MS)
+            base, k = clock.minute - wraps[start - 1], np.searchsorted(timed, start)
+            stop = min([*stops[np.searchsorted(stops, start):][:1], *timed[k:k + 1][bases[k:k + 1] != base], len(ms)])
+            if stop > start:
+                run = slice(start, stop)
+                times[run] = (wraps[run] + base) * packet_time.MINUTE_MS + ms[run]
+                clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), packet_time.MINUTE_MS)
                 clock.jumps += int(np.count_nonzero(is_jump[run]))
-            start, rows = run.stop, min(_MAX_ROWS, 4 * rows)
-            if start == block.stop:
-                continue
-        rows = _FIRST_ROWS
+            start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
             while waiting and waiting[0][0] <= i:
                 clock.hint(waiting.popleft()[1])

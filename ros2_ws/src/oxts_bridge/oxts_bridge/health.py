@@ -73,33 +73,24 @@ class Health:
         if source.ignored and not source.sender:
             return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}; "
                          "check sender_filter", values)
-        return Check("source", OK, f"{source.name}" + (f" from {source.sender}" if source.sender else ""), values)
+        return Check("source", OK, source.name + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:
         (rate, longest), counters = self._statistics.summarise_steps(), self._parser.counters
         age = time.monotonic() - self.last_packet_at
         faults = {
-            "checksum errors": counters.checksum_errors,
-            "skipped bytes": counters.skipped_bytes,
-            "late": counters.late,
-            "gaps": self._statistics.gaps,
-            "impossible positions": counters.impossible_positions,
-            "impossible times": counters.impossible_times,
+            "checksum errors": counters.checksum_errors, "skipped bytes": counters.skipped_bytes,
+            "late": counters.late, "gaps": self._statistics.gaps,
+            "impossible positions": counters.impossible_positions, "impossible times": counters.impossible_times,
             "packets without a complete solution": self.incomplete,
         }
         increments = {name: count - self._previous_faults.get(name, 0) for name, count in faults.items()}
         self._previous_faults = faults
         values = {
-            "rate [Hz]": rate,
-            "longest step [s]": longest,
-            "packets": counters.packets,
-            **faults,
-            "inner checksum warnings": counters.inner_checksum_warnings,
-            "duplicates": counters.duplicates,
-            "triggers": counters.triggers,
-            "reserved navigation status": counters.unknown_statuses,
-            "unknown channels": counters.unknown_channels,
-            "age [s]": age,
+            "rate [Hz]": rate, "longest step [s]": longest, "packets": counters.packets, **faults,
+            "inner checksum warnings": counters.inner_checksum_warnings, "duplicates": counters.duplicates,
+            "triggers": counters.triggers, "reserved navigation status": counters.unknown_statuses,
+            "unknown channels": counters.unknown_channels, "age [s]": age,
         }
         if source.is_done:
             return Check("stream", OK, "replay finished", values)
@@ -119,16 +110,11 @@ class Health:
         get, accuracy = self._status.get, Accuracy.from_status(self._status)
         east, north, _ = accuracy.position
         values = {
-            "position mode": describe_mode(get("GpsPosMode")),
-            "velocity mode": describe_mode(get("GpsVelMode")),
-            "orientation mode": describe_mode(get("GpsAttMode")),
-            "satellites": get("GpsNumObs"),
-            "position accuracy east [m]": east,
-            "position accuracy north [m]": north,
-            "heading accuracy [rad]": accuracy.attitude[2],
-            "PTP status": get("PtpStatus"),
-            "NTRIP status": get("NtripStatus"),
-            "IMU temperature [degC]": get("ImuTemperature"),
+            "position mode": describe_mode(get("GpsPosMode")), "velocity mode": describe_mode(get("GpsVelMode")),
+            "orientation mode": describe_mode(get("GpsAttMode")), "satellites": get("GpsNumObs"),
+            "position accuracy east [m]": east, "position accuracy north [m]": north,
+            "heading accuracy [rad]": accuracy.attitude[2], "PTP status": get("PtpStatus"),
+            "NTRIP status": get("NtripStatus"), "IMU temperature [degC]": get("ImuTemperature"),
         }
         values = {key: value for key, value in values.items() if value not in (None, "")}
         text = STATUS_RULES[self.navigation_status].text

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import degrees, isfinite, isnan, radians
 from typing import NamedTuple
 
-from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd, yaw_from_heading
+from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd
 from .ncom import Packet
 from .packet_time import NEW, SAME
 from .status import StatusTracker
@@ -59,7 +59,7 @@ class Motion:
 
     @classmethod
     def from_packet(cls, packet: Packet) -> "Motion":
-        attitude = Attitude(yaw_from_heading(packet.heading), -packet.pitch, packet.roll)
+        attitude = Attitude.from_ned(packet.heading, packet.pitch, packet.roll)
         north, east, down = packet.velocity_ned
         velocity = east, north, -down
         return cls(packet.latitude, packet.longitude, packet.altitude, attitude, velocity, attitude.to_body(velocity),

@@ -1,5 +1,6 @@
 """Lifecycle node oxts_bridge, which publishes NCOM packets from UDP or a file as ROS topics."""
 
+import ipaddress
 import math
 import sys
 import time
@@ -17,7 +18,7 @@ from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
 from .ncom import NcomError
 from .packet_time import DUPLICATE, NEW, SAME, to_unix_nanoseconds
-from .sources import Continuity, ReplaySource, Source, UdpSource, is_address
+from .sources import Continuity, ReplaySource, Source, UdpSource
 from .status import EventLog, StatusTracker
 from .stream import HostMinute, NcomParser, ReceivedPacket, StreamStatistics
 
@@ -182,10 +183,11 @@ class OxtsBridge(LifecycleNode):
         motion = extract_motion(received)
         self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
         position = self._locate(publishers, received_ns, motion)
-        if (event := self._events.detect(received)) is not None:
-            pose = (position, motion) if event.has_pose else (None, None)
-            utc_ns = to_unix_nanoseconds(event.gps_ns, self._parser.utc_offset)
-            publishers.publish_trigger(utc_ns, event.channel, event.count, *pose)
+        if (event_ns := self._events.detect(received)) is not None:
+            # An event that is only repeated in a regular packet has no pose.
+            pose = (position, motion) if received.kind == "trigger" else (None, None)
+            utc_ns = to_unix_nanoseconds(event_ns, self._parser.utc_offset)
+            publishers.publish_trigger(utc_ns, received.packet.channel, received.packet.batch_s[7], *pose)
         if in_series:
             self._continuity.update(received.packet)
             self._statistics.add(received)
@@ -236,10 +238,11 @@ def check(settings: SimpleNamespace, node_name: str) -> None:
     for topic in settings.topics:
         if topic not in TOPICS:
             reject("topics", f"{topic!r} is not one of {', '.join(TOPICS)}")
-    if not is_address(settings.bind_address):
-        reject("bind_address", f"{settings.bind_address!r} is not an IP address")
-    if settings.sender_filter and not is_address(settings.sender_filter):
-        reject("sender_filter", f"{settings.sender_filter!r} is not an IP address")
+    for key in ("bind_address", "sender_filter") if settings.sender_filter else ("bind_address",):
+        try:
+            ipaddress.ip_address(getattr(settings, key))
+        except ValueError:
+            reject(key, f"{getattr(settings, key)!r} is not an IP address")
     lever = settings.base_to_ins
     if len(lever) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in lever):
         reject("base_to_ins", f"{list(lever)} is not three lengths of at most 100 m")

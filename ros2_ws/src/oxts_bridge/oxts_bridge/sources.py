@@ -1,6 +1,5 @@
 """Reads NCOM bytes in a separate thread, from a UDP port or from a file replayed with its recorded timing."""
 
-import ipaddress
 import socket
 import struct
 import threading
@@ -203,14 +202,6 @@ def _extract_kernel_time(control: list[tuple[int, int, bytes]]) -> int:
             seconds, nanoseconds = _TIMESPEC.unpack_from(data)
             return seconds * 1_000_000_000 + nanoseconds
     return time.time_ns()
-
-
-def is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
 
 
 class ReplaySource(Source):

@@ -1,6 +1,5 @@
 """Tracks the state of the unit from its status channels: newest, unwrapped and derived values, and events."""
 
-from dataclasses import dataclass
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
 from .channels import FIELDS, TRIGGER_CHANNELS, Value, decode_channel, decode_event_time
@@ -156,40 +155,24 @@ def decode_up_time(code: int) -> int:
     return (code - 10_620) * 60 if code <= 20_700 else (code - 20_532) * 3600
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Edge of an event input or output.
-
-    channel: status channel, which identifies input or output and edge.  gps_ns: instant [ns since 1980-01-06].  count:
-    event counter of the unit, wraps after 255.  has_pose: the packet contains the pose at that instant; false if the
-    event is only reported in a regular packet.
-    """
-
-    channel: int
-    gps_ns: int
-    count: int
-    has_pose: bool
-
-
 class EventLog:
-    """Reports each event once, although units repeat it in regular packets.
+    """Detects each edge of an event input or output once, although units repeat it in regular packets.
 
-    The first count in a regular packet belongs to an old event and only initialises the counter.
+    The status channel identifies the input or output and its edge; byte 7 of batch S counts the events and wraps after
+    255. The first count in a regular packet belongs to an old event and only initialises the counter.
     """
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
-    def detect(self, received: ReceivedPacket) -> Event | None:
-        """The event that this packet is the first to report, else None."""
-        packet = received.packet
-        channel = packet.channel
-        time = decode_event_time(channel, packet.batch_s) if received.rule.has_status else None
-        if time is None:
+    def detect(self, received: ReceivedPacket) -> int | None:
+        """GPS time [ns since 1980-01-06] of the event that this packet is the first to report; else None."""
+        channel, data = received.packet.channel, received.packet.batch_s
+        gps_ns = decode_event_time(channel, data) if received.rule.has_status else None
+        if gps_ns is None:
             return None
-        count = packet.batch_s[7]
         previous = self._last.get(channel)
-        self._last[channel] = (count, time)
-        has_pose = received.kind == "trigger"
-        is_new = has_pose if previous is None else count != previous[0] and (has_pose or time > previous[1])
-        return Event(channel, time, count, has_pose) if is_new else None
+        self._last[channel] = data[7], gps_ns
+        is_trigger = received.kind == "trigger"
+        is_new = is_trigger if previous is None else data[7] != previous[0] and (is_trigger or gps_ns > previous[1])
+        return gps_ns if is_new else None

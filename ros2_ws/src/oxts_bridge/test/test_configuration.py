@@ -48,7 +48,8 @@ def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path
 
 
 @pytest.mark.parametrize(("key", "value", "text"), [
-    ("bind_address", "everywhere", "bind_address: 'everywhere' is not an IP address"),
+    ("bind_address", "localhost", "bind_address: 'localhost' is not an IP address"),
+    ("bind_address", "", "bind_address: '' is not an IP address"),
     ("sender_filter", "300.1.1.1", "sender_filter: '300.1.1.1' is not an IP address"),
     ("base_to_ins", [1.0, 2.0], "base_to_ins: [1.0, 2.0] is not three lengths"),
     ("base_to_ins", [1.0, 2.0, math.nan], "is not three lengths"),

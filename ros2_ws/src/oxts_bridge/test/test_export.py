@@ -73,7 +73,7 @@ def test_missing_file_is_named(tmp_path):
 def filter_signal(signal, rate, seconds, cutoff, damping):
     """Samples signal(times [s]) at a rate [Hz] and filters it. cutoff [Hz]."""
     times = np.arange(int(rate * seconds)) / rate
-    return filter_low_pass(times, signal(times), [(0, cutoff, damping)])
+    return filter_low_pass(times, signal(times), [(0, (cutoff, damping))])
 
 
 def test_low_pass_keeps_a_constant_after_two_samples():
@@ -95,9 +95,9 @@ def test_low_pass_is_off_at_cutoff_0_and_invalid_above_half_the_sampling_rate():
 def test_low_pass_with_new_settings_starts_with_the_last_three_samples():
     times = np.arange(50) / 100
     values = np.cos(20 * times)
-    out = filter_low_pass(times, values, [(0, 5.0, 0.7), (10, 5.0, 0.7), (20, None, None), (30, 10.0, 0.7)])
-    assert np.array_equal(out[:30], filter_low_pass(times, values, [(0, 5.0, 0.7)])[:30], equal_nan=True)
-    assert out[30:] == pytest.approx(filter_low_pass(times[27:], values[27:], [(0, 10.0, 0.7)])[3:])
+    out = filter_low_pass(times, values, [(0, (5.0, 0.7)), (10, (5.0, 0.7)), (20, (None, None)), (30, (10.0, 0.7))])
+    assert np.array_equal(out[:30], filter_low_pass(times, values, [(0, (5.0, 0.7))])[:30], equal_nan=True)
+    assert out[30:] == pytest.approx(filter_low_pass(times[27:], values[27:], [(0, (10.0, 0.7))])[3:])
 
 
 @given(north=st.floats(-50, 50), east=st.floats(-50, 50), heading=st.floats(-3.1, 3.1))

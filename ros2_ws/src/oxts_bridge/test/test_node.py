@@ -214,6 +214,10 @@ def test_trigger_event_is_published_once_with_its_own_time(rig, packet):
     assert (event.source, event.count, event.pose_valid) == (Trigger.INPUT_1_FALLING, 9, True)
     assert event.header.frame_id == "map"
     assert (event.twist.linear.x, event.pose.orientation.z) == pytest.approx((20.0, math.sqrt(0.5)))
+    # The trigger packet of the next event was lost; a regular packet repeats its time and count.
+    rig.send(packet(START + 40, 24, batch_s=encode_trigger(24, event_ns + 25_000_000, 10)))
+    event = rig.messages("ins/trigger", 2)[1]
+    assert (event.count, event.pose_valid) == (10, False)
 
 
 def test_parameters_of_origin_stamps_altitude_frames_and_topics(rig, packet):

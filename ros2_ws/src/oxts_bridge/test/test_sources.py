@@ -7,7 +7,7 @@ import time
 
 import pytest
 from oxts_bridge.ncom import NcomError, decode
-from oxts_bridge.sources import EARTH_RADIUS, Continuity, ReplaySource, UdpSource, is_address
+from oxts_bridge.sources import EARTH_RADIUS, Continuity, ReplaySource, UdpSource
 from oxts_bridge.stream import NcomParser, StreamStatistics
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
@@ -200,13 +200,6 @@ def test_two_programs_can_receive_on_one_port(udp, sink, port):
     first, second = udp(), udp()
     time.sleep(0.3)
     assert (first.status.problem, second.status.problem) == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("text", "valid"), [("127.0.0.1", True), ("::1", True), ("localhost", False), ("", False), ("192.168.1", False)]
-)
-def test_is_address(text, valid):
-    assert is_address(text) is valid
 
 
 def replay(path, sink, **options):
