@@ -31,6 +31,9 @@ are not separable. Yaw inertia over mass is left out, because delays and relaxat
 six intervals for cars with other dynamics did not contain the true value."""
 
 
+NO_HOOK: Any = None  # value of a hook that an effect does not define
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of an effect. Raises ConfigurationError if its fields contradict each other.
@@ -184,23 +187,11 @@ class Effect:
     order: ClassVar[int] = 50
     Theta: ClassVar[Callable[..., Any]]
 
-    constants: ClassVar[Callable | None] = None
-    vehicle: ClassVar[Callable | None] = None
-    fold: ClassVar[Callable | None] = None
-    steering: ClassVar[Callable | None] = None
-    inputs: ClassVar[Callable | None] = None
-    prepare: ClassVar[Callable | None] = None
-    slip_angles: ClassVar[Callable | None] = None
-    axle_forces: ClassVar[Callable | None] = None
-    acceleration: ClassVar[Callable | None] = None
-    start: ClassVar[Callable | None] = None
-    rates: ClassVar[Callable | None] = None
-    specific_force: ClassVar[Callable | None] = None
-    observe: ClassVar[Callable | None] = None
-    correct: ClassVar[Callable | None] = None
+    constants = vehicle = fold = steering = inputs = prepare = slip_angles = axle_forces = NO_HOOK
+    acceleration = start = rates = specific_force = observe = correct = NO_HOOK
 
 
-HOOKS = tuple(name for name, value in vars(Effect).items() if value is None and name != "converts")
+HOOKS = tuple(name for name, value in vars(Effect).items() if value is NO_HOOK and name != "converts")
 AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}  # library of a search
@@ -212,9 +203,8 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
     name = effect.__dict__.get("name")
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
-    known = EFFECTS.get(name) or UNLISTED.get(name)
-    if known:
-        raise ConfigurationError(f"effect {name}: already registered by {find_source_file(known)}")
+    if existing := EFFECTS.get(name) or UNLISTED.get(name):
+        raise ConfigurationError(f"effect {name}: already registered by {find_source_file(existing)}")
     for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
@@ -232,8 +222,8 @@ def _check_attributes(effect: type[Effect]) -> Iterator[str]:
         if key.startswith("_"):
             continue
         if key not in vars(Effect) and key not in Effect.__annotations__:
-            known = suggest_key(key, [*vars(Effect), *Effect.__annotations__])
-            yield f"unknown attribute {key}{known or ': remove it, or look for its new name in CHANGELOG.md'}"
+            suggestion = suggest_key(key, [*vars(Effect), *Effect.__annotations__])
+            yield f"unknown attribute {key}{suggestion or ': remove it, or look for its new name in CHANGELOG.md'}"
         if key in HOOKS and not (isinstance(value, staticmethod) and isinstance(value.__func__, FunctionType)):
             yield f"{key} must be a @staticmethod"
 
@@ -242,11 +232,11 @@ def _check_missing(effect: type[Effect]) -> Iterator[str]:
     for key in ("physics", "excited_by"):
         if not str(getattr(effect, key, "")).strip():
             yield f"{key} is missing"
-    for key, known in (("kind", EFFECT_KINDS), ("slot", SLOTS)):
+    for key, choices in (("kind", EFFECT_KINDS), ("slot", SLOTS)):
         if not hasattr(effect, key):
-            yield f"{key} is missing; choose one of {', '.join(known)}"
-        elif getattr(effect, key) not in known:
-            yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(known)}"
+            yield f"{key} is missing; choose one of {', '.join(choices)}"
+        elif getattr(effect, key) not in choices:
+            yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(choices)}"
     if not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "it has no parameter that can be fitted"
     if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
@@ -259,9 +249,9 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
     for key in ("confounded_with", "needs", "members", "combinations"):
         if not isinstance(getattr(effect, key), tuple):
             yield f"{key} must be a tuple of names, even for one name: (\"name\",)"
-    for key, known in (("needs", CHANNELS), ("combinations", COMBINATIONS)):
-        if not set(getattr(effect, key)) <= set(known):
-            yield f"{key} may only name {', '.join(known)}"
+    for key, choices in (("needs", CHANNELS), ("combinations", COMBINATIONS)):
+        if not set(getattr(effect, key)) <= set(choices):
+            yield f"{key} may only name {', '.join(choices)}"
     if effect.members and (len(set(effect.members)) < 2 or effect.name in effect.members):
         yield "members must name two or more other effects"
     names = [p.name for p in effect.parameters]

@@ -4,13 +4,14 @@ from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def rotate(m, yaw, angle):
+def rotate(measured, yaw, angle):
     """Readings in axes rotated by `angle` [rad] to the left, with a given yaw [rad]."""
-    c, s = cos(angle), sin(angle)
-    return m._replace(yaw=yaw, velocity_x=c * m.velocity_x + s * m.velocity_y,
-                      velocity_y=c * m.velocity_y - s * m.velocity_x,
-                      acceleration_x=c * m.acceleration_x + s * m.acceleration_y,
-                      acceleration_y=c * m.acceleration_y - s * m.acceleration_x)
+    cosine, sine = cos(angle), sin(angle)
+    return measured._replace(
+        yaw=yaw, velocity_x=cosine * measured.velocity_x + sine * measured.velocity_y,
+        velocity_y=cosine * measured.velocity_y - sine * measured.velocity_x,
+        acceleration_x=cosine * measured.acceleration_x + sine * measured.acceleration_y,
+        acceleration_y=cosine * measured.acceleration_y - sine * measured.acceleration_x)
 
 
 @register

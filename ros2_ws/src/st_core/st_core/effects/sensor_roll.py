@@ -11,12 +11,12 @@ from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def displace(m, shift, speed):
+def displace(measured, shift, speed):
     """Readings of a point that is displaced by -shift a_y to the left; speed [m/s]: of the car, for a_y."""
-    to_left = -shift * speed * m.yaw_rate
-    return m._replace(x=m.x - sin(m.yaw) * to_left, y=m.y + cos(m.yaw) * to_left,
-                      velocity_x=m.velocity_x - to_left * m.yaw_rate,
-                      velocity_y=m.velocity_y - shift * speed * m.yaw_acceleration)
+    yaw, to_left = measured.yaw, -shift * speed * measured.yaw_rate
+    return measured._replace(x=measured.x - sin(yaw) * to_left, y=measured.y + cos(yaw) * to_left,
+                             velocity_x=measured.velocity_x - to_left * measured.yaw_rate,
+                             velocity_y=measured.velocity_y - shift * speed * measured.yaw_acceleration)
 
 
 @register
