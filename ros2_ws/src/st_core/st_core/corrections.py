@@ -20,7 +20,7 @@ from .vehicle import VehicleParameters
 MAXIMUM_GAP = 0.25  # s, longest gap across which a signal shifted in time is interpolated
 MAX_VALUES = {"scale": 1e12, "add": 1e12, "earlier": 60.0, "ahead": 100.0}  # largest magnitude of each field
 STEERING = ("road_wheel_angle", "steering")
-_COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
+COMPONENTS = {"position": ("x", "y"), "velocity": ("velocity_x", "velocity_y")}
 _FIELDS = ("scale", "add", "earlier")
 CHANNELS: Mapping[str, tuple[str, ...]] = {
     "x": _FIELDS, "y": _FIELDS, "position": ("scale", "earlier", "ahead"), "yaw": _FIELDS, "heading": ("add",),
@@ -125,7 +125,7 @@ def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ..
 
 
 def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
-    group = {name: pair for pair, names in _COMPONENTS.items() for name in names}
+    group = {name: pair for pair, names in COMPONENTS.items() for name in names}
     parts: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
         steps = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]

@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..corrections import COMPONENTS
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from ..timeseries import NANOSECOND
 from ..types import body_to_map
@@ -58,6 +59,15 @@ class Motion:
         """The motion with all times divided by a factor."""
         speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
+
+    def corrected(self, entry: Mapping[str, Any]) -> "Motion":
+        """The motion with `columns`, and with scale and add of `correct`, of an entry of run.yaml."""
+        signals = {name: getattr(self, source) for name, source in entry.get("columns", {}).items()}
+        for channel, values in entry.get("correct", {}).items():
+            for name in COMPONENTS.get(channel, (channel,)):
+                recorded = signals.get(name, getattr(self, name))
+                signals[name] = values.get("scale", 1.0) * recorded + values.get("add", 0.0)
+        return replace(self, **signals)
 
     def select_ins(self, mask: np.ndarray) -> "Motion":
         """The motion with only the INS samples in a mask (n,)."""

@@ -34,6 +34,8 @@ LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: 
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
+EXCHANGED = {"x": "y", "y": "x"}  # columns of run.yaml
+MIRRORED, FROM_EAST = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml; 2nd: of a heading
 Corrected = tuple[Motion, Finding | None]
 
 
@@ -66,9 +68,10 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     return motion, findings
 
 
-def _make_error_finding(name: str, channels: tuple[str, ...], text: str, value: float | None,
-                        advice: Advice) -> Finding:
-    return Finding(name, Severity.ERROR, channels, text, value, advice=advice)
+def _correct(motion: Motion, name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice,
+             unit: str = "1") -> tuple[Motion, Finding]:
+    """(the motion with the correction in the advice, finding of an error)."""
+    return motion.corrected(advice.entry), Finding(name, Severity.ERROR, channels, text, value, unit, advice=advice)
 
 
 def check_time_unit(motion: Motion) -> Corrected:
@@ -90,7 +93,7 @@ def check_time_unit(motion: Motion) -> Corrected:
         question = f": is its unit {name}?"
         advice = Advice.for_run_yaml({"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast for positions and yaw{question}"
-    return motion.with_time_divided(factor), _make_error_finding("time_unit", ("time",), text, factor, advice)
+    return _correct(motion.with_time_divided(factor), "time_unit", ("time",), text, factor, advice)
 
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
@@ -140,15 +143,15 @@ def _correct_turns(motion: Motion) -> Corrected:
     factor, size = ratios.yaw_rate, _round_to_angle_unit(ratios.yaw_rate)
     unit = ANGLES.get(size, "")
     if factor > 0.0:
+        name, advice = "yaw_scale", Advice.correct("yaw", scale=1.0 / size)
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
                 + (f": is its unit {unit}?" if unit else ""))
-        return replace(motion, yaw=_remove_wraps(motion, motion.yaw / size)), _make_error_finding(
-            "yaw_scale", ("yaw",), text, factor, Advice.correct("yaw", scale=1.0 / size))
-    text = (f"yaw counts clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from east, "
-            "counter-clockwise")
-    corrected = replace(motion, yaw=_remove_wraps(motion, np.pi / 2 - motion.yaw / size))
-    advice = Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
-    return corrected, _make_error_finding("yaw_convention", ("yaw",), text, factor, advice)
+    else:
+        name, advice = "yaw_convention", Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
+        text = (f"yaw counts clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from east, "
+                "counter-clockwise")
+    corrected, finding = _correct(motion, name, ("yaw",), text, factor, advice)
+    return replace(corrected, yaw=_remove_wraps(corrected)), finding
 
 
 def _correct_north_east(motion: Motion) -> Corrected:
@@ -166,9 +169,8 @@ def _correct_north_east(motion: Motion) -> Corrected:
         return motion, None
     text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
             "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
-    entry = {"columns": {"x": "y", "y": "x"}, "correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}}}
-    return replace(motion, x=motion.y, y=motion.x, yaw=np.pi / 2 - motion.yaw), _make_error_finding(
-        "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
+    entry = {"columns": EXCHANGED, "correct": {"yaw": FROM_EAST}}
+    return _correct(motion, "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
 
 
 def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
@@ -197,8 +199,8 @@ def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size:
     reason = (f": is its unit {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {reference}{reason}"
-    return replace(motion, yaw_rate=motion.yaw_rate / exact), _make_error_finding(
-        "yaw_rate_scale", ("yaw_rate",), text, factor, Advice.correct("yaw_rate", scale=1.0 / exact))
+    return _correct(motion, "yaw_rate_scale", ("yaw_rate",), text, factor,
+                    Advice.correct("yaw_rate", scale=1.0 / exact))
 
 
 def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> float:
@@ -208,13 +210,13 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
                key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
-def _remove_wraps(motion: Motion, yaw: np.ndarray) -> np.ndarray:
+def _remove_wraps(motion: Motion) -> np.ndarray:
     """The yaw, with the integrated yaw rate in place of steps left by unwrapping an angle in another unit as rad."""
-    step = np.diff(yaw)
+    step = np.diff(motion.yaw)
     expected = np.diff(integrate(motion.time, motion.yaw_rate))
     error = np.abs(step - expected)
     wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
-    return np.concatenate((yaw[:1], yaw[0] + np.cumsum(np.where(wrapped, expected, step))))
+    return motion.yaw[0] + np.concatenate(([0.0], np.cumsum(np.where(wrapped, expected, step))))
 
 
 def _correct_position_axes(motion: Motion) -> Corrected:
@@ -228,21 +230,17 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     if motion.geographic and quarter % 2:  # even: a longitude that counts west, or a latitude that counts south
         text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
                 "point down? Expected: left positive, yaw from east")
-        advice = Advice.for_run_yaml(
-            {"correct": {"yaw": {"scale": -1.0, "add": np.pi / 2}, "yaw_rate": {"scale": -1.0}}})
-        return replace(motion, yaw=np.pi / 2 - motion.yaw, yaw_rate=-motion.yaw_rate), _make_error_finding(
-            "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_course, advice)
-    axes: dict[int, tuple[str, np.ndarray, np.ndarray, dict[str, Any]]] = {
-        0: ("y is mirrored (it should count north)", motion.x, -motion.y, {"correct": {"y": {"scale": -1.0}}}),
-        1: ("x and y are exchanged (x is east, y north)", motion.y, motion.x, {"columns": {"x": "y", "y": "x"}}),
-        2: ("x is mirrored (it should count east)", -motion.x, motion.y, {"correct": {"x": {"scale": -1.0}}}),
-        3: ("x and y are exchanged and mirrored", -motion.y, -motion.x,
-            {"columns": {"x": "y", "y": "x"}, "correct": {"x": {"scale": -1.0}, "y": {"scale": -1.0}}}),
+        advice = Advice.for_run_yaml({"correct": {"yaw": FROM_EAST, "yaw_rate": MIRRORED}})
+        return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_course, advice)
+    axes: dict[int, tuple[str, dict[str, Any]]] = {
+        0: ("y is mirrored (it should count north)", {"correct": {"y": MIRRORED}}),
+        1: ("x and y are exchanged (x is east, y north)", {"columns": EXCHANGED}),
+        2: ("x is mirrored (it should count east)", {"correct": {"x": MIRRORED}}),
+        3: ("x and y are exchanged and mirrored", {"columns": EXCHANGED, "correct": {"x": MIRRORED, "y": MIRRORED}}),
     }
-    text, x, y, entry = axes[quarter]
-    return replace(motion, x=x, y=y), _make_error_finding(
-        "position_axes", ("x", "y"), f"positions turn in the opposite direction to the car: {text}", None,
-        Advice.for_run_yaml(entry))
+    text, entry = axes[quarter]
+    return _correct(motion, "position_axes", ("x", "y"),
+                    f"positions turn in the opposite direction to the car: {text}", None, Advice.for_run_yaml(entry))
 
 
 def _correct_distance(motion: Motion) -> Corrected:
@@ -253,25 +251,23 @@ def _correct_distance(motion: Motion) -> Corrected:
     speed, length = match_unit(1.0 / ratios.distance, SPEEDS), match_unit(ratios.distance, LENGTHS)
     if length and not speed:
         text = f"x and y are {ratios.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
-        return replace(motion, x=motion.x / length, y=motion.y / length), _make_error_finding(
-            "position_scale", ("x", "y"), text, ratios.distance, Advice.correct("position", scale=1.0 / length))
+        return _correct(motion, "position_scale", ("x", "y"), text, ratios.distance,
+                        Advice.correct("position", scale=1.0 / length))
     if not speed and ratios.distance < MAX_DEGREE_RATIO:
         text = (f"x and y are {ratios.distance:.3g} times the integrated velocity: are they latitude and longitude? "
                 "Metres are expected")
-        advice = Advice("look", "project latitude and longitude to east and north")
-        return replace(motion, x=motion.x / ratios.distance, y=motion.y / ratios.distance), _make_error_finding(
-            "position_scale", ("x", "y"), text, ratios.distance, advice)
-    factor = speed or 1.0 / ratios.distance
+        metres = replace(motion, x=motion.x / ratios.distance, y=motion.y / ratios.distance)
+        return _correct(metres, "position_scale", ("x", "y"), text, ratios.distance,
+                        Advice("look", "project latitude and longitude to east and north"))
+    ratio = 1.0 / ratios.distance
+    both, forward = (Advice.correct(channel, scale=1.0 / (speed or ratio)) for channel in ("velocity", "velocity_x"))
+    misfit_both, misfit_forward = (_compute_misfit(motion.corrected(advice.entry)) for advice in (both, forward))
     unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
-    both = replace(motion, velocity_x=motion.velocity_x / factor, velocity_y=motion.velocity_y / factor)
-    forward = replace(motion, velocity_x=motion.velocity_x / factor)
-    forward_only = _compute_misfit(forward) < TIE_MISFIT_RATIO * _compute_misfit(both)
-    name, channel = ("velocity_x_scale", "velocity_x") if forward_only else ("velocity_scale", "velocity")
-    channels = ("velocity_x",) if forward_only else ("velocity_x", "velocity_y")
-    text = (f"{' and '.join(channels)} {'is' if forward_only else 'are'} {1.0 / ratios.distance:.3g} times the rate of "
-            f"change of positions{unit}")
-    return (forward if forward_only else both), _make_error_finding(name, channels, text, 1.0 / ratios.distance,
-                                                            Advice.correct(channel, scale=1.0 / factor))
+    if misfit_forward < TIE_MISFIT_RATIO * misfit_both:
+        text = f"velocity_x is {ratio:.3g} times the rate of change of positions{unit}"
+        return _correct(motion, "velocity_x_scale", ("velocity_x",), text, ratio, forward)
+    text = f"velocity_x and velocity_y are {ratio:.3g} times the rate of change of positions{unit}"
+    return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, ratio, both)
 
 
 def _compute_displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -297,7 +293,8 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
     # In the map frame, velocity_x is the velocity to the east, or to the north.
     east_first, north_first = (float(np.median(np.abs(measured - v))) for v in (unrotated, 1j * unrotated.conj()))
     misfit, is_north_first = min(east_first, north_first), north_first < east_first
-    swapped = replace(motion, velocity_x=motion.velocity_y, velocity_y=motion.velocity_x)
+    exchange = Advice.for_run_yaml({"columns": {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}})
+    exchanged = motion.corrected(exchange.entry)
     distance = float(np.median(np.abs(measured)))
     max_misfit = MAX_MAP_MISFIT * distance
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
@@ -310,14 +307,11 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and motion.moves_sideways and float(
-            np.median(np.abs(measured - _compute_displacements(swapped, *swapped.velocity_map)[1]))) <= max_misfit:
-        text = "velocity_x and velocity_y are exchanged (x is forward, y left)"
-        columns = {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}
-        advice = Advice.for_run_yaml({"columns": columns})
-        motion = swapped
+            np.median(np.abs(measured - _compute_displacements(exchanged, *exchanged.velocity_map)[1]))) <= max_misfit:
+        text, advice = "velocity_x and velocity_y are exchanged (x is forward, y left)", exchange
     else:
         return motion, None
-    return motion, _make_error_finding("velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
+    return _correct(motion, "velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
@@ -329,14 +323,13 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
         return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely
-        return replace(motion, velocity_x=-motion.velocity_x), _make_error_finding(
-            "velocity_x_scale", ("velocity_x",), "velocity_x has the opposite sign (forward is positive)", -1.0,
-            Advice.correct("velocity_x", scale=-1.0))
+        return _correct(motion, "velocity_x_scale", ("velocity_x",),
+                        "velocity_x has the opposite sign (forward is positive)", -1.0,
+                        Advice.correct("velocity_x", scale=-1.0))
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
     questions: dict[float, str] = {  # by quarter turns
         1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     question = questions.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{question}"
-    return replace(motion, yaw=motion.yaw - exact), Finding(
-        "yaw_offset", Severity.ERROR, ("yaw",), text, angle, "rad", advice=Advice.correct("yaw", add=-exact))
+    return _correct(motion, "yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-exact), "rad")
