@@ -11,6 +11,7 @@ import pytest
 import yaml
 from command_line import st
 from st_core.vehicle import VehicleParameters
+from st_offline.checking.check_report import findings_as_json
 from st_offline.discovery.drives import read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import ROOT
@@ -205,7 +206,7 @@ def test_discover_excludes_a_run_with_an_error(faulty_drive, tmp_path):
     for _ in range(2):  # the second time from the cache
         faulty, correct = read_drives(sources, car, ReadSettings(), 1, lambda: None)
         assert faulty.log is None and "yaw_rate_scale" in faulty.problem
-        assert select_names(faulty.about["findings"], "error") == {"yaw_rate_scale"}
-        assert correct.log is not None and not correct.problem and correct.about["findings"]
+        assert select_names(findings_as_json(faulty.findings), "error") == {"yaw_rate_scale"}
+        assert correct.log is not None and not correct.problem and correct.findings
     (forced,) = read_drives(sources[:1], car, ReadSettings(), 1, lambda: None, force=True)
-    assert forced.log is not None and select_names(forced.about["findings"], "error") == {"yaw_rate_scale"}
+    assert forced.log is not None and select_names(findings_as_json(forced.findings), "error") == {"yaw_rate_scale"}

@@ -259,7 +259,7 @@ def test_page_and_terminal_contain_the_result_and_escape_names(logs, drive, tmp_
     assert content["schema"] == 3 and content["files"]["vehicle.yaml"]["kept"]["steering_ratio"]
     json.dumps(content, allow_nan=False)
     page = tmp_path / "report.html"
-    write_page(page, found, corrected, content, [draw_waterfall(make_figure_data(found, logs))])
+    write_page(page, found, corrected, [], content, [draw_waterfall(make_figure_data(found, logs))])
     text = page.read_text()
     assert report_text.format_title(found) in text and "&lt;b&gt;weave" in text and "<b>weave 20" not in text
     assert "2.5% is required" in text and not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"', text)
@@ -278,7 +278,7 @@ def test_page_and_terminal_contain_the_proposal(logs, drive, tmp_path, capsys):
     reported = RelationReport([("proposal", ["a relation, <b>bold"])], [table], "PROPOSAL: a relation")
     page = tmp_path / "report.html"
     content = build_document(found, make_request(drive), None, {})
-    write_page(page, found, None, content, [draw_waterfall(make_figure_data(found, logs))], reported)
+    write_page(page, found, None, [], content, [draw_waterfall(make_figure_data(found, logs))], reported)
     text = html.unescape(page.read_text())
     print_result(found, None, [], {"report.html": page}, False, Console(width=60), reported)
     message = capsys.readouterr().out

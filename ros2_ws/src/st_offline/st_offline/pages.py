@@ -1,6 +1,6 @@
 """Loads the templates of the self-contained report pages; all inserted text is escaped."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,12 +40,11 @@ def make_columns(head: Sequence[str], rows: Iterable[Sequence[Any]],
     return result
 
 
-def load_template(name: str, **filters: Callable) -> jinja2.Template:
-    """Load a template, by its path in this package. filters: added to the filters `drawing`, which inserts an SVG
-    unescaped, and `cells`, the values of a row."""
+def load_template(name: str) -> jinja2.Template:
+    """Load a template, by its path in this package. Filters: `drawing` inserts an SVG unescaped, `cells` gives the
+    values of a row."""
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()), **filters)
-    environment.globals.update(checking=check_report, columns=make_columns, findings_in=check_report.findings_from_json,
-                               colours=MODEL_COLOUR, dark=DARK)
+    environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()))
+    environment.globals.update(checking=check_report, columns=make_columns, colours=MODEL_COLOUR, dark=DARK)
     return environment.get_template(name)

@@ -19,8 +19,6 @@ from st_offline.checking.check_report import (
     describe_effect,
     describe_stretches,
     document,
-    findings_as_json,
-    findings_from_json,
     group_by_name,
     print_findings,
     print_run,
@@ -80,6 +78,7 @@ def make_console() -> Console:
     (57.31, (57.20, 57.42), "1", "57.31 ± 0.11"), (-1.5, (-1.53, -1.47), "m", "-1.500 ± 0.030 m"),
     (0.31, (0.29, 0.35), "s", "0.310 (0.290 to 0.350) s"), (0.0035, None, "rad/s", "0.0035 rad/s"),
     (1234.5, (1230.0, 1239.0), "m/s^2", "1234.5 ± 4.5 m/s²"), (None, None, "m", ""), (6, (6.0, 6.0), "1", "6"),
+    (np.nan, None, "m", ""),
 ])
 def test_estimates_are_rounded_to_the_digits_of_their_interval(value, interval, unit, text):
     assert check_report.format_estimate(value, interval, unit) == text
@@ -168,13 +167,6 @@ def test_clock_offset_of_the_steering_is_printed(method, text):
     console = make_console()
     print_run(replace(make_run(), alignment=alignment), console)
     assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)
-
-
-def test_findings_are_read_back_from_json():
-    about = json.loads(json.dumps({"findings": findings_as_json(ALL_FINDINGS)}, allow_nan=False))
-    back = findings_from_json(about)
-    assert back[:3] == list(ALL_FINDINGS[:3]) and back[3].value is None and findings_as_json(back) == about["findings"]
-    assert findings_from_json({}) == []
 
 
 def test_document_contains_only_finite_numbers():

@@ -74,8 +74,8 @@ def unit_symbol(text: str) -> str:
 
 
 def format_estimate(value: float | None, interval: Sequence[float] | None = None, unit: str = "1") -> str:
-    """An estimate rounded by its interval: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; "" for None."""
-    if value is None:
+    """An estimate rounded by its interval: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; None, NaN: ""."""
+    if value is None or not math.isfinite(value):
         return ""
     ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""
     if interval is None or not interval[1] > interval[0]:
@@ -186,15 +186,6 @@ class CheckedRun:
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Findings as dicts for a JSON file."""
     return [json_ready(finding.as_dict()) for finding in findings]
-
-
-def findings_from_json(about: Mapping[str, Any]) -> list[Finding]:
-    """Findings under the key "findings" of the JSON values of a run."""
-    return [Finding(**{
-        **entry, "severity": Severity(entry["severity"]), "channels": tuple(entry["channels"]),
-        "interval": tuple(entry["interval"]) if entry["interval"] else None,
-        "where": tuple(map(tuple, entry["where"])), "advice": Advice(**entry["advice"]) if entry["advice"] else None,
-        "tried": tuple(entry["tried"]) if entry.get("tried") else None}) for entry in about.get("findings", ())]
 
 
 def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 from st_core.augmented import AugmentedModel
-from st_core.checks import pool_estimates
+from st_core.checks import Severity, pool_estimates
 from st_core.discovery import Discovery, discover
 from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.error_regions import Samples, window_errors
@@ -59,8 +59,8 @@ def run_command(request: Request, console: Console) -> int:
         relations = None
         if needs_search(discovery) if request.propose is None else request.propose:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
-            reported = {(f["name"], channel) for d in drives if d.log is not None for f in d.about["findings"]
-                        if f["severity"] != "note" for channel in f["channels"]}
+            reported = {(f.name, channel) for d in drives if d.log is not None for f in d.findings
+                        if f.severity is not Severity.NOTE for channel in f.channels}
             relations = find_relation(discovery, _logs(request.drives), request.vehicle, request.settings, request.jobs,
                                       lambda: progress.advance(bar), reported)
     times.append(time.perf_counter())
@@ -75,9 +75,8 @@ def run_command(request: Request, console: Console) -> int:
         update = update_vehicle(discovery, request)
         report = report_relation(relations, discovery, request.vehicle, str(folder)) if relations else None
         files = write_results(discovery, request, update, folder, drawn, seconds, relations, report)
-    recordings = (*drives, *reference)
-    print_result(discovery, update, recordings, files, from_cache, console, report)
-    return 1 if any(d.problem for d in recordings) else 0
+    print_result(discovery, update, request.all_drives, files, from_cache, console, report)
+    return 1 if any(d.problem for d in request.all_drives) else 0
 
 
 def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
@@ -203,5 +202,5 @@ def write_results(discovery: Discovery, request: Request, update: VehicleUpdate 
     files["discovery.json"].write_text(json_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], discovery, update, content, drawn, report)
+        write_page(files["report.html"], discovery, update, request.all_drives, content, drawn, report)
     return files

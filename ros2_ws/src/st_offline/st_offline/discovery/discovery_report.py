@@ -18,7 +18,7 @@ from st_core.vehicle import find_quantity
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 
-from ..checking.check_report import findings_from_json
+from ..checking.check_report import findings_as_json
 from ..evaluation.drawing import PageFigure
 from ..pages import Table, load_template
 from ..terminal import list_files, make_table, report_problem
@@ -53,7 +53,8 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 
 def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Inputs, settings and versions needed to repeat the discovery."""
-    all_drives = (*request.drives, *request.reference_drives)
+    runs, reference = ({d.name: {**d.about, "findings": findings_as_json(d.findings)} for d in drives if d.log}
+                       for drives in (request.drives, request.reference_drives))
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": request.vehicle.name, "file": request.vehicle_file, "hash": request.vehicle.hash},
@@ -61,10 +62,10 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
             e.name: dict(discovery.base.values[e.name]) for e in discovery.base.effects
             if any(p.fit and discovery.base.values[e.name][p.name] != p.null for p in e.parameters)}},
         "settings": plain_data(request.settings),
-        "runs": {d.name: d.about for d in request.drives if d.log is not None},
-        "reference": {d.name: d.about for d in request.reference_drives if d.log is not None},
-        "refused": {d.name: d.about["findings"] for d in all_drives if d.problem and d.about},
-        "not_used": {d.name: d.problem for d in all_drives if d.problem},
+        "runs": runs,
+        "reference": reference,
+        "refused": {d.name: findings_as_json(d.findings) for d in request.all_drives if d.problem and d.findings},
+        "not_used": {d.name: d.problem for d in request.all_drives if d.problem},
         "effects_of_the_user": dict(request.effect_hashes),
         "versions": collect_versions(),
         "seconds": dict(seconds),
@@ -81,8 +82,8 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             total = discovery.named.values[named_effect.name][name]
             low, high = (total + end - p.value for end in p.interval)
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
-    files = {f"{d.name}: {Path(name).name}": digest for d in (*request.drives, *request.reference_drives)
-             if d.log is not None for name, digest in d.about["files"].items()}
+    files = {f"{d.name}: {Path(name).name}": digest for d in request.all_drives if d.log is not None
+             for name, digest in d.about["files"].items()}
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
     about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
@@ -112,17 +113,15 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
     return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
 
 
-def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, content: dict[str, Any],
-               figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
-    """Write the page. content: of discovery.json. relation: report of the search for a relation beyond the library."""
-    about, plain = content["provenance"], quantities.to_words
-    refused = {name: {"findings": findings} for name, findings in about["refused"].items()}
-    recordings = {**refused, **about["runs"], **about["reference"]}
-    findings = {name: findings_from_json(run) for name, run in recordings.items()}
-    text = load_template("discovery/discovery.html.jinja", plain=plain, channel=quantities.channel_label).render(
+def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
+               content: dict[str, Any], figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
+    """Write the page. recordings: all runs, including those that cannot be used. content: of discovery.json. relation:
+    report of the search for a relation beyond the library."""
+    findings = {drive.name: drive.findings for drive in recordings}
+    text = load_template("discovery/discovery.html.jinja").render(
         title=report_text.format_title(discovery), discovery=discovery, content=content, figures=figures,
         relation=relation, report=report_text, summary=report_text.summarise(discovery, update, findings),
-        details=report_text.list_details(discovery, update), recordings=recordings, **_tables(discovery, content))
+        details=report_text.list_details(discovery, update), findings=findings, **_tables(discovery, content))
     file.write_text(text, encoding="utf-8")
 
 
@@ -220,9 +219,9 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
                 report_text.list_effect_rows(discovery)]
         console.print(make_table(rows, padding=(0, 1)))
         console.print(f"[dim]{report_text.EFFECT_NOTE}.[/dim]", highlight=False)
-    about = {drive.name: findings_from_json(drive.about) for drive in recordings}
+    findings = {drive.name: drive.findings for drive in recordings}
     advice = report_text.recommend(discovery, update)[1:MAX_ADVICE]
-    for heading, text in (*report_text.summarise(discovery, update, about), *(("to do", text) for text in advice),
+    for heading, text in (*report_text.summarise(discovery, update, findings), *(("to do", text) for text in advice),
                           *(("warning", text) for text in discovery.warnings)):
         print_line(heading, text)
     for drive in recordings:

@@ -14,6 +14,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import st_core
 from st_core.augmented import AugmentedModel, augment
+from st_core.checks import Finding
 from st_core.discovery import Discovery, DiscoverySettings
 from st_core.discovery.result import MODELS, plain_data
 from st_core.errors import StCoreError
@@ -25,7 +26,6 @@ from st_recordings.recorded_results import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 from st_recordings.runs.load import hash_files
 
-from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 
 RESULT_FORMAT = 3  # version of the format of cached results; other versions are not used
@@ -33,14 +33,14 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run. log: None if a problem prevents its use. about: data for the report, including findings and estimates of
-    the checks and the name of the recorded car ("" if unknown). For a run that was refused it contains only the
-    findings; for an unreadable run it is empty."""
+    """One run. log: None if a problem prevents its use. about: data for the report, including estimates of the checks
+    and the name of the recorded car ("" if unknown); empty if the run cannot be used. findings: of the checks."""
 
     name: str
     log: DriveLog | None
     about: dict[str, Any]
     problem: str = ""
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,10 @@ class Request:
     reference_drives: Sequence[Drive] = ()
     effect_hashes: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def all_drives(self) -> tuple[Drive, ...]:
+        return *self.drives, *self.reference_drives
+
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 tick: Callable[[], None], force: bool = False) -> list[Drive]:
@@ -107,12 +111,11 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         about = {"files": hash_files((*source.files, *source.can)),
                  "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
                  "clock_deviation_s": json_ready(run.alignment.offset_deviation),
-                 "warnings": list(run.warnings), "findings": findings_as_json(checked.findings),
-                 "estimates": json_ready(checked.estimates), "vehicle": car}
+                 "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse_errors(source.where, checked.findings, force)
-        return Drive(source.name, run.log, about)
+        return Drive(source.name, run.log, about, findings=checked.findings)
     except RefusedRunError as error:
-        return Drive(source.name, None, {"findings": findings_as_json(error.findings)}, str(error))
+        return Drive(source.name, None, {}, str(error), error.findings)
     except RUN_ERRORS as error:
         return Drive(source.name, None, {}, describe_problem(error, source))
 

@@ -14,7 +14,7 @@ from st_recordings.runs import RunError, RunSource, find_runs
 from st_recordings.runs.errors import join_problems
 
 from ..bands.bands_report import print_tables
-from ..checking.check_report import describe_clock, findings_from_json, print_findings
+from ..checking.check_report import describe_clock, print_findings
 from ..terminal import list_files, make_progress_bars, print_line, report_problem
 from .drawing import check_formats
 from .evaluation_report import Choices, describe_settings, make_headline, make_summary, write_results
@@ -59,7 +59,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: st
     for report in good:
         if text := describe_clock(report.about["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}", console)
-    print_findings({report.name: findings_from_json(report.about) for report in found}, console)
+    print_findings({report.name: report.findings for report in found}, console)
     list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
     failed = [report for report in found if report.problem]
     for report in failed:

@@ -19,7 +19,7 @@ from st_recordings.results import collect_versions
 
 from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
 from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
-from ..checking.check_report import describe_clocks, describe_effect, findings_from_json, group_by_name
+from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_by_name
 from ..pages import load_template
 from . import tables
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
@@ -77,10 +77,10 @@ def make_document(reports: Sequence[RunReport], choices: Choices) -> dict[str, A
         "bins_all_runs": pool_bins(good),
         "manoeuvres": {r.name: r.manoeuvres for r in good},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
-        "about": {r.name: r.about for r in good},
+        "about": {r.name: {**r.about, "findings": findings_as_json(r.findings)} for r in good},
         **_summarise_bands(good, choices.task),
         "failed": {r.name: r.problem for r in reports if r.problem},
-        "refused": {r.name: r.about["findings"] for r in reports if r.problem and r.about},
+        "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
     }
 
 
@@ -153,7 +153,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     text = load_template("evaluation/page.html.jinja").render(
         title=title, summary=make_summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
-        about={r.name: r.about for r in reports}, leading=leading, band_figures=bands,
+        findings={r.name: r.findings for r in reports}, leading=leading, band_figures=bands,
         band_rows=make_band_rows(pooled_bands),
         adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=make_share_rows(pooled_bands.get("shares", {})),
@@ -217,7 +217,7 @@ def make_summary(reports: Sequence[RunReport], over: str, horizon: float) -> lis
     held, *ahead = (f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
                     for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
-    groups = group_by_name({r.name: findings_from_json(r.about) for r in reports})
+    groups = group_by_name({r.name: r.findings for r in reports})
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
                        for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from oxts_bridge.geometry import compute_origin_offset
 from st_core.bands import Bands
+from st_core.checks import Finding
 from st_core.course import Course
 from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
@@ -31,7 +32,6 @@ from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import collect_intervals, sum_shares
 from ..bands.scoring import AdaptiveScorer, Scorer
-from ..checking.check_report import findings_as_json
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_for_use, describe_problem
 from . import tables
 from .background import in_background
@@ -67,13 +67,13 @@ class Task:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Results of one run, picklable. problem: why the run was not evaluated; `about` then contains at most the findings
-    of the checks. finding: ranking of the models in one sentence. about: provenance, counts, alignment, warnings,
-    findings of the checks. bands: sums of bands.scoring. seconds: wall time [s] of reading, predicting and drawing."""
+    """Results of one run, picklable. problem: why the run was not evaluated; then only `findings`, those of the checks,
+    are set. ranking: of the models, in one sentence. about: provenance, counts, alignment, warnings. bands: sums of
+    bands.scoring. seconds: wall time [s] of reading, predicting and drawing."""
 
     name: str
     problem: str = ""
-    finding: str = ""
+    ranking: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     models: dict[str, Any] = field(default_factory=dict)
     seconds_ahead: dict[str, Any] = field(default_factory=dict)
@@ -81,6 +81,7 @@ class RunReport:
     manoeuvres: list[dict[str, Any]] = field(default_factory=list)
     figures: list[PageFigure] = field(default_factory=list)
     bands: dict[str, Any] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -92,7 +93,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
             warnings.simplefilter("ignore", StepTooLongWarning)
             return _evaluate(source, task, progress)
     except RefusedRunError as error:
-        return RunReport(source.name, problem=str(error), about={"findings": findings_as_json(error.findings)})
+        return RunReport(source.name, problem=str(error), findings=error.findings)
     except RUN_ERRORS as error:
         return RunReport(source.name, problem=describe_problem(error, source))
 
@@ -130,8 +131,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
-        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs),
-        "findings": findings}
+        "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
     sums: dict[str, Any] = adaptive.get_sums() if adaptive else {}
     if scorer:
         shares = sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
@@ -139,7 +139,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     seconds = dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
-                     tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, seconds)
+                     tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
 
 
 def _make_figure_output(task: Task, name: str, evaluation: LogEvaluation) -> FigureOutput:
@@ -165,11 +165,10 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
 
 
 def _check_run(source: RunSource, run: LoadedRun, task: Task,
-               models: Sequence[Model]) -> list[dict[str, Any]] | RefusedRunError:
+               models: Sequence[Model]) -> tuple[Finding, ...] | RefusedRunError:
     """Findings of the checks, or the error for a refused run."""
     try:
-        return findings_as_json(check_for_use(source.where, run, task.vehicle, task.force, models,
-                                              task.settings.prediction.step))
+        return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
     except RefusedRunError as error:
         return error
 

@@ -183,7 +183,6 @@ def render_page(outcomes: Sequence[result.Identification], figures: Sequence[Pag
 
     return load_template("identification/page.html.jinja").render(
         title=f"{vehicle.name}: {', '.join(values)}", outcomes=list(zip(outcomes, figures, strict=True)), about=facts,
-        recordings={name: {"findings": findings_as_json(findings)}
-                    for name, findings in collect_findings_by_drive(outcomes).items()},
-        heads=COLUMN_NAMES, rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table,
+        findings=collect_findings_by_drive(outcomes), heads=COLUMN_NAMES,
+        rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table,
         correlation=make_correlation_table)
