@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from st_live import suite
 
-from .verbs import calibrate, car, check, discover, effects, evaluate, export, identify, live, raw_logs, replay, view
+from .verbs import calibrate, check, discover, effects, evaluate, export, identify, live, raw_logs, replay, view
 
 app = typer.Typer(
     name="st",
@@ -24,7 +24,7 @@ app = typer.Typer(
 )
 COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
     discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
-for verb in (live.demo, live.live, raw_logs.ncom, car.car, check.check, evaluate.evaluate, calibrate.calibrate,
+for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, calibrate.calibrate,
              calibrate.course, discover.discover, effects.effects, identify.identify, replay.replay, replay.verify,
              view.view, view.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, export.export):
     app.command(**COMMAND_OPTIONS.get(verb, {}))(verb)

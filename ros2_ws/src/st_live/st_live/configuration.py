@@ -170,11 +170,9 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
         raise SuiteError(f"--bands {bands}: {error}") from None
 
 
-def find_recordings(path: Path) -> tuple[Path, list[Path]]:
-    """(bag with the measurements, [bag with the scores]: `errors` next to the bag, or else the bag) of a bag or run."""
-    bag = path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
-    errors = bag.parent / "errors"
-    return bag, [errors] if is_bag(errors) and errors.is_dir() else [bag]
+def find_bag(path: Path) -> Path:
+    """The bag with the measurements and predictions: `bag` in the folder of a run, for any other path the path."""
+    return path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
 
 
 class VirtualCar:

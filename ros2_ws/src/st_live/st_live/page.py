@@ -166,8 +166,8 @@ class LiveView:
     def finish(self, folder: Path, console: Console) -> None:
         """Stop the page server, and write the Rerun file of --view-save from the recording of the run."""
         if self._server and self._server.process.poll() is not None:
-            console.print(f"[yellow]the page ended before the run: {escape(self._server.read_last_lines())}[/yellow]",
-                          highlight=False, soft_wrap=True)
+            text = f"the page ended before the run: {self._server.read_last_lines()}"
+            console.out(text, style="yellow", highlight=False)
         self.close()
         if self._save:
             from .recorded_view import draw_recording

@@ -20,7 +20,7 @@ from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
 from st_recordings.runs.cdr import load_typestore
 from st_ros.polling import to_nanoseconds
 
-from .configuration import find_recordings
+from .configuration import find_bag
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
@@ -257,7 +257,7 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
 
     vehicle: file to use instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
     """
-    bag, _ = find_recordings(path)
+    bag = find_bag(path)
     open_bag(bag)
     car, recorded, _ = find_configuration(read_bag(bag).records, vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)

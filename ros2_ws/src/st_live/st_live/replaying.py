@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings
@@ -44,7 +43,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
     for line in describe_omissions(bag, drive.unknown):
-        console.print(f"[yellow]{escape(line)}[/yellow]", highlight=False, soft_wrap=True)
+        console.out(line, style="yellow", highlight=False)
     car, recorded, _ = find_configuration(drive.records, vehicle)
     file = folder / "vehicle.yaml"
     file.write_text(car.to_yaml())

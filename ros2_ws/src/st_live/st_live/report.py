@@ -39,14 +39,14 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
         try:
             results = read_results(folder)
         except RunError as error:
-            console.print(f"[red]{escape(str(error))}[/red]", highlight=False, soft_wrap=True)
+            console.out(error, style="red", highlight=False)
             return 1
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
         draw_paths(results, f"{about['what']}: {make_headline(summary)}", folder / "paths.png")
     console.print(make_error_table(summary, f"{about['what']}: mean error over each horizon, at the INS point"))
     for line in format_band_lines(results.bands):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.out(line, highlight=False)
     ticks = summary["ticks"]
     console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
     if text := describe_incomplete(summary["models"]):
@@ -63,16 +63,15 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
 
 def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
     if outcome.problem:
-        console.print(f"[red]{escape(outcome.problem)}[/red]", highlight=False, soft_wrap=True)
+        console.out(outcome.problem, style="red", highlight=False)
     for name, count in outcome.restarts.items():
         frequency = "once" if count == 1 else f"{count} times"
-        console.print(f"[yellow]{name} was restarted {frequency}; recordings of a restarted node continue in bag_2 or "
-                      "errors_2, and `st recover` repairs truncated ones[/yellow]", soft_wrap=True)
+        console.out(f"{name} was restarted {frequency}; recordings of a restarted node continue in bag_2 or errors_2, "
+                    "and `st recover` repairs truncated ones", style="yellow", highlight=False)
     failed = {name: status for name, status in outcome.statuses.items() if status}
     if failed:
         names = ", ".join(f"{name} (status {status})" for name, status in failed.items())
-        console.print(f"[red]ended with an error: {names}; see {escape(str(folder / 'logs'))}[/red]", highlight=False,
-                      soft_wrap=True)
+        console.out(f"ended with an error: {names}; see {folder / 'logs'}", style="red", highlight=False)
 
 
 def draw_paths(results: Results, title: str, file: Path) -> None:

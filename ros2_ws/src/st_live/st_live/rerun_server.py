@@ -137,7 +137,7 @@ def check_rerun(option: str) -> None:
 
 def show_address(url: str, console: Console) -> None:
     """Print the address of a view and, on a terminal, open it in the browser."""
-    console.print(f"view: {url}", highlight=False, soft_wrap=True)
+    console.out(f"view: {url}", highlight=False)
     if console.is_terminal:
         webbrowser.open(url)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
-from rich.markup import escape
 from rich.text import Text
 
 from .node import Monitor, Status, render_health, render_progress, render_ticks
@@ -125,9 +124,8 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def run(folder: Path, parameters: Parameters, title: str, duration: float | None,
-        source: Callable[[Suite], float] | None = None, console: Console | None = None, view: LiveView | None = None,
-        supervised: bool = False, realtime: bool = False) -> Outcome:
+def run(folder: Path, parameters: Parameters, title: str, console: Console, view: LiveView, duration: float | None,
+        source: Callable[[Suite], float] | None = None, supervised: bool = False, realtime: bool = False) -> Outcome:
     """Start all nodes, then the source, show the run, and stop everything in order.
 
     duration: in s; None: until Ctrl-C or the end of the source. source: function that starts the virtual Leaf and
@@ -135,7 +133,6 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
     ending the run. realtime: real-time scheduling for bridges and predictor. Raises SuiteError if a node does not start
     or is already running.
     """
-    console = console or Console()
     # Unless ROS_DOMAIN_ID is set, the virtual Leaf uses a free domain, isolated from other suites; the car, domain 0.
     requested_domain = read_domain_id()
     if requested_domain is None and not source:
@@ -148,14 +145,12 @@ def run(folder: Path, parameters: Parameters, title: str, duration: float | None
             if not start_nodes(suite, monitor, NODES, stop_requested):
                 return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
-            text = f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}"
-            console.print(escape(text), highlight=False, soft_wrap=True)
+            console.out(f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
             if suite.denied:
                 names = ", ".join(sorted(suite.denied))
-                console.print(f"[yellow]real-time scheduling is not permitted for {names}; to permit it: "
-                              f"{escape(REALTIME_PERMISSION)}[/yellow]", highlight=False, soft_wrap=True)
-            if view:
-                view.open(folder, domain, parameters["predictor"], title, console)
+                console.out(f"real-time scheduling is not permitted for {names}; to permit it: {REALTIME_PERMISSION}",
+                            style="yellow", highlight=False)
+            view.open(folder, domain, parameters["predictor"], title, console)
             if source:
                 available = source(suite) - END_MARGIN
                 duration = min(duration or available, available)

@@ -24,9 +24,9 @@ from st_recordings import recorded_results
 from st_recordings.paths import new_folder
 from st_recordings.recorded_results import PlannedPredictions, Predictions, Progress, Scores
 from st_recordings.runs import ReadSettings
-from st_recordings.runs.bag import read_bag, was_interrupted
+from st_recordings.runs.bag import is_bag, read_bag, was_interrupted
 
-from .configuration import TRUNCATION_WARNING, find_recordings
+from .configuration import TRUNCATION_WARNING, find_bag
 from .suite import SuiteError
 
 # Each node starts its filter of the forward acceleration with the first sample it receives, and nodes may receive
@@ -42,22 +42,21 @@ class Comparison:
 
     model: str
     n_starts: int = 0  # forecasts compared
+    n_planned: int = 0  # compared predictions with the inputs of a plan or course
     start_difference: float = 0.0  # of the start positions [m], which depend only on the state estimates
-    path_difference: float = 0.0  # between positions at any point [m]
-    worst_start_ns: int = 0  # start of the forecast with the largest path difference
+    path_difference: float = 0.0  # between positions at any point of a prediction [m]
+    yaw_difference: float = 0.0  # between yaw angles at any point of a prediction [rad]
+    worst_start_ns: int = 0  # start of the prediction with the largest path difference
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
     n_cut: int = 0  # scores that are incomplete only because the nodes stopped
     n_disagree: int = 0  # scores complete on one side only, without n_cut and position jumps
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
-    n_planned: int = 0  # compared predictions with the inputs of a plan or course
-    planned_difference: float = 0.0  # between their positions at any point [m]
-    yaw_difference: float = 0.0  # between yaw angles at any point of a prediction [rad]
 
     @property
     def largest(self) -> float:
         """The largest difference of a position or an error [m]."""
-        return max(self.path_difference, self.planned_difference, *self.score_difference.values())
+        return max(self.path_difference, *self.score_difference.values())
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,9 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
 
     vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
     """
-    bag, score_bags = find_recordings(path)
+    bag = find_bag(path)
+    errors = bag.parent / "errors"
+    score_bag = errors if errors.is_dir() and is_bag(errors) else bag
     predictions = recorded_results.read_predictions(bag, progress)
     if not predictions:
         return None
@@ -93,10 +94,10 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     parameters = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
     settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
-    scores = recorded_results.read_scores(score_bags, progress)
+    scores = recorded_results.read_scores([score_bag], progress)
     planned_by_mode = {mode: recorded_results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
-    truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, *score_bags))
+    truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
                  if was_interrupted(file)]
     comparisons, warnings = [], [*drive.warnings, *truncated]
     for name, forecasts in predictions.items():
@@ -136,25 +137,15 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
     result = Comparison(model.name)
     is_settled = find_settled_starts(forecasts.starts_ns, signals.log.ins_time_ns, cutoff)
     result.n_settling = int((~is_settled).sum())
-    starts_ns, states = forecasts.starts_ns[is_settled], forecasts.states[is_settled]
+    starts_ns = forecasts.starts_ns[is_settled]
+    recorded: dict[Mode, Predictions] = {"forecast": forecasts, **planned}
     future_inputs: dict[Mode, FutureInputs] = {mode: predictions.inputs_at for mode, predictions in planned.items()}
     # The inputs of a plan or course are known only from its recorded predictions; other scores cannot be recomputed.
     scores = {mode: mode_scores.at(planned[mode].starts_ns) if mode in planned else mode_scores
               for mode, mode_scores in scores.items() if mode in MODES or mode in planned}
     for rows, block in evaluate_blocks([model], car, signals, starts_ns, settings, future_inputs):
-        computed, recorded = block.trajectories[model.name, "forecast"], states[rows]
-        finite = np.isfinite(computed).all(axis=(1, 2)) & np.isfinite(recorded).all(axis=(1, 2))
-        difference = computed[finite] - recorded[finite]
-        distance = np.hypot(difference[..., 0], difference[..., 1])
-        result.n_starts += len(distance)
-        if distance.size:
-            if distance.max() > result.path_difference:
-                result.worst_start_ns = int(starts_ns[rows][finite][distance.max(axis=1).argmax()])
-            result.path_difference = max(result.path_difference, float(distance.max()))
-            result.start_difference = max(result.start_difference, float(distance[:, 0].max()))
-            result.yaw_difference = max(result.yaw_difference, float(np.abs(wrap_angle(difference[..., 4])).max()))
-        for mode, predictions in planned.items():
-            _compare_planned(result, predictions, starts_ns[rows], block.trajectories[model.name, mode])
+        for mode, predictions in recorded.items():
+            _compare_paths(result, mode, predictions, starts_ns[rows], block.trajectories[model.name, mode])
         for mode, mode_scores in scores.items():
             _compare_scores(result, mode, mode_scores, starts_ns[rows], block.errors[model.name, mode])
         if progress:
@@ -162,17 +153,25 @@ def _compare(model: Model, car: VehicleParameters, signals: LogSignals, forecast
     return result
 
 
-def _compare_planned(result: Comparison, planned: PlannedPredictions, starts_ns: np.ndarray,
-                     states: np.ndarray) -> None:
-    _, computed, recorded = np.intersect1d(starts_ns, planned.starts_ns, assume_unique=True, return_indices=True)
-    difference = states[computed] - planned.states[recorded]
+def _compare_paths(result: Comparison, mode: Mode, recorded: Predictions, starts_ns: np.ndarray,
+                   states: np.ndarray) -> None:
+    """Compare recorded predictions with recomputed ones; states: (n, points, 6), for the starts (n,)."""
+    _, rows, recorded_rows = np.intersect1d(starts_ns, recorded.starts_ns, assume_unique=True, return_indices=True)
+    difference = states[rows] - recorded.states[recorded_rows]
+    is_finite = np.isfinite(difference).all(axis=(1, 2))
+    difference, starts_ns = difference[is_finite], starts_ns[rows][is_finite]
+    if mode == "forecast":
+        result.n_starts += len(difference)
+    else:
+        result.n_planned += len(difference)
+    if not len(difference):
+        return
     distance = np.hypot(difference[..., 0], difference[..., 1])
-    finite = np.isfinite(distance).all(axis=1)
-    result.n_planned += int(finite.sum())
-    if finite.any():
-        result.planned_difference = max(result.planned_difference, float(distance[finite].max()))
-        yaw_difference = float(np.abs(wrap_angle(difference[finite][..., 4])).max())
-        result.yaw_difference = max(result.yaw_difference, yaw_difference)
+    if distance.max() > result.path_difference:
+        result.path_difference = float(distance.max())
+        result.worst_start_ns = int(starts_ns[distance.max(axis=1).argmax()])
+    result.start_difference = max(result.start_difference, float(distance[:, 0].max()))
+    result.yaw_difference = max(result.yaw_difference, float(np.abs(wrap_angle(difference[..., 4])).max()))
 
 
 def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np.ndarray, errors: np.ndarray) -> None:
@@ -205,7 +204,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
         reason = "--replay" if replayed else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
         console.print(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
-        outcome, _ = replay_bag(find_recordings(bag)[0], folder, vehicle, 0.0, console, settings=read_settings)
+        outcome, _ = replay_bag(find_bag(bag), folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
             raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")
         result = _verify_with_progress(folder, vehicle, console, ReadSettings())
@@ -213,7 +212,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
         console.print("nothing to compare: the nodes made no prediction from this recording")
         return 2
     for warning in result.warnings:
-        console.print(f"[yellow]{warning}[/yellow]", highlight=False, soft_wrap=True)
+        console.out(warning, style="yellow", highlight=False)
     if not result.n_starts:
         n_settling = sum(c.n_settling for c in result.comparisons)
         reason = (f"all {n_settling} predictions start too soon after the first sample received" if n_settling

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
+from rich.console import Console
 from st_recordings.paths import config
 
 if TYPE_CHECKING:
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
     from st_live.page import LiveView
     from st_recordings.runs import ReadSettings
     from st_recordings.runs.run_types import SteeringField
+
+console = Console()
+FILE: dict[str, Any] = {"exists": True, "dir_okay": False}
+FOLDER: dict[str, Any] = {"exists": True, "file_okay": False}
+"""Arguments of typer.Option for an existing file or folder."""
 
 
 def _check_sign(value: int | None) -> int | None:
@@ -37,53 +43,25 @@ def at_least(minimum: float) -> Callable[[float | None], float | None]:
 Runs = Annotated[list[Path], typer.Argument(
     help="Recordings: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.", show_default=False)]
 CarName = Annotated[str | None, typer.Option(
-    "--car", help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
+    help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
-    "--vehicle", help="Vehicle file; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
+    help="Vehicle file; default: that of --car, else that of the Leaf.", **FILE)]
 VehicleOfBag = Annotated[Path | None, typer.Option(
-    "--vehicle", help="Vehicle file; default: that of --car, else the one in the recording, else that of the Leaf.",
-    exists=True, dir_okay=False)]
+    help="Vehicle file; default: that of --car, else the one in the recording, else that of the Leaf.", **FILE)]
 Models = Annotated[list[str], typer.Option(
-    "--model", help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
+    help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
 EffectsOfFile = Annotated[Path | None, typer.Option(
-    "--effects", help="Folder of your own effects that a model file uses.", exists=True, file_okay=False)]
+    help="Folder of your own effects that a model file uses.", **FOLDER)]
 EffectsOfModel = Annotated[Path | None, typer.Option(
-    "--effects", help="Folder of your own effects that --model uses.", exists=True, file_okay=False)]
+    help="Folder of your own effects that --model uses.", **FOLDER)]
 Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
-    "--acceleration", help="Filter of the forward speed before it is differentiated; live, only causal is possible.")]
+    help="Filter of the forward speed before it is differentiated; live, only causal is possible.")]
 Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
-    "--inputs", help="Measured inputs within an integration step: interpolated, or held over it.")]
+    help="Measured inputs within an integration step: interpolated, or held over it.")]
 Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
 Step = Annotated[float, typer.Option(help="Integration step, s.")]
 MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
-Offset = Annotated[float | None, typer.Option(
-    help="INS minus CAN clock, s; default: estimated from the signals.")]
-InsCanLatency = Annotated[tuple[float, float] | None, typer.Option(
-    help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")]
-Dbc = Annotated[Path | None, typer.Option(
-    help="DBC of the CAN logs; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
-Signals = Annotated[Path | None, typer.Option(
-    help="Signal table for the DBC; default: that of --car, else that of the Leaf.", exists=True, dir_okay=False)]
-SteeringSign = Annotated[int | None, typer.Option(
-    callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
-    "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")]
-SteeringTopic = Annotated[str | None, typer.Option(
-    "--steering-topic", help="Bags of other recorders: the topic with the steering angle, of any type defined in the "
-    "bag. Default: the one of type st_msgs/Steering.")]
-SteeringPath = Annotated[str | None, typer.Option(
-    "--steering-field", help="Message field with the steering angle: data (default), drive.steering_angle, ... "
-    "Without --steering-topic: the column of a CSV or VBO.")]
-SteeringIs = Annotated[Literal["road", "wheel"], typer.Option(
-    "--steering-is", help="Meaning of this angle: road wheel angle (road) or steering wheel angle (wheel), which is "
-    "converted with ratio and offset of the vehicle file.")]
-SteeringUnit = Annotated[Literal["rad", "deg"] | None, typer.Option(
-    "--steering-unit", help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")]
-OdometryTopic = Annotated[str | None, typer.Option(
-    "--odometry-topic", help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")]
-SteeringLatency = Annotated[float | None, typer.Option(
-    help="Delay from steering wheel motion to the stamp of its frame, s; default that of --car, else 0; live: else "
-    "that of config/nodes.yaml.", min=0.0, max=1.0)]
 
 
 @contextmanager
@@ -121,17 +99,33 @@ class ReadOptions:
 
     car: CarName = None
     vehicle: VehicleFile = None
-    offset: Offset = None
-    ins_can_latency: InsCanLatency = None
-    dbc: Dbc = None
-    signals: Signals = None
-    steering_sign: SteeringSign = None
-    steering_latency: SteeringLatency = None
-    steering_topic: SteeringTopic = None
-    steering_field: SteeringPath = None
-    steering_is: SteeringIs = "road"
-    steering_unit: SteeringUnit = None
-    odometry_topic: OdometryTopic = None
+    offset: Annotated[float | None, typer.Option(
+        help="INS minus CAN clock, s; default: estimated from the signals.")] = None
+    ins_can_latency: Annotated[tuple[float, float] | None, typer.Option(
+        help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")] = None
+    dbc: Annotated[Path | None, typer.Option(
+        help="DBC of the CAN logs; default: that of --car, else that of the Leaf.", **FILE)] = None
+    signals: Annotated[Path | None, typer.Option(
+        help="Signal table for the DBC; default: that of --car, else that of the Leaf.", **FILE)] = None
+    steering_sign: Annotated[int | None, typer.Option(
+        callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
+        "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")] = None
+    steering_latency: Annotated[float | None, typer.Option(
+        help="Delay from steering wheel motion to the stamp of its frame, s; default that of --car, else 0; live: else "
+        "that of config/nodes.yaml.", min=0.0, max=1.0)] = None
+    steering_topic: Annotated[str | None, typer.Option(
+        help="Bags of other recorders: the topic with the steering angle, of any type defined in the bag. Default: the "
+        "one of type st_msgs/Steering.")] = None
+    steering_field: Annotated[str | None, typer.Option(
+        help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
+        "--steering-topic: the column of a CSV or VBO.")] = None
+    steering_is: Annotated[Literal["road", "wheel"], typer.Option(
+        help="Meaning of this angle: road wheel angle (road) or steering wheel angle (wheel), which is converted with "
+        "ratio and offset of the vehicle file.")] = "road"
+    steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
+        help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")] = None
+    odometry_topic: Annotated[str | None, typer.Option(
+        help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
         """(vehicle file, None if the user named none; settings for reading). others: further fields of ReadSettings.
@@ -155,8 +149,8 @@ class ReadOptions:
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
 
-        steering = {"steering_sign": self.steering_sign, "steering_latency": self.steering_latency}
-        from_options: dict[str, Any] = {name: value for name, value in steering.items() if value is not None}
+        steering = ("steering_sign", "steering_latency")
+        from_options = {name: value for name in steering if (value := getattr(self, name)) is not None}
         if self.car is None:
             return NamedCar(self.vehicle, self.dbc, self.signals, from_options)
         named = load_car(self.car)
@@ -165,7 +159,7 @@ class ReadOptions:
             if complete and not file.is_file():
                 raise RunError(file, "does not exist, but has to describe the bus of this car",
                                f"write it, or name another file with {option}")
-        car_steering = {"steering_sign": named.steering_sign, "steering_latency": named.steering_latency}
+        car_steering = {name: getattr(named, name) for name in steering}
         return NamedCar(self.vehicle or named.vehicle, dbc, signals, car_steering | from_options)
 
     @property
@@ -184,25 +178,23 @@ class RunOptions:
     """Options of a run of the nodes, as given by the user; one field per option."""
 
     model: Annotated[Path | None, typer.Option(
-        "--model", help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.",
-        exists=True, dir_okay=False)] = None
+        help="Model file (model.yaml of `st discover`): a fourth model in addition to the three.", **FILE)] = None
     effects: EffectsOfModel = None
     bands: Annotated[Path | None, typer.Option(
-        "--bands", help="Bands around every prediction (bands.yaml of `st calibrate`).", exists=True,
-        dir_okay=False)] = None
+        help="Bands around every prediction (bands.yaml of `st calibrate`).", **FILE)] = None
     adaptive: Annotated[bool | None, typer.Option(
         "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands the first appear "
         "after two minutes of driving. Default: as in config/nodes.yaml (yes).")] = None
     course: Annotated[Path | None, typer.Option(
-        "--course", help="Course of `st course build` for this site: also forecast with its steering and speed. "
-        "Replay: default the recorded course.", exists=True, dir_okay=False)] = None
+        help="Course of `st course build` for this site: also forecast with its steering and speed. "
+        "Replay: default the recorded course.", **FILE)] = None
     record: Annotated[Literal["needed", "all"], typer.Option(
-        "--record", help="needed: raw packets and frames, odometry, status, steering, predictions, errors, "
+        help="needed: raw packets and frames, odometry, status, steering, predictions, errors, "
         "diagnostics. all: also the other topics of the bridges, which can be computed from these.")] = "needed"
     view: Annotated[bool, typer.Option(
         "--view", help="Show the path ahead and its error live in the browser.")] = False
     view_address: Annotated[str | None, typer.Option(
-        "--view-address", help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
+        help="HOST or HOST:PORT of this computer for --view; default 127.0.0.1, this computer only. "
         "0.0.0.0:8080: open to every device in the same network, such as a phone.")] = None
     view_save: Annotated[Path | None, typer.Option(
         help="After the run, save its view to this file (.rrd), for `st view`.")] = None
@@ -217,11 +209,6 @@ class RunOptions:
 BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_field", "steering_is", "steering_unit",
               "odometry_topic")
 """Options that apply to a bag with odometry and steering."""
-
-
-def reads_recordings(*names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """`expand_options` with ReadOptions."""
-    return expand_options(ReadOptions, *names, **annotations)
 
 
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -275,9 +262,9 @@ def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """Call `report_default_car` if neither user nor bag names a vehicle file. Raises RunError for an unreadable bag."""
-    from st_live.configuration import find_recordings
+    from st_live.configuration import find_bag
     from st_recordings.recorded_results import recorded_configuration
     from st_recordings.runs.bag import read_metadata_records
 
-    if vehicle is None and recorded_configuration(read_metadata_records(find_recordings(bag)[0])).vehicle is None:
+    if vehicle is None and recorded_configuration(read_metadata_records(find_bag(bag))).vehicle is None:
         report_default_car(verb, None, LEAF)

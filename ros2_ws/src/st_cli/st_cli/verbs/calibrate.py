@@ -9,7 +9,7 @@ from . import _options as shared
 from .evaluate import MODELS, make_task
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def calibrate(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of one car: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
@@ -35,7 +35,6 @@ def calibrate(
     For every model, with measured inputs (hindsight) and with held inputs (forecast). Test them on other drives with
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
-    from rich.console import Console
     from st_core.prediction import PredictionSettings
     from st_offline.bands.calibration_command import CalibrationJob, run_command
 
@@ -43,12 +42,12 @@ def calibrate(
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         task, vehicle, vehicle_origin = make_task(
             read_options, model, effects, prediction, acceleration, inputs, force=force)
-        status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), Console())
+        status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), shared.console)
     shared.report_default_car("calibrate", vehicle, vehicle_origin)
     raise typer.Exit(status)
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def course(
     what: Literal["build"] = typer.Argument(..., help="The action: build.", show_default=False),
     runs: list[Path] = typer.Argument(
@@ -61,11 +60,10 @@ def course(
 
     Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
     """
-    from rich.console import Console
     from st_offline.course_command import build_course
 
     with shared.report_errors("course"):
         vehicle, read_settings = read_options.resolve()
         parameters, _ = shared.load_vehicle_or_default(vehicle)
-        status = build_course(runs, parameters, read_settings, output, Console())
+        status = build_course(runs, parameters, read_settings, output, shared.console)
     raise typer.Exit(status)

@@ -1,13 +1,14 @@
-"""The command `st check`: finds faults in recordings before they are mistaken for model errors."""
+"""The commands `st check` and `st car`: find faults in recordings, and mistakes in the folder of a car."""
 
 from pathlib import Path
+from typing import Literal
 
 import typer
 
 from . import _options as shared
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def check(
     runs: shared.Runs,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
@@ -23,7 +24,6 @@ def check(
     Nothing is corrected; each finding states how to correct it. Exit status: 0 no error found, 1 an error was found or
     a run could not be read, 2 nothing could be read.
     """
-    from rich.console import Console
     from st_offline.checking.check_command import CheckJob, run_command
 
     with shared.report_errors("check"):
@@ -31,5 +31,32 @@ def check(
         parameters, file = shared.load_vehicle_or_default(vehicle)
         job = CheckJob(
             runs, parameters, str(file), vehicle is not None, read_settings, output, json, propose_correction)
-        status = run_command(job, Console(), lambda used: shared.report_default_car("check", None, used))
+        status = run_command(job, shared.console, lambda used: shared.report_default_car("check", None, used))
     raise typer.Exit(status)
+
+
+def car(
+    what: Literal["new", "check"] = typer.Argument(..., help="new, or check.", show_default=False),
+    folder: str = typer.Argument(..., help="Folder of the car; check: also a name in config/car.", show_default=False),
+) -> None:
+    """Write the folder of a new car for you to fill in, or check the folder of a car.
+
+    new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
+    check: one line for each mistake and each missing entry; if there are none, what is unusual for a road car, and the
+    uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were found; 2 the folder to
+    check does not exist, or the folder to write does.
+    """
+    from st_recordings.car_skeleton import find_problems, list_remarks, write_skeleton
+
+    with shared.report_errors("car"):
+        if what == "new":
+            for file in write_skeleton(Path(folder)):
+                typer.echo(file)
+            return
+        mistakes = find_problems(folder)
+        remarks = [] if mistakes else list_remarks(folder)
+    for line in mistakes:
+        typer.echo(f"st car: {line}", err=True)
+    if not mistakes:
+        typer.echo("\n".join([f"{folder}: no mistake found", *remarks]))
+    raise typer.Exit(int(bool(mistakes)))

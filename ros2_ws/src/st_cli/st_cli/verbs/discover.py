@@ -41,7 +41,7 @@ def expand_references(arguments: Sequence[str]) -> list[str]:
     return expanded
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
@@ -51,8 +51,7 @@ def discover(
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
-    effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", exists=True,
-                                        file_okay=False),
+    effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     certify: bool = typer.Option(
         False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
         "known effects and without any; otherwise the power is predicted. Takes minutes."
@@ -73,7 +72,6 @@ def discover(
 
     Exit status: 0 the result uses all runs, 1 some could not be used, 2 the search could not be started.
     """
-    from rich.console import Console
     from st_core.discovery import DiscoverySettings
     from st_offline.discovery.discover_command import run_command
     from st_offline.discovery.drives import Request
@@ -85,6 +83,6 @@ def discover(
             base, parameters, str(file), file.read_text(encoding="utf-8"),
             DiscoverySettings(channels=shared.split_names(channels), seed=seed, certify=certify), runs, reference,
             read_settings, effects, output, jobs, shared.split_names(figures), report, not fresh, force, propose)
-        status = run_command(request, Console())
+        status = run_command(request, shared.console)
     shared.report_default_car("discover", vehicle, file)
     raise typer.Exit(status)

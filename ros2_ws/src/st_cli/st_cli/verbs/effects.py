@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import typer
-from rich.console import Console
 
-from ._options import CarName, ReadOptions, VehicleFile, load_vehicle_or_default, report_default_car, report_errors
+from . import _options as shared
+from ._options import console
 
 if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
@@ -21,10 +21,10 @@ HOOK_LABELS = {
 def effects(
     what: Literal["list", "check"] = typer.Argument("list", help="list, or check."),
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); default all effects of the library."),
-    car: CarName = None,
-    vehicle: VehicleFile = None,
-    own: Path | None = typer.Option(None, "--effects", help="list: folder of your own effects to include.", exists=True,
-                                    file_okay=False),
+    car: shared.CarName = None,
+    vehicle: shared.VehicleFile = None,
+    own: Path | None = typer.Option(
+        None, "--effects", help="list: folder of your own effects to include.", **shared.FOLDER),
 ) -> None:
     """List the effects (kind, where they act, similar effects, required channels), or check effect files of your own.
 
@@ -34,20 +34,20 @@ def effects(
     """
     from st_core.effects import load_folder
 
-    with report_errors("effects", OSError):
+    with shared.report_errors("effects", OSError):
         if own is not None:
             load_folder(str(own.absolute()))
         if what == "list":
-            _print_library(Console())
+            _print_library()
             return
-        named = ReadOptions(car, vehicle).resolve_car().vehicle
-        parameters, file = load_vehicle_or_default(named)
-        all_met = _check_effects(files or (), parameters, Console())
-        report_default_car("effects", named, file)
+        named = shared.ReadOptions(car, vehicle).resolve_car().vehicle
+        parameters, file = shared.load_vehicle_or_default(named)
+        all_met = _check_effects(files or (), parameters)
+        shared.report_default_car("effects", named, file)
     raise typer.Exit(0 if all_met else 1)
 
 
-def _print_library(console: Console) -> None:
+def _print_library() -> None:
     """Print one paragraph per effect, because a table of eight columns does not fit a terminal."""
     from rich.markup import escape
     from rich.padding import Padding
@@ -65,7 +65,7 @@ def _print_library(console: Console) -> None:
                 console.print(Padding(f"{key + ': ' if key else ''}{escape(text)}", (0, 0, 0, 2)), highlight=False)
 
 
-def _check_effects(files: Sequence[Path], car: "VehicleParameters", console: Console) -> bool:
+def _check_effects(files: Sequence[Path], car: "VehicleParameters") -> bool:
     from st_core.contract import check_effect
     from st_core.effects import EFFECTS, load_file
     from st_core.errors import ConfigurationError

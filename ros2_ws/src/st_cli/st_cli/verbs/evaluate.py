@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MODELS = ["kinematic", "linear", "nonlinear"]
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def evaluate(
     runs: shared.Runs,
     model: shared.Models = MODELS,
@@ -33,14 +33,13 @@ def evaluate(
     minimum_speed: shared.MinimumSpeed = 0.5,
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
-        None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", exists=True,
-        dir_okay=False),
+        None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", **shared.FILE),
     adaptive: bool = typer.Option(
         False, "--adaptive", help="Also test bands that adapt to the errors of each run; initially those of --bands, "
         "if given."),
     course: Path | None = typer.Option(
         None, help="Course of `st course build`: also predict with the inputs recorded on this course before.",
-        exists=True, dir_okay=False),
+        **shared.FILE),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "
         "prediction time, with cost, error and band width of each.", min=0.001),
@@ -53,7 +52,6 @@ def evaluate(
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """
-    from rich.console import Console
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import load_bands, load_course, load_models
@@ -67,7 +65,7 @@ def evaluate(
             course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
         load_course(task)
         load_bands(task, load_models(task))
-        status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, Console(), advise)
+        status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, shared.console, advise)
     shared.report_default_car("evaluate", vehicle, vehicle_origin)
     raise typer.Exit(status)
 

@@ -19,7 +19,7 @@ def export(
     substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`; their half-widths are written as functions of state and inputs (CasADi).",
-        exists=True, dir_okay=False),
+        **shared.FILE),
     free: list[str] = typer.Option(
         [], help="Parameter that stays an argument of the functions, such as road_bank.angle; repeatable."),
 ) -> None:

@@ -7,13 +7,13 @@ import typer
 from . import _options as shared
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def identify(
     what: str | None = typer.Argument(None, help="Name of an experiment; without it all experiments are listed."),
     files: list[Path] = typer.Argument(None, help="Data of the experiment: tables (CSV) or recordings."),
     model: Path | None = typer.Option(
-        None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.", exists=True,
-        dir_okay=False),
+        None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
+        **shared.FILE),
     effects: shared.EffectsOfModel = None,
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
@@ -24,7 +24,6 @@ def identify(
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
     parameter was identified, 1 none, 2 the data cannot be used.
     """
-    from rich.console import Console
     from rich.table import Table
     from st_live.configuration import load_model
     from st_live.suite import SuiteError
@@ -32,12 +31,11 @@ def identify(
     from st_offline.identification.identify_command import EXPERIMENTS, IdentificationJob, run_command
     from st_recordings.paths import new_folder
 
-    console = Console()
     if what is None:
         table = Table("experiment", "identifies", "data", box=None)
         for experiment in EXPERIMENTS.values():
             table.add_row(experiment.name, experiment.description, experiment.files)
-        console.print(table)
+        shared.console.print(table)
         return
     if what not in EXPERIMENTS:
         typer.echo(f"st identify: unknown experiment {what!r}; use {', '.join(EXPERIMENTS)}", err=True)
@@ -49,6 +47,6 @@ def identify(
         base = load_model(model, effects, parameters, str(file))
         setup = Setup(parameters, read_settings, force, base)
         job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), setup, str(file), folder)
-        status = run_command(job, console)
+        status = run_command(job, shared.console)
     shared.report_default_car("identify", vehicle, file)
     raise typer.Exit(status)

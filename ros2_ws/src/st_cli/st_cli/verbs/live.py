@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
 
 from . import _options as shared
 
@@ -19,14 +18,14 @@ SCENARIOS = (
 @shared.expand_options(shared.RunOptions)
 def demo(
     scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
-    drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", exists=True, dir_okay=False),
+    drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", **shared.FILE),
     # No --car: DBC, table and steering on these buses are always those of the virtual Leaf.
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
-        exists=True, dir_okay=False),
+        **shared.FILE),
     plant_vehicle: Path | None = typer.Option(
         None, help="Vehicle file of the simulated car; default: --vehicle, which is the vehicle file of the nodes.",
-        exists=True, dir_okay=False),
+        **shared.FILE),
     duration: float | None = typer.Option(
         None, help="Seconds of driving, at least 6; default 60, or the whole drive.", callback=shared.at_least(6.0)),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
@@ -59,7 +58,7 @@ def demo(
     raise typer.Exit(status)
 
 
-@shared.reads_recordings("car", "vehicle", "dbc", "signals", "steering_sign", "steering_latency")
+@shared.expand_options(shared.ReadOptions, "car", "vehicle", "dbc", "signals", "steering_sign", "steering_latency")
 @shared.expand_options(shared.RunOptions)
 def live(
     can_interface: str = typer.Option("socketcan", help="python-can interface."),
@@ -103,7 +102,6 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder
 
-    console = Console()
     model_settings = configuration.make_model_parameters(options.model, options.effects, vehicle)
     view = options.make_view()
     folder = new_folder(output, name)
@@ -111,7 +109,7 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
     parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
     if reports_car:
         shared.report_default_car(name, None, vehicle)
-    outcome = session.run(folder, parameters, about["what"], console=console, view=view, **arguments)
-    status = report.report_results(folder, outcome, about, console)
-    view.finish(folder, console)
+    outcome = session.run(folder, parameters, about["what"], shared.console, view, **arguments)
+    status = report.report_results(folder, outcome, about, shared.console)
+    view.finish(folder, shared.console)
     return status

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
-from rich.console import Console
+from rich.markup import escape
 
 from . import _options as shared
+from ._options import console
 
 if TYPE_CHECKING:
     from st_core.clock_types import Alignment
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def align(
     files: list[Path] = typer.Argument(
         ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs, a folder, a run.yaml."),
@@ -38,18 +39,17 @@ def align(
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
 
-    console = Console()
     with shared.report_errors("align"):
         _, settings = read_options.resolve(search=search)
         with console.status("reading and aligning"):
             pair = read_pair(files, settings)
         folder = new_folder(output, f"align-{pair.name}")
     for warning in pair.warnings:
-        print_line(f"[yellow]{warning}[/yellow]", console)
+        print_line(f"[yellow]{escape(warning)}[/yellow]", console)
     if read_options.car is None:
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
-    print_alignment(pair, console)
+    print_alignment(pair)
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     print_line(f"  {folder / 'alignment.json'}", console)
@@ -70,7 +70,7 @@ def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) ->
             f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
 
 
-def print_alignment(pair: "RawRun", console: Console) -> None:
+def print_alignment(pair: "RawRun") -> None:
     """Print the verdict, offset and drift with their standard deviations, and the signals."""
     from rich.table import Table
     from st_offline.terminal import print_line
@@ -120,7 +120,7 @@ def _format_seconds(nanoseconds: int) -> str:
     return f"{'-' if nanoseconds < 0 else '+'}{seconds}.{remainder // 1000:06d}"
 
 
-@shared.reads_recordings()
+@shared.expand_options(shared.ReadOptions)
 def import_(
     paths: list[Path] = typer.Argument(..., help="Runs: .ncom with CAN logs, folders of them, run.yaml."),
     output: Path | None = typer.Option(
@@ -139,7 +139,6 @@ def import_(
     from st_recordings.runs.errors import RunError
     from st_recordings.runs.sources import find_runs
 
-    console = Console()
     with shared.report_errors("import"):
         vehicle, settings = read_options.resolve(search=search, accept_doubtful=not strict)
         parameters, file = shared.load_vehicle_or_default(vehicle)
@@ -153,7 +152,7 @@ def import_(
         try:
             bag = output / run.name if output and len(runs) > 1 else output
             folder = new_folder(bag, f"import-{run.name}", create=False)
-            _import_run(run, parameters, folder, settings, force, console)
+            _import_run(run, parameters, folder, settings, force)
             written += 1
         except (RunError, OutputError) as error:
             typer.echo(f"st import: {error}", err=True)
@@ -162,8 +161,8 @@ def import_(
         raise typer.Exit(1 if written else 2)
 
 
-def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, settings: "ReadSettings", force: bool,
-                console: Console) -> None:
+def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, settings: "ReadSettings",
+                force: bool) -> None:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
@@ -181,7 +180,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
                                                             completed=share))
     duration = time.perf_counter() - started
     for warning in imported.warnings:
-        print_line(f"[yellow]{warning}[/yellow]", console)
+        print_line(f"[yellow]{escape(warning)}[/yellow]", console)
     print_findings({source.name: imported.findings}, console)
     alignment = imported.run.alignment
     text = describe_alignment(alignment, imported.run.can.start_ns, absolute=True)
@@ -195,7 +194,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
 
 
 def ncom(
-    file: Path = typer.Argument(..., help="NCOM recording.", exists=True, dir_okay=False),
+    file: Path = typer.Argument(..., help="NCOM recording.", **shared.FILE),
     csv: Path = typer.Option(..., "--csv", help="File for the navigation values, one row per packet."),
     status: Path | None = typer.Option(None, "--status", help="File for the status fields, one row per change."),
 ) -> None:

@@ -7,7 +7,7 @@ import typer
 from . import _options as shared
 
 
-@shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
+@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 @shared.expand_options(shared.RunOptions, "bands", "adaptive", "course", "view", "view_address", "view_save")
 def replay(
     bag: Path = typer.Argument(..., help="Bag with odometry and steering, or the folder of a run.", exists=True),
@@ -19,8 +19,7 @@ def replay(
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
-    from rich.console import Console
-    from st_live.configuration import find_recordings
+    from st_live.configuration import find_bag
     from st_live.replaying import replay_bag
     from st_live.report import report_results
     from st_live.suite import SuiteError
@@ -28,25 +27,24 @@ def replay(
     from st_offline.checking.gate import check_bag
     from st_recordings.paths import new_folder
 
-    console = Console()
     with shared.report_errors("replay", SuiteError):
         vehicle, read_settings = read_options.resolve()
-        bag, _ = find_recordings(bag)
+        bag = find_bag(bag)
         view = run_options.make_view()
         findings = check_bag(bag, vehicle, force, read_settings)
-        print_findings({bag.name: findings}, console)
+        print_findings({bag.name: findings}, shared.console)
         shared.report_default_car_of_bag("replay", bag, vehicle)
         folder = new_folder(output, f"replay-{bag.stem}")
-        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, console, view, run_options.bands,
+        outcome, name = replay_bag(bag, folder, vehicle, 0.0 if fast else rate, shared.console, view, run_options.bands,
                                    run_options.course, run_options.adaptive, read_settings)
     about = {"what": f"replay of {bag.name}", "source": str(bag), "vehicle": name,
              "findings": findings_as_json(findings)}
-    status = report_results(folder, outcome, about, console)
-    view.finish(folder, console)
+    status = report_results(folder, outcome, about, shared.console)
+    view.finish(folder, shared.console)
     raise typer.Exit(status)
 
 
-@shared.reads_recordings(*shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
+@shared.expand_options(shared.ReadOptions, *shared.BAG_INPUTS, vehicle=shared.VehicleOfBag)
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(0.001, help="Largest accepted difference, m; of yaw angles, rad.", min=0.0),
@@ -60,8 +58,7 @@ def verify(
     A recording without predictions is played through the nodes first. Exit status: 0 all within the tolerance, 1 not,
     2 nothing to compare.
     """
-    from rich.console import Console
-    from st_live.configuration import find_recordings
+    from st_live.configuration import find_bag
     from st_live.suite import SuiteError
     from st_live.verification import verify_command
     from st_offline.checking.check_report import print_findings
@@ -70,7 +67,6 @@ def verify(
     with shared.report_errors("verify", SuiteError):
         vehicle, read_settings = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
-        console = Console()
-        print_findings({bag.name: check_bag(find_recordings(bag)[0], vehicle, force, read_settings)}, console)
-        status = verify_command(bag, vehicle, tolerance, replayed, output, console, read_settings)
+        print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
+        status = verify_command(bag, vehicle, tolerance, replayed, output, shared.console, read_settings)
     raise typer.Exit(status)

@@ -1,31 +1,29 @@
 """The commands `st view` and `st foxglove`: show a recorded run or a running suite."""
 
+import signal
+import sys
+import tempfile
+import time
 from pathlib import Path
 
 import typer
 
-from ._options import CarName, ReadOptions, report_default_car_of_bag, report_errors
+from ._options import FILE, CarName, ReadOptions, console, report_default_car_of_bag, report_errors
 
 
 def view(
     recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
     car: CarName = None,
     vehicle: Path | None = typer.Option(
-        None, help="Vehicle file, for the outline; default that of --car, else the one in the recording.", exists=True,
-        dir_okay=False),
+        None, help="Vehicle file, for the outline; default that of --car, else the one in the recording.", **FILE),
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Show a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
-    import signal
-    import tempfile
-
-    from rich.console import Console
     from st_live.rerun_server import check_new_rerun_file, check_rerun, show_recording
     from st_live.suite import SuiteError
 
     # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    console = Console()
     with report_errors("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
         vehicle = ReadOptions(car, vehicle).resolve_car().vehicle
@@ -50,20 +48,14 @@ def foxglove(
     port: int = typer.Option(8765, help="Port of the WebSocket.", min=1, max=65535),
     host: str = typer.Option("127.0.0.1", help="Address to listen on; default: this computer only."),
     domain: int | None = typer.Option(None, help="ROS domain of the suite; `st demo` prints it.", min=0, max=232),
-    vehicle: Path | None = typer.Option(None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.",
-                                        exists=True, dir_okay=False),
+    vehicle: Path | None = typer.Option(
+        None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.", **FILE),
 ) -> None:
     """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; open config/foxglove/st.json there."""
-    import sys
-    import tempfile
-    import time
-
-    from rich.console import Console
     from st_live.configuration import resolve_vehicle_file
     from st_live.suite import Suite, SuiteError, merge_parameters, read_domain_id
     from st_recordings.paths import config
 
-    console = Console()
     with report_errors("foxglove", SuiteError):
         car = resolve_vehicle_file(vehicle)
         domain = read_domain_id() if domain is None else domain
