@@ -4,12 +4,13 @@ import math
 import os
 import socket
 import struct
+from collections import Counter
 from copy import copy
 from functools import cache
 from pathlib import Path
 
 import can
-from canedge_bridge.decode import Decoder, FrameStatistics, _make_state
+from canedge_bridge.decode import Decoder, _MessageState
 from canedge_bridge.receiver import Receiver, describe_error_frame
 from canedge_bridge.transport import LoopbackMulticastBus, pack_message, parse_channel
 from oxts_bridge import ncom
@@ -145,8 +146,8 @@ _table = cache(lambda: Decoder(CAN / "leaf_ze0.dbc", CAN / "leaf_ze0.yaml"))
 def _decoder() -> Decoder:
     """A decoder in its initial state, without reading the files again."""
     decoder = copy(_table())
-    decoder._states = {spec.key: _make_state(spec) for spec in decoder.table.messages.values()}
-    decoder.frames = FrameStatistics()
+    decoder._states = {spec.key: _MessageState(spec) for spec in decoder.table.messages.values()}
+    decoder.skipped = Counter()
     return decoder
 
 
@@ -178,12 +179,11 @@ def _can_frames(data: bytes, folder: Path) -> str:
             decoded += 1
             assert all(map(math.isfinite, (v for k, v in found.values.items() if k != "ins_unix_time"))), found
     rows = [decoder.statistics(name) for name in decoder.table.messages]
-    frames = decoder.frames
     assert decoded == sum(row.good for row in rows)
-    assert frames.unknown + frames.error + frames.remote <= count
+    assert decoder.skipped.total() <= count
     assert all(text.isprintable() for text in decoder.implausible_signals())
     reasons = {name for row in rows for name, value in vars(row).items() if value and name != "last_seen_ns"}
-    return " ".join(sorted(reasons | {name for name, value in vars(frames).items() if value}))
+    return " ".join(sorted(reasons | set(decoder.skipped)))
 
 
 def _datagrams() -> list[bytes]:

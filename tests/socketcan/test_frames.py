@@ -113,7 +113,7 @@ def test_remote_frames_and_frames_of_wrong_length_are_not_decoded(interface, sta
         interface.send(STEERING, bytes.fromhex("1D000007B0123456")[:size])
     wait_for(lambda: len(decoded) == 10)
     assert [d is not None for d in decoded] == [size == 5 for size in range(-1, 9)]
-    assert decoder.frames.remote == 1
+    assert decoder.skipped["remote"] == 1
     assert decoder.statistics("Leaf_Steering").wrong_length == 8
     assert decoder.statistics("Leaf_Steering").good == 1
 

@@ -100,8 +100,12 @@ class CounterCheck:
 
 def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Mask (n,) of the readable frames of a log whose counter is not the previous one plus 1. As in CounterCheck, an
-    `unreadable` frame increases the expected counter. restart_after_ns: gap [ns] after which any counter is correct."""
+    """Mask (n,) of the readable frames of a log whose counter is not the previous one plus 1.
+
+    data: bytes of the frames from `stack_bytes`. time_ns: their times (n,). unreadable: mask (n,) of frames with a
+    wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip. restart_after_ns: gap
+    [ns] after which any counter is correct.
+    """
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))
     before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame

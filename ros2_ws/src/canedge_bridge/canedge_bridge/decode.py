@@ -1,8 +1,9 @@
 """Decodes CAN frames to checked signals under canonical names in SI units, and encodes frames for a simulated car."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import can
@@ -14,12 +15,12 @@ from .checks import CounterCheck, Mode
 from .extraction import raw_range, strip_padding
 from .ins_time import replace_gps_time, split_unix_time
 from .plausibility import Plausibility
-from .signals import ANGLES, MessageSpec, SignalSpec, SignalTable, load_table
+from .signals import WRAPPED_SIGNALS, MessageSpec, SignalSpec, SignalTable, load_table
 from .table_reader import TableError
 
 
 @dataclass(frozen=True)
-class Decoded:
+class DecodedFrame:
     """One decoded frame, received at time_ns [ns since 1970].
 
     values: by canonical name, in SI units. valid: false if a counter or checksum in mode `warn` was wrong.
@@ -47,38 +48,29 @@ class MessageStatistics:
     last_seen_ns: int | None = None
 
 
-@dataclass
-class FrameStatistics:
-    """Counts of frames that are not decoded: identifier not in the table, error frame, remote frame."""
-
-    unknown: int = 0
-    error: int = 0
-    remote: int = 0
-
-
-@dataclass
 class _MessageState:
-    """State of the decoder for one message. plausibility: of limited signals, by canonical name."""
+    """State of the decoder for one message. plausibility: checks of limited signals, by canonical name."""
 
-    spec: MessageSpec
-    counter: CounterCheck | None
-    plausibility: Mapping[str, Plausibility]
-    statistics: MessageStatistics = field(default_factory=MessageStatistics)
+    def __init__(self, spec: MessageSpec) -> None:
+        self.spec, self.statistics = spec, MessageStatistics()
+        self.counter = CounterCheck(spec.counter.field, spec.timeout_ns) if spec.counter else None
+        self.plausibility = {s.name: Plausibility(s, spec) for s in spec.signals if s.is_limited}
 
 
 class Decoder:
     """Decodes the messages of one signal table; raises the errors of `load_table`.
 
     For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
-    `decode` only counts the fault; it never raises.
+    `decode` only counts the fault; it never raises. skipped: counts of frames that are not decoded, by reason: "error"
+    frame, "remote" frame, "unknown" identifier.
     """
 
-    def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = (),
+    def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = (),
                  checks: Mapping[str, str] | None = None):
         """checks: override the table; `MESSAGE`, `MESSAGE.counter` or `MESSAGE.checksum` -> off, warn or drop."""
         self.table = _override_checks(load_table(dbc_file, signals_file, needed), checks or {})
-        self.frames = FrameStatistics()
-        self._states = {spec.key: _make_state(spec) for spec in self.table.messages.values()}
+        self.skipped: Counter[str] = Counter()
+        self._states = {spec.key: _MessageState(spec) for spec in self.table.messages.values()}
 
     @property
     def keys(self) -> list[tuple[int, bool]]:
@@ -88,17 +80,17 @@ class Decoder:
     def statistics(self, message: str) -> MessageStatistics:
         return self._states[self.table.messages[message].key].statistics
 
-    def decode(self, frame: can.Message, time_ns: int) -> Decoded | None:
+    def decode(self, frame: can.Message, time_ns: int) -> DecodedFrame | None:
         """The signals of a frame received at time_ns; None if it is bad or contains none of the table's signals."""
         if frame.is_error_frame:
-            self.frames.error += 1
+            self.skipped["error"] += 1
             return None
         if frame.is_remote_frame:
-            self.frames.remote += 1
+            self.skipped["remote"] += 1
             return None
         state = self._states.get((frame.arbitration_id, frame.is_extended_id))
         if state is None:
-            self.frames.unknown += 1
+            self.skipped["unknown"] += 1
             return None
         spec, statistics = state.spec, state.statistics
         data = strip_padding(bytes(frame.data), spec.dbc.length)
@@ -119,7 +111,7 @@ class Decoder:
         if not values:  # a multiplexed frame that carries none of the table's signals
             return None
         statistics.last_seen_ns = time_ns
-        return Decoded(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
+        return DecodedFrame(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
 
     def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int) -> bool:
         """Whether all values are plausible; also false while too many recent values of a signal are implausible,
@@ -189,16 +181,11 @@ class Decoder:
         return can.Message(arbitration_id=dbc.frame_id, is_extended_id=dbc.is_extended_frame, data=data)
 
 
-def _make_state(spec: MessageSpec) -> _MessageState:
-    counter = CounterCheck(spec.counter.field, spec.timeout_ns) if spec.counter else None
-    return _MessageState(spec, counter, {s.name: Plausibility(s, spec) for s in spec.signals if s.is_limited})
-
-
 def _si_to_raw(spec: SignalSpec, si: float) -> float:
     physical = spec.to_physical(si)
     if spec.sign is not None:
         physical = abs(physical)
-    if spec.name in ANGLES and spec.dbc.minimum is not None:
+    if spec.name in WRAPPED_SIGNALS and spec.dbc.minimum is not None:
         turn = 2 * math.pi / abs(spec.gain)
         step = abs(spec.dbc.scale)
         # Rounded first, so that 359.996 deg is sent as 0, not as 360.00.

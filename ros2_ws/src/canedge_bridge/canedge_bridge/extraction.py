@@ -84,28 +84,19 @@ class Field:
         return (number << 8 - self.shift | data[self.lowest] >> self.shift) & self.mask
 
 
-@dataclass(frozen=True)
 class Extractor:
     """Extracts the physical value of one DBC signal: scale * number + offset.
 
-    sign: value of the sign bit; 0 for an unsigned integer or a float. float_size: bytes of a float; 0 for an integer.
     selectors: (field, values) of the multiplexers; the signal is in the frame if each field has one of its values.
     """
 
-    signal: DbcSignal
-    field: Field
-    sign: int
-    float_size: int
-    scale: float
-    offset: float
-    selectors: tuple[tuple[Field, tuple[int, ...]], ...]
-
-    @classmethod
-    def of(cls, message: DbcMessage, signal: DbcSignal) -> "Extractor":
+    def __init__(self, message: DbcMessage, signal: DbcSignal) -> None:
         is_float = signal.conversion.is_float
-        sign = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
-        return cls(signal, Field.of(signal), sign, signal.length // 8 if is_float else 0, signal.scale, signal.offset,
-                   tuple(_find_selectors(message, signal)))
+        self.signal, self._field = signal, Field.of(signal)
+        self._sign_bit = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
+        self._float_bytes = signal.length // 8 if is_float else 0
+        self._scale, self._offset = signal.scale, signal.offset
+        self.selectors = tuple(_find_selectors(message, signal))
 
     def is_sent(self, data: Data) -> Any:
         """Whether the signal is in the frame; True, not an array, for a signal that is not multiplexed."""
@@ -119,14 +110,14 @@ class Extractor:
 
     def extract(self, data: Data) -> Any:
         """Physical value in the unit of the DBC."""
-        number = self.field.read(data)
-        if self.sign:
-            number = number - ((number & self.sign) << 1)  # two's complement; arrays calculate modulo 2**64
-        if self.float_size:
-            number = np.asarray(number, f"u{self.float_size}").view(f"f{self.float_size}").astype(np.float64)
+        number = self._field.read(data)
+        if self._sign_bit:
+            number = number - ((number & self._sign_bit) << 1)  # two's complement; arrays calculate modulo 2**64
+        if self._float_bytes:
+            number = np.asarray(number, f"u{self._float_bytes}").view(f"f{self._float_bytes}").astype(np.float64)
         elif isinstance(number, np.ndarray):
-            number = number.view(np.int64 if self.sign else np.uint64).astype(np.float64)
-        return number * self.scale + self.offset
+            number = number.view(np.int64 if self._sign_bit else np.uint64).astype(np.float64)
+        return number * self._scale + self._offset
 
 
 def _find_selectors(message: DbcMessage, signal: DbcSignal) -> Iterator[tuple[Field, tuple[int, ...]]]:

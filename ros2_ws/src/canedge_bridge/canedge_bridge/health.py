@@ -90,8 +90,8 @@ class Health:
                 if count := getattr(counts, fault):
                     values[f"{name} {fault.replace('_', ' ')}"] = count
             bad += sum(getattr(counts, fault) for fault in _FAULTS)
-        values["unknown identifiers"] = self._decoder.frames.unknown
-        values["remote frames"] = self._decoder.frames.remote
+        values["unknown identifiers"] = self._decoder.skipped["unknown"]
+        values["remote frames"] = self._decoder.skipped["remote"]
         new, self._previous_bad = bad - self._previous_bad, bad
         if new:
             return Check("frames", WARN, f"{new} bad frames since the last report, {bad} since start", values)

@@ -20,7 +20,7 @@ from st_ros.parameters import ConfigurationError, Parameter
 from st_ros.polling import SAMPLE_QOS, OnDemandPublisher, from_nanoseconds
 from std_msgs.msg import Header
 
-from .decode import Decoded, Decoder, SteeringCalibration
+from .decode import DecodedFrame, Decoder, SteeringCalibration
 from .health import Health
 from .receiver import BusState, Receiver
 from .table_reader import TableError
@@ -121,7 +121,7 @@ class CanedgeBridge(Node):
         if decoded is not None:
             self._publish(decoded)
 
-    def _publish(self, decoded: Decoded) -> None:
+    def _publish(self, decoded: DecodedFrame) -> None:
         sensor = decoded.values.get("steering_wheel_angle")
         if sensor is not None and self._calibration is not None:
             calibration = self._calibration
@@ -204,7 +204,7 @@ def _header(time_ns: int) -> Header:
     return Header(stamp=from_nanoseconds(time_ns))
 
 
-def _select_fields(decoded: Decoded, names: dict[str, str]) -> dict[str, float]:
+def _select_fields(decoded: DecodedFrame, names: dict[str, str]) -> dict[str, float]:
     """Value of each field in `names` (signal -> field): NaN if the frame lacks the signal; empty if it lacks all."""
     if not any(name in decoded.values for name in names):
         return {}

@@ -18,8 +18,8 @@ def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_n
                   references: Iterable[Reference | None]) -> bool:
     """Whether the rate limit allows the value after at least one of the references within the timeout of the message;
     true if there is none."""
-    recent = [reference for reference in references
-              if reference is not None and 0 < time_ns - reference[0] <= message.timeout_ns]
+    recent = [(last_ns, last) for last_ns, last in filter(None, references)
+              if 0 < time_ns - last_ns <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
     return not recent or any(
         abs(value - last) <= signal.max_rate * max((time_ns - last_ns) * 1e-9, message.period)
@@ -79,12 +79,12 @@ def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray
     possible[1:] = in_range[1:] & in_range[:-1] & (elapsed_ns > 0) & (elapsed_ns <= message.timeout_ns) & (
         np.abs(np.diff(physical)) <= signal.max_rate * np.maximum(elapsed_ns * 1e-9, message.period))
     last_possible = np.maximum.accumulate(np.where(possible, frames, -1))
-    accepted = -1
+    last_accepted = -1
     for frame in np.flatnonzero(in_range & ~possible).tolist():  # a jump, or no previous frame to compare with
-        earlier = (max(accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1)
+        earlier = (max(last_accepted, int(last_possible[frame])), frame - 1 if in_range[frame - 1] else -1)
         references = [(int(time_ns[k]), float(physical[k])) for k in earlier if k >= 0]
         if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
-            possible[frame], accepted = True, frame
+            possible[frame], last_accepted = True, frame
     bad = np.concatenate(([0], np.cumsum(~possible)))
     recent = bad[1:] - bad[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
     _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)

@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
 
-# Canonical signal name -> SI unit, or h or min for parts of GPS time. Angles in ANGLES are wrapped to [-pi, pi).
+# Canonical signal name -> SI unit, or h or min for parts of GPS time. WRAPPED_SIGNALS are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
     "steering_wheel_angle": "rad",
     "wheel_speed_front_left": "m/s", "wheel_speed_front_right": "m/s",
@@ -29,9 +29,9 @@ CANONICAL_SIGNALS = {
     "gps_hour": "h", "gps_minute": "min", "gps_second": "s", "gps_second_fraction": "s",
     "gps_time": "s", "gps_utc_offset": "s",
 }
-ANGLES = frozenset({"ins_yaw"})
+WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Steering wheel angle [rad] assumed as range to either side if the table gives none; half of it must be covered.
+# Range of the steering wheel angle to either side [rad], assumed if the table gives none; half must be representable.
 MIN_STEERING_SPAN = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
@@ -90,7 +90,7 @@ class SignalSpec:
         if self.sign is not None:
             value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_sent(data)))
         value = self.gain * value + self.bias
-        return (value + math.pi) % (2 * math.pi) - math.pi if self.name in ANGLES else value
+        return (value + math.pi) % (2 * math.pi) - math.pi if self.name in WRAPPED_SIGNALS else value
 
     def to_physical(self, si: float) -> float:
         return (si - self.bias) / self.gain
@@ -153,7 +153,7 @@ class SignalTable:
         return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
 
 
-def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[str] = ()) -> SignalTable:
+def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = ()) -> SignalTable:
     """The signal table of a DBC and its YAML file, checked against each other.
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
@@ -165,8 +165,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
     root.allow_only("messages")
     rows = root.entry("messages")
     database = load_dbc(dbc_path, rows)
-    required = tuple(needed)
-    for name in required:
+    for name in needed:
         if name not in rows:
             raise TableError(f"{table_path}: needed message {name} is not in the table; it has {', '.join(rows)}")
     defined = {m.name: m for m in database.messages}
@@ -175,12 +174,14 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Iterable[
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise TableError(f"{dbc_path}: defines {name} more than once; keep one definition")
-        is_needed = name in required if required else row.boolean("needed")
+        is_needed = row.boolean("needed")
+        if needed:
+            is_needed = name in needed
         if name in defined:
-            messages[name] = replace(_read_message(row, defined[name], dbc_path), needed=is_needed)
+            messages[name] = _read_message(row, defined[name], dbc_path, is_needed)
         elif is_needed:
-            raise TableError(f"{dbc_path}: has no message {name}, which {table_path} marks as needed"
-                             f"{suggest_key(name, defined)}")
+            raise TableError(f"{dbc_path}: has no message {name}, which {'needed_messages' if needed else table_path} "
+                             f"marks as needed{suggest_key(name, defined)}")
         else:
             absent.append(name)
     return SignalTable(dbc_path, table_path, database, messages, tuple(absent))
@@ -232,7 +233,7 @@ def _correct_dbc(text: str) -> str:
     return re.sub(r"(?<=[(\[,|])(-?)(?=\.\d)", r"\g<1>0", text)
 
 
-def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
+def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) -> MessageSpec:
     row.allow_only("needed", "period", "timeout", "counter", "checksum", "fill", "samples", "signals")
     if dbc.is_container:
         raise TableError(f"{dbc_path}: {dbc.name} is a container of other messages, which is not supported")
@@ -250,7 +251,7 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path) -> MessageSpec:
     for sample in row.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
-        dbc=dbc, needed=row.boolean("needed"), signals=signals,
+        dbc=dbc, needed=is_needed, signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
         counter=_read_check(counter, dbc, dbc_path) if counter else None,
         checksum=_read_checksum(checksum, dbc, dbc_path) if checksum else None,
@@ -290,10 +291,10 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
     low, high = entry.interval("range", default=(-math.inf, math.inf))
     sign = entry.text("sign_signal") if "sign_signal" in entry else None
     spec = SignalSpec(
-        extractor=Extractor.of(message, dbc), name=name, unit=unit, gain=direction * scale * factor,
+        extractor=Extractor(message, dbc), name=name, unit=unit, gain=direction * scale * factor,
         bias=offset * factor, factor=factor, minimum=low, maximum=high,
         max_rate=entry.number("max_rate", 0.0, 1e9, default=math.inf),
-        sign=None if sign is None else Extractor.of(message, _find_signal(message, sign, dbc_path, entry)))
+        sign=None if sign is None else Extractor(message, _find_signal(message, sign, dbc_path, entry)))
     _check_span(spec, entry, dbc_path)
     return spec
 

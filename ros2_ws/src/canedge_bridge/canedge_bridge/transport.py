@@ -127,7 +127,7 @@ class LoopbackMulticastBus(can.BusABC):
         return message, self._accepted is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
-        """(datagram, kernel receive time [s since 1970]); (None, 0) for one of this bus; None if none is waiting."""
+        """(datagram, kernel receive time [s since 1970]); (None, 0) if this object sent it; None if none is waiting."""
         try:
             data, ancillary, _, address = self._receiver.recvmsg(_LARGEST_DATAGRAM, socket.CMSG_SPACE(_TIMESPEC.size))
         except BlockingIOError:

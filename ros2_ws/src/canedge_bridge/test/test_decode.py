@@ -81,7 +81,7 @@ def test_unknown_error_and_remote_frames_are_counted_and_ignored(decoder, frame)
     assert decoder.decode(can.Message(arbitration_id=0x002, is_extended_id=True, data=bytes(5)), 0) is None
     assert decoder.decode(frame(0x040, bytes(8), is_error_frame=True), 0) is None
     assert decoder.decode(frame(0x002, b"", is_remote_frame=True), 0) is None
-    assert (decoder.frames.unknown, decoder.frames.error, decoder.frames.remote) == (2, 1, 1)
+    assert decoder.skipped == {"unknown": 2, "error": 1, "remote": 1}
 
 
 @pytest.mark.parametrize("data", [b"", bytes(1), bytes(4), bytes(5) + b"\1", bytes(range(8))])

@@ -15,7 +15,7 @@ DATABASE = load_dbc(Path(__file__).resolve().parents[4] / "config" / "can" / "le
 
 def extract_one(message, data):
     """Signals of one frame by name."""
-    extractors = [Extractor.of(message, signal) for signal in message.signals]
+    extractors = [Extractor(message, signal) for signal in message.signals]
     return {e.signal.name: e.extract(data) for e in extractors if e.is_sent(data)}
 
 
@@ -24,7 +24,7 @@ def extract_all(message, frames):
     data = stack_bytes(np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), -1), message.length)
     found = [{} for _ in frames]
     for signal in message.signals:
-        extractor = Extractor.of(message, signal)
+        extractor = Extractor(message, signal)
         sent = np.broadcast_to(extractor.is_sent(data), len(frames))
         for k, value in enumerate(extractor.extract(data)):
             if sent[k]:

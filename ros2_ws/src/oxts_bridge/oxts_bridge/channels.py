@@ -34,17 +34,16 @@ class Validity:
     """Condition under which a field is valid.
 
     text: the condition in words, for error messages. accepts: tests the field's raw number and the channel's 8 bytes.
-    invalid_raw: raw number written for an invalid value. flag_byte: index of the byte that declares a group of fields
-    valid (its value is then flag_valid) or invalid (0xFF); None if the raw number alone decides. fresh: whether the
-    age in byte 6 must be below 150 although flag_byte is None.
+    invalid_raw: raw number written for an invalid value; None if only flag_byte declares it invalid. flag_byte: index
+    of the byte that declares all its fields valid (its value is then flag_valid) or invalid (0xFF); None if the raw
+    number alone decides.
     """
 
     text: str
     accepts: Callable[[int, bytes], bool]
-    invalid_raw: int = -1
+    invalid_raw: int | None = None
     flag_byte: int | None = None
     flag_valid: int = 0
-    fresh: bool = False
 
 
 ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
@@ -108,7 +107,7 @@ class Field:
         return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value (None: invalid) into the 8 bytes; encode_channel() writes the flag bytes.
+        """Write a value into the 8 bytes, except its flag byte; None: invalid, no change if only a flag declares this.
 
         A scaled quantity is clipped to the range of its format. A count or code out of range raises NcomError.
         """
@@ -123,6 +122,8 @@ class Field:
             return
         shift, mask, flip, _ = self._bit_layout
         number = self.validity.invalid_raw if value is None else self._to_raw(value)
+        if number is None:
+            return
         others = int.from_bytes(buffer, "little") & ~(mask << shift)
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
@@ -149,7 +150,7 @@ FRESH = Validity("b6 < 150", lambda raw, data: data[6] < 150, flag_byte=6)
 B6_ZERO = Validity("b6 = 0", lambda raw, data: data[6] == 0, flag_byte=6)
 B6_NOT_255 = Validity("b6 < 255", lambda raw, data: data[6] < 255, flag_byte=6)
 HIGH_BIT_CLEAR = Validity("bit 7 = 0", lambda raw, data: raw < 0x80, invalid_raw=0xFF)
-NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, invalid_raw=-1)
+NOT_NEGATIVE = Validity(">= 0", lambda raw, data: raw >= 0, -1)
 POSITIVE = Validity("> 0", lambda raw, data: raw > 0, invalid_raw=0)
 BIT0_SET = Validity("bit 0 = 1", lambda raw, data: bool(raw & 1), invalid_raw=0)
 WITHIN_MINUTE = Validity("< 60000", lambda raw, data: raw < 60000, invalid_raw=0xFFFF)
@@ -163,7 +164,8 @@ LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and
 def unless(*codes: int, fresh: bool = False) -> Validity:
     """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
     text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
-    return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0], fresh=fresh)
+    return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
+                    flag_byte=6 if fresh else None)
 
 
 BYTE = unless(0xFF)
@@ -434,7 +436,7 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
 
     A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. The multiplier of
     the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, a value out of range, and an incomplete group of fields that share a flag byte.
+    unknown channel or field, a value out of range, and a missing value that the flag byte of others declares valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:
@@ -443,23 +445,15 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
         if name not in fields:
             raise NcomError(f"channel {channel} has no field {name}; it has {', '.join(fields)}")
     values = {name: None if value != value else value for name, value in values.items()}  # noqa: PLR0124 - NaN
-    buffer = bytearray(b"\xff" * 8)
-    groups: dict[int, list[Field]] = {}
-    for field in fields.values():
-        if field.validity.flag_byte is not None:
-            groups.setdefault(field.validity.flag_byte, []).append(field)
-    for flag, group in groups.items():
-        is_set = [values.get(field.name) is not None for field in group]
-        if any(is_set) and not all(is_set):
-            raise NcomError(f"channel {channel}: give all or none of {', '.join(f.name for f in group)}")
-        buffer[flag] = group[0].validity.flag_valid if any(is_set) else 0xFF
-    if any(f.validity.fresh and values.get(f.name) is not None for f in fields.values()):
-        buffer[6] = 0
+    flags = {field.validity.flag_byte: field.validity.flag_valid for name, field in fields.items()
+             if values.get(name) is not None and field.validity.flag_byte is not None}
+    buffer = bytearray(flags.get(k, 0xFF) for k in range(8))
     if channel == LONG_RANGE_CHANNEL:
         buffer[7] = 1
     for name, field in fields.items():
-        value = values.get(name)
-        if value is not None or field.validity.flag_byte is None:
-            field.encode(buffer, value)
+        if values.get(name) is None and field.validity.invalid_raw is None and field.validity.flag_byte in flags:
+            raise NcomError(f"channel {channel}: {name} is missing; give all or none of the fields with "
+                            f"{field.validity.text}")
+        field.encode(buffer, values.get(name))
     return bytes(buffer)
 

@@ -32,7 +32,7 @@ from .stream import ReceivedPacket
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
-TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
+MESSAGE_TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
          "velocity": TwistWithCovarianceStamped, "time_reference": TimeReference, "trigger": Trigger}
 
 
@@ -47,7 +47,7 @@ class Publishers:
         self._publishers: list[Publisher] = []
         self._out = {
             name: OnDemandPublisher(self._create(type_, f"ins/{name}", SAMPLE_QOS) if name in settings.topics else None)
-            for name, type_ in TYPES.items()
+            for name, type_ in MESSAGE_TYPES.items()
         }
         self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
         self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None

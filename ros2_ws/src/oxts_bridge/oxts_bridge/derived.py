@@ -24,12 +24,12 @@ LONGEST_STEP = 10.0
 _STEP_TOLERANCE = 0.01
 
 
-Changes: TypeAlias = Sequence[tuple[int, tuple[Any, ...]]]
-"""Values of status fields that change: (index of the first packet to which they apply, values; None: invalid)."""
+SettingHistory: TypeAlias = Sequence[tuple[int, tuple[Any, ...]]]
+"""Values of one group of status fields: (index of the first packet to which they apply, values; None: invalid)."""
 
 
-def derive_columns(columns: Columns, velocity_accuracy: Changes, acceleration_filter: Changes,
-                   rate_filter: Changes) -> Mapping[str, np.ndarray]:
+def derive_columns(columns: Columns, velocity_accuracy: SettingHistory, acceleration_filter: SettingHistory,
+                   rate_filter: SettingHistory) -> Mapping[str, np.ndarray]:
     """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools.
 
     velocity_accuracy: north and east [m/s].  acceleration_filter, rate_filter: cutoff [Hz] and damping ratio.
@@ -69,7 +69,7 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
     return np.where(is_timed, minutes * 60.0 + milliseconds * 0.001 + fine * 1e-9, np.nan)
 
 
-def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: Changes) -> None:
+def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: SettingHistory) -> None:
     """Slip is track minus heading. yaw_rate: clockwise, in level axes [rad/s].
 
     Track, slip and curvature are NaN up to a speed of 2 sqrt(north^2 + east^2) of the velocity accuracies.
@@ -126,8 +126,8 @@ def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) 
     out["Yx"], out["Yy"], out["Yz"] = result
 
 
-def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: Changes,
-                  rate_filter: Changes) -> None:
+def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: SettingHistory,
+                  rate_filter: SettingHistory) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
     for prefix, signal, changes in (("FiltA", columns.acceleration, acceleration_filter),
                                     ("FiltY", np.array([out["Yx"], out["Yy"], out["Yz"]]), rate_filter)):
@@ -138,7 +138,7 @@ def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, acceleration
             filtered[series] = filter_low_pass(seconds[series], values[series], settings)
 
 
-def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: Changes) -> np.ndarray:
+def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHistory) -> np.ndarray:
     """Values filtered by the second-order low-pass with the settings that the unit sends in channels 63 and 74.
 
         b = (K^2, 2 K^2, K^2) / D,  a = (1, 2 (K^2 - 1) / D, (K^2 - 2 z K + 1) / D),
@@ -190,9 +190,9 @@ def _compute_ground_acceleration(motion: Motion) -> Vector:
                          2 * EARTH_RATE * s + east * s / c / (normal + height)])
     correction = -np.cross(rotation, motion.velocity, axis=0)
     correction[2] -= compute_gravity(latitude, height)
-    x, y, z = motion.acceleration
-    a, b, c = motion.attitude.to_body(tuple(correction))
-    return x + a, y + b, z + c
+    x, y, z = motion.attitude.to_body(tuple(correction))
+    force_x, force_y, force_z = motion.acceleration
+    return force_x + x, force_y + y, force_z + z
 
 
 def compute_gravity(latitude: np.ndarray, height: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .channels import B6_BIT7_CLEAR, FIELDS, Value
-from .derived import Changes, compute_gps_seconds, derive_columns
+from .derived import SettingHistory, compute_gps_seconds, derive_columns
 from .file_decoder import EMPTY, KINDS, REGULAR, TRIGGER, UNKNOWN_TIME, Columns, decode_file
 from .ncom import RAW_IMU, NcomError
 from .packet_time import WEEK_MS
@@ -66,7 +66,7 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     return len(columns)
 
 
-def _make_table(columns: Columns, settings: Mapping[int, Changes]) -> dict[str, np.ndarray]:
+def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
     """Columns of the CSV by name. settings: values of the fields in _SETTINGS, by channel."""
     is_timed = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(is_timed, columns.gps_ns // 1_000_000, 0)
@@ -92,8 +92,8 @@ def _make_table(columns: Columns, settings: Mapping[int, Changes]) -> dict[str, 
     }
 
 
-def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, Changes]]:
-    """Changes of all status fields, and the values of the fields in _SETTINGS by channel."""
+def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHistory]]:
+    """SettingHistory of all status fields, and the values of the fields in _SETTINGS by channel."""
     tracker = StatusTracker()
     last_values: dict[str, Value] = {}
     changes: list[Change] = []
@@ -118,8 +118,8 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, Changes]]
     return sorted(changes, key=lambda change: change[0]), settings
 
 
-def _compute_surface_angles(columns: Columns, surfaces: Changes) -> list[Change]:
-    """Changes of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
+def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[Change]:
+    """SettingHistory of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
 
         R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)
 

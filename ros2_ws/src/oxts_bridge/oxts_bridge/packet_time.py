@@ -17,7 +17,7 @@ NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
 # Milliseconds of the minute are ambiguous: a packet that would be ahead by this time or more is taken as late instead.
 HALF_MINUTE_MS = 30_000
 # After more than this many consecutive late packets in ascending order, the clock is taken to have been set back.
-LATE_RUN = 10
+MAX_LATE_RUN = 10
 # Longest pause on the receive clock across which the minute count is continued [ns].
 LONGEST_GAP_NS = 30_000_000_000
 # Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
@@ -133,7 +133,7 @@ class GpsClock:
         self._late_ms = ms
         if minute is not None:
             self._late_minute = minute
-        if self._late_count > LATE_RUN:
+        if self._late_count > MAX_LATE_RUN:
             self.jumps += 1
             return self._restart(ms, self._late_minute), NEW
         if minute is not None:

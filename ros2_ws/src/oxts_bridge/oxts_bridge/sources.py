@@ -125,7 +125,7 @@ class UdpSource(Source):
         super().__init__(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
-        self._in_use: tuple[str, int] | None = None
+        self._sender: tuple[str, int] | None = None
         self._last_packet_at = float("-inf")
         self._open_attempted = threading.Event()
 
@@ -170,15 +170,15 @@ class UdpSource(Source):
 
     def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
-        if sender != self._in_use and not self._accepts(sender[0], data):
-            same_address = self._in_use is not None and sender[0] == self._in_use[0]
+        if sender != self._sender and not self._accepts(sender[0], data):
+            same_address = self._sender is not None and sender[0] == self._sender[0]
             self.status.ignored_ports += same_address
             name, ignored = f"{sender[0]} port {sender[1]}" if same_address else sender[0], self.status.ignored
             if name in ignored or len(ignored) < _MAX_SENDERS_COUNTED:
                 ignored[name] = ignored.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):
             self._last_packet_at = time.monotonic()
-            self._in_use, self.status.sender = sender, sender[0]
+            self._sender, self.status.sender = sender, sender[0]
 
     def _accepts(self, address: str, data: bytes) -> bool:
         """Whether to use the datagram of a sender other than the one in use."""
@@ -186,7 +186,7 @@ class UdpSource(Source):
             return False
         if time.monotonic() - self._last_packet_at > SENDER_TIMEOUT:
             return True
-        return self._in_use is not None and address == self._in_use[0] and self._continues(data)
+        return self._sender is not None and address == self._sender[0] and self._continues(data)
 
     def _set_problem(self, problem: str) -> None:
         changed, self.status.problem = problem != self.status.problem, problem

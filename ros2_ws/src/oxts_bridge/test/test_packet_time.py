@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oxts_bridge.file_decoder import compute_packet_times
-from oxts_bridge.packet_time import LATE, LATE_RUN, NEW, SAME, GpsClock, compute_host_minute, to_unix_nanoseconds
+from oxts_bridge.packet_time import LATE, MAX_LATE_RUN, NEW, SAME, GpsClock, compute_host_minute, to_unix_nanoseconds
 from st_core.leap_seconds import leap_seconds_at_gps
 
 SECOND = 1_000_000_000
@@ -109,10 +109,10 @@ def test_missing_58_s_are_detected_by_the_minute():
 def test_clock_set_back_is_accepted_after_consecutive_late_packets():
     clock = GpsClock()
     feed(clock, (50_000, MINUTE))
-    back = [(30_000 + 10 * i, MINUTE - 5 if i % 10 == 0 else None) for i in range(LATE_RUN + 5)]
+    back = [(30_000 + 10 * i, MINUTE - 5 if i % 10 == 0 else None) for i in range(MAX_LATE_RUN + 5)]
     times = feed(clock, *back)
-    assert [order for _, order in times] == [LATE] * LATE_RUN + [NEW] * 5
-    assert times[-1] == (30_000 - 5 * 60_000 + 10 * (LATE_RUN + 4), NEW)
+    assert [order for _, order in times] == [LATE] * MAX_LATE_RUN + [NEW] * 5
+    assert times[-1] == (30_000 - 5 * 60_000 + 10 * (MAX_LATE_RUN + 4), NEW)
     assert clock.jumps == 1
 
 
