@@ -68,11 +68,11 @@ def run() -> dict:
         return {"Genesis": "the shared drives are missing"}
     sources = [one for one in find_runs(folders) if not one.name.startswith(UNSUITABLE_DRIVES)]
     task = Task(genesis(), MODELS, EvaluationSettings())
-    advice = measure_runs(sources, task)
-    draw_advice(advice.costs, advice.accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
-    rows = advice_report.make_advice_rows(advice.costs, advice.accuracies)
-    choice = advice_report.make_choice_rows(find_cheapest(advice.costs, advice.accuracies, TOLERANCE))
-    title, caption = advice_report.make_choice_title(TOLERANCE), advice_report.make_caption(advice.accuracies)
+    costs, accuracies, _ = measure_runs(sources, task)
+    draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
+    rows = advice_report.make_advice_rows(costs, accuracies)
+    choice = advice_report.make_choice_rows(find_cheapest(costs, accuracies, TOLERANCE))
+    title, caption = advice_report.make_choice_title(TOLERANCE), advice_report.make_caption(accuracies)
     replace_part(PAGE, "advice", "\n".join([
         f"Genesis, {len(sources)} real drives. {caption[0].upper()}{caption[1:]}.", "", format_records(rows), "",
         f"{title}:", "", format_records(choice), "", "![Error and band against cost](../images/advice.png)"]))

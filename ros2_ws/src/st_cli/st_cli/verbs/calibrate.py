@@ -36,14 +36,13 @@ def calibrate(
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
     from st_core.prediction import PredictionSettings
-    from st_offline.bands.calibration_command import CalibrationJob, run_command
+    from st_offline.bands.calibration_command import run_command
 
     with shared.report_errors("calibrate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        task, vehicle, vehicle_origin = make_task(
-            read_options, model, effects, prediction, acceleration, inputs, force=force)
-        status = run_command(CalibrationJob(runs, task, output, tuple(sorted(set(level))), together), shared.console)
-    shared.report_default_car("calibrate", vehicle, vehicle_origin)
+        task, vehicle = make_task(read_options, model, effects, prediction, acceleration, inputs, force=force)
+        status = run_command(runs, task, output, sorted(set(level)), together, shared.console)
+    shared.report_default_car("calibrate", vehicle, task.vehicle_file)
     raise typer.Exit(status)
 
 

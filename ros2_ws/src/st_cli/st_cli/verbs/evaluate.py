@@ -52,31 +52,30 @@ def evaluate(
 
     Unusable runs are reported and skipped. Exit status: 0 all runs evaluated, 1 some not, 2 none.
     """
+    from st_core.bands import Bands
+    from st_core.course import Course
     from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
-    from st_offline.evaluation.work import load_bands, load_course, load_models
+    from st_offline.evaluation.work import check_bands, load_models
 
     with shared.report_errors("evaluate"):
         prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        task, vehicle, vehicle_origin = make_task(
-            read_options, model, effects, prediction, acceleration, inputs, interval, force=force,
-            starts=_parse_seconds(at), formats=shared.split_names(figures),
-            bands=None if bands is None else (str(bands), bands.read_text(encoding="utf-8")), adaptive=adaptive,
-            course=None if course is None else (str(course), course.read_text(encoding="utf-8")))
-        load_course(task)
-        load_bands(task, load_models(task))
-        status = run_command(runs, task, output, table, vehicle_origin, workers, scheduler, shared.console, advise)
-    shared.report_default_car("evaluate", vehicle, vehicle_origin)
+        parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(file.read_text(encoding="utf-8"), str(file)))
+                                       for file, kind in ((bands, Bands), (course, Course)))
+        task, vehicle = make_task(
+            read_options, model, effects, prediction, acceleration, inputs, interval, over=table, force=force,
+            starts=_parse_seconds(at), formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive,
+            course=parsed_course)
+        check_bands(task, load_models(task))
+        status = run_command(runs, task, output, workers, scheduler, shared.console, advise)
+    shared.report_default_car("evaluate", vehicle, task.vehicle_file)
     raise typer.Exit(status)
 
 
 def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None,
               prediction: "PredictionSettings", acceleration: str, inputs: Literal["interpolate", "hold"],
-              interval: float = 0.1, **others: Any) -> "tuple[Task, Path | None, str]":
-    """(task, vehicle file that the user named or None, file with the vehicle in use).
-
-    interval: between the starts [s]. others: further fields of Task.
-    """
+              interval: float = 0.1, **others: Any) -> "tuple[Task, Path | None]":
+    """(task, vehicle file that the user named or None). interval: between the starts [s]. others: fields of Task."""
     from st_core.log_evaluation import EvaluationSettings
     from st_offline.evaluation.work import Task
 
@@ -85,7 +84,8 @@ def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: P
     vehicle, read_settings = read_options.resolve()
     parameters, vehicle_origin = resolve_vehicle(vehicle, models, effects)
     settings = EvaluationSettings(prediction, interval, filtering, inputs)
-    return Task(parameters, models, settings, read_settings, effects=effects, **others), vehicle, vehicle_origin
+    task = Task(parameters, models, settings, read_settings, vehicle_file=vehicle_origin, effects=effects, **others)
+    return task, vehicle
 
 
 def read_model(name: str) -> str | tuple[str, str]:

@@ -1,12 +1,11 @@
 """The command `st calibrate`: calibrates bands from the prediction errors of runs, and writes them into a file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import LEVELS, Band, Bands, CalibrationDomain, ErrorSamples, calibrate, join_runs
+from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate, join_runs
 from st_core.bands.calibration import check_levels, compute_highest_level
 from st_core.bands.file import hash_configuration, make_times
 from st_core.bands.samples import compute_error_samples
@@ -23,37 +22,27 @@ from ..evaluation.work import Task, collect_model_hashes, load_models
 from ..terminal import print_line
 
 
-@dataclass(frozen=True)
-class CalibrationJob:
-    """Options of `st calibrate`. task: car, models and settings of the predictions. levels: nominal coverages.
-    together: whether the recordings in one entry of `runs` are dependent and count as one run."""
-
-    runs: Sequence[Path]
-    task: Task
-    output: Path
-    levels: tuple[float, ...] = LEVELS
-    together: bool = False
-
-
-def run_command(job: CalibrationJob, console: Console) -> int:
-    """Run the command; returns the exit status: 0 if every run was used, else 1. Raises StCoreError or OutputError if
-    no bands can be calibrated or written."""
-    if job.output.exists():
-        raise OutputError(f"{job.output} exists: choose another --output (existing files are not overwritten)")
-    models = load_models(job.task)
+def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool,
+                console: Console) -> int:
+    """Run the command; returns the exit status: 0 if every run was used, else 1. task: car, models and settings of the
+    predictions. levels: nominal coverages. together: whether the recordings in one entry of `runs` are dependent and
+    count as one run. Raises StCoreError or OutputError if no bands can be calibrated or written."""
+    if output.exists():
+        raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
+    models = load_models(task)
     recordings: dict[str, str] = {}
     problems: list[str] = []
-    groups = [collect_errors(find_runs(paths), job.task, models, recordings, problems, console)
-              for paths in ([[path] for path in job.runs] if job.together else [job.runs])]
-    samples = [join_runs(group) for group in groups if group] if job.together else groups[0]
-    bands = make_bands(samples, job.task, models, recordings, job.levels, console)
+    groups = [collect_errors(find_runs(paths), task, models, recordings, problems, console)
+              for paths in ([[path] for path in runs] if together else [runs])]
+    samples = [join_runs(group) for group in groups if group] if together else groups[0]
+    bands = make_bands(samples, task, models, recordings, levels, console)
     try:
-        job.output.parent.mkdir(parents=True, exist_ok=True)
-        job.output.write_text(bands.to_yaml(), encoding="utf-8")
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(bands.to_yaml(), encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{job.output}: cannot be written: {error.strerror}") from None
+        raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     starts = sum(len(run.conditions) for run in samples)
-    print_line(f"{escape(str(job.output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
+    print_line(f"{escape(str(output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
                f"starts; {len(samples)} runs support at most {compute_highest_level(len(samples)):.1%}", console)
     return 1 if problems else 0
 

@@ -150,25 +150,16 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
             for low in speeds}
 
 
-@dataclass(frozen=True)
-class Advice:
-    """Costs and accuracies by model and step [s]. unusable: reason why an accuracy is missing."""
-
-    costs: Mapping[Key, Cost]
-    accuracies: Mapping[Key, Accuracy]
-    unusable: Mapping[Key, str]
-
-
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
     """Print the tables, write advice.csv if the task has a folder; skip unusable runs. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
-        advice = measure_runs(sources, task)
-    rows = make_advice_rows(advice.costs, advice.accuracies)
+        costs, accuracies, unusable = measure_runs(sources, task)
+    rows = make_advice_rows(costs, accuracies)
     console.print(make_table(rows, title="Cost, error and band of each model and step",
-                             caption=make_caption(advice.accuracies), **TABLE_STYLE))
-    chosen = make_choice_rows(find_cheapest(advice.costs, advice.accuracies, tolerance))
+                             caption=make_caption(accuracies), **TABLE_STYLE))
+    chosen = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
     console.print(make_table(chosen, title=make_choice_title(tolerance), **TABLE_STYLE))
-    for (model, step), reason in advice.unusable.items():
+    for (model, step), reason in unusable.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     if task.folder is None:
         return
@@ -177,8 +168,10 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     list_files({file: "cost, error and band of each model and step"}, console)
 
 
-def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
-    """Measure costs on the longest usable run, accuracies on all. Raises ConfigurationError if no run is usable."""
+def measure_runs(sources: Sequence[RunSource],
+                 task: Task) -> tuple[dict[Key, Cost], dict[Key, Accuracy], dict[Key, str]]:
+    """(costs on the longest usable run, accuracies on all, reasons for missing accuracies), each by model and step.
+    Raises ConfigurationError if no run is usable."""
     settings = {variant.prediction.step: variant for variant in vary_step(task.settings)}
     models = load_models(task)
     samples: dict[Key, list[ErrorSamples]] = {}
@@ -217,7 +210,7 @@ def measure_runs(sources: Sequence[RunSource], task: Task) -> Advice:
             accuracies[name, step] = measure_accuracy(runs, name, settings[step])
         except StCoreError as error:
             unusable[name, step] = str(error)
-    return Advice(costs, accuracies, unusable)
+    return costs, accuracies, unusable
 
 
 def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:

@@ -17,7 +17,7 @@ from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, print_findings
 from ..terminal import list_files, make_progress_bars, print_line, report_problem
 from .drawing import check_formats
-from .evaluation_report import Choices, describe_settings, make_headline, make_summary, write_results
+from .evaluation_report import describe_settings, make_headline, make_summary, write_results
 from .tables import make_terminal_table
 from .work import Progress, RunReport, Task, evaluate_run
 
@@ -30,38 +30,36 @@ FILE_DESCRIPTIONS = {
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
-def run_command(paths: Sequence[Path], task: Task, output: Path | None, over: str, vehicle_file: str, workers: int,
-                scheduler: str | None, console: Console, tolerance: float | None = None) -> int:
-    """Run the command; returns the exit status: 0 if every run was evaluated, else 1. over: "means" (of each horizon)
-    or "samples", for the statistics in the table. tolerance: lateral error [m] for the advice on models; None for no
-    advice. Raises ConfigurationError, OutputError."""
+def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers: int, scheduler: str | None,
+                console: Console, tolerance: float | None = None) -> int:
+    """Run the command; returns the exit status: 0 if every run was evaluated, else 1. tolerance: lateral error [m] for
+    the advice on models; None for no advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
     began = time.perf_counter()
     sources = find_runs(paths)
     _raise_if_all_failed([source.problem for source in sources])
     task = replace(task, folder=new_folder(output, "evaluate"))
-    choices = Choices(task, over, vehicle_file)
-    found = evaluate_all(sources, task, workers, scheduler, console)
-    _raise_if_all_failed([report.problem for report in found])
-    good = [report for report in found if not report.problem]
-    title = make_headline(good, over)
+    reports = evaluate_all(sources, task, workers, scheduler, console)
+    _raise_if_all_failed([report.problem for report in reports])
+    good = [report for report in reports if not report.problem]
+    title = make_headline(good, task.over)
     with console.status("writing the report"):
-        files = write_results(found, choices, title)
-    console.print(make_terminal_table(good, over, title, console.width))
-    print_line(make_summary(good, over, task.settings.prediction.horizon)[0], console)
-    for key, value in describe_settings(choices).items():
+        files = write_results(reports, task, title)
+    console.print(make_terminal_table(good, task.over, title, console.width))
+    print_line(make_summary(good, task)[0], console)
+    for key, value in describe_settings(task).items():
         print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
     print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
         from .advice import advise  # the import takes half a second
 
-        advise([s for s, report in zip(sources, found, strict=True) if not report.problem], task, tolerance, console)
+        advise([s for s, report in zip(sources, reports, strict=True) if not report.problem], task, tolerance, console)
     for report in good:
         if text := describe_clock(report.about["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}", console)
-    print_findings({report.name: report.findings for report in found}, console)
+    print_findings({report.name: report.findings for report in reports}, console)
     list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
-    failed = [report for report in found if report.problem]
+    failed = [report for report in reports if report.problem]
     for report in failed:
         report_problem(report.name, report.problem, console)
     times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"

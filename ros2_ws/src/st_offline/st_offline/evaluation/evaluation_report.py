@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,6 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from st_core.checks import Severity
 from st_core.palette import MODEL_COLOUR
-from st_core.vehicle import VehicleParameters
 from st_recordings.results import collect_versions
 
 from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
@@ -33,42 +31,32 @@ MAX_RUNS = 40  # in the overview figure
 FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
 
-@dataclass(frozen=True)
-class Choices:
-    """Settings of the report. over: "means" (of each horizon) or "samples", for the statistics in the table."""
-
-    task: Task
-    over: str
-    vehicle_file: str
-
-
-def describe_settings(choices: Choices) -> dict[str, str]:
+def describe_settings(task: Task) -> dict[str, str]:
     """Text of each setting, by name."""
-    settings, prediction = choices.task.settings, choices.task.settings.prediction
+    settings, prediction = task.settings, task.settings.prediction
     filters = {"causal": "causal, as in the car", "zero_phase": "zero-phase (forward and backward)"}
     inputs = {"interpolate": "interpolated within a step", "hold": "held over each step"}[settings.inputs]
     return {
-        "vehicle": f"{choices.task.vehicle.name} ({choices.vehicle_file}, {choices.task.vehicle.hash[:12]})",
+        "vehicle": f"{task.vehicle.name} ({task.vehicle_file}, {task.vehicle.hash[:12]})",
         "starts": f"every {settings.interval:g} s, at {prediction.minimum_speed:g} m/s or more",
         "horizon": f"{prediction.horizon:g} s in steps of {prediction.step * 1000:g} ms, Runge-Kutta 4",
         "forward acceleration": f"derivative of the INS speed after a {prediction.filter_cutoff:g} Hz low-pass filter, "
                                 f"{filters[settings.acceleration]}",
         "measured inputs": f"{inputs}; unknown in gaps longer than {prediction.maximum_gap:g} s",
-        **({"course": choices.task.course[0]} if choices.task.course else {}),
-        "table": f"mean | max | RMSE over {tables.OVER_LABELS[choices.over]}",
+        **({"course": task.course[0]} if task.course else {}),
+        "table": f"mean | max | RMSE over {tables.OVER_LABELS[task.over]}",
     }
 
 
-def make_document(reports: Sequence[RunReport], choices: Choices) -> dict[str, Any]:
+def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
     """The content of evaluation.json."""
     good = [r for r in reports if not r.problem]
-    vehicle: VehicleParameters = choices.task.vehicle
     parts = [part for r in good for part in r.manoeuvres if _count_starts(part)]
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "vehicle": {"name": vehicle.name, "file": choices.vehicle_file, "hash": vehicle.hash},
-        "settings": {**choices.task.settings.as_dict(), "table_over": choices.over},
+        "vehicle": {"name": task.vehicle.name, "file": task.vehicle_file, "hash": task.vehicle.hash},
+        "settings": {**task.settings.as_dict(), "table_over": task.over},
         "versions": collect_versions(),
         "runs": {r.name: r.models for r in good},
         "all_runs": pool_models([r.models for r in good]),
@@ -78,7 +66,7 @@ def make_document(reports: Sequence[RunReport], choices: Choices) -> dict[str, A
         "manoeuvres": {r.name: r.manoeuvres for r in good},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
         "about": {r.name: {**r.about, "findings": findings_as_json(r.findings)} for r in good},
-        **_summarise_bands(good, choices.task),
+        **_summarise_bands(good, task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
     }
@@ -106,25 +94,25 @@ def _count_starts(entry: dict[str, Any]) -> int:
     return max((modes["hindsight"]["n_starts"] for modes in entry["models"].values()), default=0)
 
 
-def write_results(reports: Sequence[RunReport], choices: Choices, title: str) -> dict[str, Path]:
+def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[str, Path]:
     """Write all files except those in the folders of the runs; returns their paths by kind."""
-    folder = choices.task.folder
+    folder = task.folder
     assert folder is not None  # set by the command
     good = [r for r in reports if not r.problem]
-    content = make_document(reports, choices)
+    content = make_document(reports, task)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
     files["json"].write_text(_format_json(content))
     for name, rows in tables.make_csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
-    settings = describe_settings(choices)
+    settings = describe_settings(task)
     about = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
              f"{settings['measured inputs']}.")
-    files["latex"].write_text(tables.make_latex_table(good, choices.over, about))
-    output = FigureOutput(folder, choices.task.formats)
-    overview = draw_overview(good, choices.over, output)
+    files["latex"].write_text(tables.make_latex_table(good, task.over, about))
+    output = FigureOutput(folder, task.formats)
+    overview = draw_overview(good, task.over, output)
     band_figures = draw_bands(content.get("bands_all_runs", {}), output)
-    write_page(files["page"], title, reports, content, settings, overview, band_figures, choices.over)
+    write_page(files["page"], title, reports, content, task, overview, band_figures)
     return files
 
 
@@ -139,7 +127,7 @@ def _format_json(content: dict[str, Any]) -> str:
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
-               settings: dict[str, str], overview: PageFigure | None, bands: Sequence[PageFigure], over: str) -> None:
+               task: Task, overview: PageFigure | None, bands: Sequence[PageFigure]) -> None:
     """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
@@ -151,15 +139,14 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
-        title=title, summary=make_summary(good, over, content["settings"]["horizon"]), reports=good, content=content,
-        problems={r.name: r.problem for r in reports if r.problem}, settings=settings,
+        title=title, summary=make_summary(good, task), reports=good, content=content,
+        problems={r.name: r.problem for r in reports if r.problem}, settings=describe_settings(task),
         findings={r.name: r.findings for r in reports}, leading=leading, band_figures=bands,
         band_rows=make_band_rows(pooled_bands),
         adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=make_share_rows(pooled_bands.get("shares", {})),
-        over=over, samples=tables.OVER_LABELS[over], axes=tables.REPORTED_AXES, kinds=tables.STATISTICS, modes=modes,
-        figures={good[0].name: run_figures} if run_figures else {}, in_metres=tables.format_metres, best=tables.is_best,
-        values=tables.get_axis_statistics, slug=to_file_name)
+        over=task.over, tables=tables, modes=modes, figures={good[0].name: run_figures} if run_figures else {},
+        slug=to_file_name)
     file.write_text(text, encoding="utf-8")
 
 
@@ -210,20 +197,20 @@ def make_headline(reports: Sequence[RunReport], over: str) -> str:
     return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_metres(size)} m" for size, model in ranked)
 
 
-def make_summary(reports: Sequence[RunReport], over: str, horizon: float) -> list[str]:
+def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     """At most three paragraphs: the errors, the findings of the checks, the steering clock."""
-    models = pool_models([r.models for r in reports])
+    models, over = pool_models([r.models for r in reports]), task.over
     best = min(models, key=lambda m: get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    held, *ahead = (f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
-                    for mode, label in FORECAST_LABELS.items() if mode in models[best])
+    errors = ", ".join(f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
+                       for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
     groups = group_by_name({r.name: r.findings for r in reports})
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
                        for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
-    return [f"{minutes:.1f} minutes of driving, predictions over {horizon:g} s. With the measured inputs (hindsight), "
-            "the error is due to the model; with the inputs of the start held (forecast), it also contains the effect "
-            f"of the driver's later inputs: the lateral RMSE of {best} is then {', '.join([held, *ahead])}.",
+    return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With the "
+            "measured inputs (hindsight), the error is due to the model; with the inputs of the start held (forecast), "
+            f"it also contains the effect of the driver's later inputs: the lateral RMSE of {best} is then {errors}.",
             f"Faults of the recordings bias these errors: {faults}." if faults else
             "The checks found no error or warning.",
             *([f"{steering}."] if steering else [])]

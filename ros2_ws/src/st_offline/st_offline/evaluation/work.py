@@ -23,7 +23,6 @@ from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.planned_inputs import SLIP_FREE, path_inputs, recorded_plan
-from st_core.prediction import PredictionSettings
 from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
@@ -46,7 +45,8 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, fo
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: names, or (file name, content) of a model.yaml. starts: times of the
+    """Settings of an evaluation. models: names, or (file name, content) of a model.yaml. vehicle_file: source of
+    `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table. starts: times of the
     predictions drawn in detail [s], () for an automatic choice. folder: folder of the results; None for no files.
     formats: of the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name,
     content). adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
@@ -55,12 +55,14 @@ class Task:
     models: tuple[str | tuple[str, str], ...]
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read: ReadSettings = field(default_factory=ReadSettings)
+    vehicle_file: str = ""
+    over: str = "means"
     starts: tuple[float, ...] = ()
     folder: Path | None = None
     formats: tuple[str, ...] = ("png", "pdf")
     force: bool = False
-    bands: tuple[str, str] | None = None
-    course: tuple[str, str] | None = None
+    bands: tuple[str, Bands] | None = None
+    course: tuple[str, Course] | None = None
     adaptive: bool = False
     effects: Path | None = None
 
@@ -105,7 +107,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     models, prediction = load_models(task), task.settings.prediction
     with in_background(lambda: (_check_run(source, run, task, models), segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
-        bands = load_bands(task, models)
+        check_bands(task, models)
+        bands = task.bands[1] if task.bands else None
         scorer = Scorer(bands, signals) if bands else None
         adaptive = AdaptiveScorer(bands, signals, prediction) if task.adaptive else None
         active_scorers: list[Any] = [s for s in (scorer, adaptive) if s]
@@ -115,7 +118,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 active.add(starts, block)
 
         try:
-            future_inputs = make_future_inputs(run, signals, task.vehicle, prediction, load_course(task))
+            future_inputs = make_future_inputs(run, signals, task)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=score, future_inputs=future_inputs)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
@@ -200,17 +203,15 @@ def parse_model_files(task: Task) -> list[ModelFile]:
     return [ModelFile.from_yaml(text, name) for name, text in (m for m in task.models if not isinstance(m, str))]
 
 
-def load_bands(task: Task, models: Sequence[Model]) -> Bands | None:
-    """Bands of a task, None without a file. Raises ConfigurationError for bands of another car, model or setting."""
+def check_bands(task: Task, models: Sequence[Model]) -> None:
+    """Raise ConfigurationError for bands of another car, model or setting."""
     if task.bands is None:
-        return None
-    origin, text = task.bands
-    bands = Bands.from_yaml(text, origin)
+        return
+    origin, bands = task.bands
     try:
         bands.check(task.vehicle, collect_model_hashes(task, models), task.settings)
     except ConfigurationError as error:
         raise ConfigurationError(f"{origin}: {error}") from None
-    return bands
 
 
 def collect_model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
@@ -235,18 +236,19 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
     tables.write_csv(file, (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)))
 
 
-def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehicleParameters, prediction: PredictionSettings,
-                       course: Course | None) -> dict[Mode, FutureInputs]:
+def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers
     and a course at another location, ConfigurationError for planned columns whose times do not increase."""
     inputs: dict[Mode, FutureInputs] = {}
-    plan = _read_planned_columns(run.provenance["files"], vehicle)
+    prediction, files = task.settings.prediction, run.provenance["files"]
+    plan = _read_planned_columns(files, task.vehicle)
     if plan is not None:
         inputs["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
-    if course is not None:
-        others = course.exclude(list(run.provenance["files"].values()))
+    if task.course is not None:
+        course = task.course[1]
+        others = course.exclude(list(files.values()))
         if course.origin is not None and "origin" in run.provenance:
             latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
             try:
@@ -254,13 +256,8 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, vehicle: VehiclePara
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None
-        inputs["course"] = course_inputs(others, signals, vehicle, prediction.horizon, prediction.step)
+        inputs["course"] = course_inputs(others, signals, task.vehicle, prediction.horizon, prediction.step)
     return inputs
-
-
-def load_course(task: Task) -> Course | None:
-    """Course of a task, None without a file. Raises ConfigurationError for an invalid file."""
-    return None if task.course is None else Course.from_yaml(task.course[1], task.course[0])
 
 
 def _read_planned_columns(files: Mapping[str, str],
