@@ -3,8 +3,8 @@
 import logging
 import math
 import struct
-import threading
 import time
+from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -71,8 +71,7 @@ class CanedgeBridge(Node):
         self._steering = self.create_publisher(Steering, "vehicle/steering", SAMPLE_QOS)
         self._wheel_speeds = OnDemandPublisher(self.create_publisher(WheelSpeeds, "vehicle/wheel_speeds", SAMPLE_QOS))
         self._ins_on_can = OnDemandPublisher(self.create_publisher(InsOnCan, "vehicle/ins_on_can", SAMPLE_QOS))
-        self._frames: list[bytes] = []
-        self._frames_lock = threading.Lock()
+        self._frames: deque[bytes] = deque()  # serialised, not published yet
         if settings.publish_frames:
             self._can_frames = self.create_publisher(CanFrames, "can/frames", SAMPLE_QOS)
             self._frames_timer = self.create_timer(FRAMES_PERIOD, self._publish_frames)
@@ -115,8 +114,7 @@ class CanedgeBridge(Node):
 
     def _on_frame(self, frame: can.Message, time_ns: int) -> None:
         if self._settings.publish_frames:
-            with self._frames_lock:
-                self._frames.append(serialise_frame(frame, time_ns))
+            self._frames.append(serialise_frame(frame, time_ns))
         decoded = self._decoder.decode(frame, time_ns)
         if decoded is not None:
             self._publish(decoded)
@@ -136,9 +134,8 @@ class CanedgeBridge(Node):
             self._ins_on_can.publish(InsOnCan(header=_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:
-        with self._frames_lock:
-            frames, self._frames = self._frames, []
-        if frames:
+        # The receive thread appends frames meanwhile.
+        if frames := [self._frames.popleft() for _ in range(len(self._frames))]:
             self._can_frames.publish(serialise_frames(frames, self._bus_name))
 
     def _on_state(self, state: BusState, reason: str) -> None:

@@ -27,16 +27,15 @@ class Health:
     live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
     ellipsoidal altitude. silence_after: time without a packet that is an error [s].
 
-    The node updates the public attributes. last_packet_at: time of receipt on the monotonic clock [s].
-    minute_from_host: whether the GPS minute is taken from the host's clock. failures: number of packets that could not
-    be published. incomplete: number of packets with a fix, but with an invalid position, velocity, angle or rate.
+    The node updates the public attributes. last_packet_at: time of receipt on the monotonic clock [s]. failures: number
+    of packets that could not be published. incomplete: number of packets with a fix, but with an invalid position,
+    velocity, angle or rate.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
                  source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
-        self.minute_from_host = False
         self.failures = self.incomplete = 0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
@@ -136,7 +135,7 @@ class Health:
         degraded, missing = [], []
         if self._parser.clock.minute is None:
             degraded.append("absolute time (channel 0): only ins/ncom can be stamped")
-        elif self.minute_from_host:
+        elif self._parser.minute_from_host:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:
             degraded.append("geoid undulation (channel 48): altitude of ins/nav_sat_fix is NaN")

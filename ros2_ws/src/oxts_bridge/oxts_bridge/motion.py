@@ -9,7 +9,7 @@ from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd
 from .ncom import Packet
 from .packet_time import NEW, SAME
 from .status import StatusTracker
-from .stream import HostMinute, NcomParser, ReceivedPacket
+from .stream import NcomParser, ReceivedPacket
 
 FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
 # A unit with a local frame sends it at least every 200 packets; after this time [ns], the unit is taken to have none.
@@ -129,7 +129,7 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".
     """
-    parser, status, minute = NcomParser(), StatusTracker(), HostMinute()
+    parser, status = NcomParser(), StatusTracker()
     for received_ns, raw in packets:
         for received in parser.feed(raw, received_ns if live else None):
             received.received_ns = received_ns
@@ -141,8 +141,6 @@ def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, l
             frame = None if motion is None else origin.update(motion, status, received_ns)
             if received.kind != "regular" or received.order != NEW:
                 continue
-            if live:
-                minute.update(received, received_ns, parser.clock)
             stamp = received_ns if by_receive_time else received.utc_ns
             if motion is not None and frame is not None and stamp is not None:
                 yield stamp, motion.locate(frame), motion

@@ -16,11 +16,11 @@ from .convert import Publishers
 from .geometry import LocalFrame, Vector
 from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
-from .ncom import NcomError
+from .ncom import NcomError, Packet
 from .packet_time import DUPLICATE, NEW, SAME, to_unix_nanoseconds
-from .sources import Continuity, ReplaySource, Source, UdpSource
+from .sources import ReplaySource, Source, UdpSource, continues_stream
 from .status import EventLog, StatusTracker
-from .stream import HostMinute, NcomParser, ReceivedPacket, StreamStatistics
+from .stream import NcomParser, ReceivedPacket, StreamStatistics
 
 TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger", "origin")
 NCOM, RECEIVE = "ncom", "receive"
@@ -88,14 +88,13 @@ class OxtsBridge(LifecycleNode):
         given = (s.origin_latitude, s.origin_longitude, s.origin_altitude) if s.origin_source == GIVEN else None
         self._parser, self._status, self._events = NcomParser(), StatusTracker(), EventLog()
         self._origin, self._statistics = Origin(s.origin_source, given), StreamStatistics()
-        self._continuity = Continuity()
         self._accuracy = Accuracy.from_status(self._status)
         self._health = Health(
             self._parser, self._status, self._origin, self._statistics,
             lambda: None if self._source is None else self._source.status,
             self._live, s.altitude_is_ellipsoidal, s.silence_after)
-        self._minute = HostMinute()
         self._published_frame: LocalFrame | None = None
+        self._newest_packet: Packet | None = None
         self._reported: tuple | None = None
         self._reported_at = self._clock_at = float("-inf")
 
@@ -138,7 +137,7 @@ class OxtsBridge(LifecycleNode):
         s = self._settings
         if self._live:
             return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger,
-                             self._continuity.continues)
+                             lambda data: continues_stream(self._newest_packet, data))
         return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
                             s.start_offset)
 
@@ -173,8 +172,6 @@ class OxtsBridge(LifecycleNode):
             return
         if received.rule.is_defined:
             self._health.navigation_status = received.packet.navigation_status
-        if received.rule.has_time and received.packet.channel == 0:
-            self._health.minute_from_host = False
         if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
             self._accuracy = Accuracy.from_status(self._status)
         if not publish:
@@ -189,10 +186,8 @@ class OxtsBridge(LifecycleNode):
             utc_ns = to_unix_nanoseconds(event_ns, self._parser.utc_offset)
             publishers.publish_trigger(utc_ns, received.packet.channel, received.packet.batch_s[7], *pose)
         if in_series:
-            self._continuity.update(received.packet)
+            self._newest_packet = received.packet
             self._statistics.add(received)
-            if self._live and self._minute.update(received, received_ns, self._parser.clock):
-                self._health.minute_from_host = True
             self._publish_motion(publishers, received, motion, position, now)
         self._publish_status(publishers, received.utc_ns if received.utc_ns is not None else received_ns, now)
 

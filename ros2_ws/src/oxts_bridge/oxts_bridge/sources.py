@@ -37,35 +37,27 @@ EARTH_RADIUS = 6_371_000.0  # m; the error of 0.5 % is far below the tolerance f
 OnData = Callable[[bytes, int, bool], int]
 
 
-class Continuity:
-    """Distinguishes a continued stream from a second unit at the same address, by time and position."""
+def continues_stream(newest: Packet | None, data: bytes) -> bool:
+    """Whether a datagram continues a stream, and is not of a second unit at the same address.
 
-    def __init__(self) -> None:
-        self._newest: Packet | None = None
-
-    def update(self, packet: Packet) -> None:
-        """Remember the newest packet of the stream in use."""
-        self._newest = packet
-
-    def continues(self, data: bytes) -> bool:
-        """Whether the first packet of a datagram is at most 1 s later than the newest packet, at a position consistent
-        with the velocity; false if it is no packet, or a position or velocity is unknown."""
-        before = self._newest
-        try:
-            packet = decode(data[:PACKET_SIZE])
-        except NcomError:
-            return False
-        if before is None:
-            return False
-        elapsed_ms = (packet.milliseconds - before.milliseconds) % MINUTE_MS
-        north = (packet.latitude - before.latitude) * EARTH_RADIUS
-        east = (packet.longitude - before.longitude) * EARTH_RADIUS * cos(before.latitude)
-        # Rows (x, y, yaw, v_x, v_y) in axes that point east and north.
-        rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
-                     for x, y, p in ((0.0, 0.0, before), (east, north, packet)))
-        if not 0 < elapsed_ms <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
-            return False
-        return not unexplained_step(elapsed_ms * 1.0e-3, *rows)
+    Its first packet must be at most 1 s later than the newest packet of the stream, at a position consistent with the
+    velocity. False if it is no packet, or if a position or velocity is unknown.
+    """
+    try:
+        packet = decode(data[:PACKET_SIZE])
+    except NcomError:
+        return False
+    if newest is None:
+        return False
+    elapsed_ms = (packet.milliseconds - newest.milliseconds) % MINUTE_MS
+    north = (packet.latitude - newest.latitude) * EARTH_RADIUS
+    east = (packet.longitude - newest.longitude) * EARTH_RADIUS * cos(newest.latitude)
+    # Rows (x, y, yaw, v_x, v_y) in axes that point east and north.
+    rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
+                 for x, y, p in ((0.0, 0.0, newest), (east, north, packet)))
+    if not 0 < elapsed_ms <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
+        return False
+    return not unexplained_step(elapsed_ms * 1.0e-3, *rows)
 
 
 @dataclass
@@ -121,7 +113,7 @@ class UdpSource(Source):
     def __init__(self, address: str, port: int, sender_filter: str, on_data: OnData, on_change: Callable[[], None],
                  continues: Callable[[bytes], bool] = lambda data: False):
         """sender_filter: IP address, or empty for any sender. on_change: called from the thread when `problem` changes.
-        continues: tests whether a datagram from another port continues the stream, see Continuity."""
+        continues: tests whether a datagram from another port continues the stream, see `continues_stream`."""
         super().__init__(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues

@@ -40,12 +40,18 @@ class ReceivedPacket:
 
 
 class NcomParser:
-    """Parses datagrams or pieces of a file; a packet may extend over several of them."""
+    """Parses datagrams or pieces of a file; a packet may extend over several of them.
+
+    utc_offset: UTC - GPS as sent by the unit [s], None until then. minute_from_host: whether the GPS minute is from the
+    host's clock, because a live stream lacks channel 0, normally in every 10th packet.
+    """
 
     def __init__(self) -> None:
         self.clock = GpsClock()
         self.counters = Counters()
         self.utc_offset: int | None = None
+        self.minute_from_host = False
+        self._untimed_since_ns: int | None = None  # time of receipt of the first packet without a minute
         self._tail = b""
         self._consumed = 0  # bytes of the stream before the tail
         self._in_sync = True  # a packet is expected at the beginning of the tail
@@ -114,7 +120,17 @@ class NcomParser:
         elif order == LATE:
             self.counters.late += 1
         self._last_raw = raw
-        return None if gps_ms is None else gps_ms * 1_000_000, order
+        self.minute_from_host &= minute is None
+        if gps_ms is not None:
+            self._untimed_since_ns = None
+            return gps_ms * 1_000_000, order
+        if received_ns is not None:
+            if self._untimed_since_ns is None:
+                self._untimed_since_ns = received_ns
+            if received_ns - self._untimed_since_ns > HOST_MINUTE_DELAY_NS:
+                self.clock.hint(packet_time.compute_host_minute(received_ns, packet.milliseconds))
+                self.minute_from_host = True
+        return None, order
 
     def _compute_event_time(self, packet: Packet, raw: bytes) -> tuple[int | None, int]:
         """GPS time [ns] of an event, None if the packet contains none, and order of the packet."""
@@ -142,26 +158,6 @@ class NcomParser:
         if status == ncom.STATUS_ONLY:
             self.clock.hint(minute)
         return minute
-
-
-class HostMinute:
-    """Sets the GPS minute from the host clock if a live stream lacks channel 0, normally in every 10th packet."""
-
-    def __init__(self) -> None:
-        self._untimed_since: int | None = None
-
-    def update(self, received: ReceivedPacket, received_ns: int, clock: GpsClock) -> bool:
-        """Process a regular packet and its time of receipt [ns]; returns whether the minute of the clock was set."""
-        if not received.rule.has_time or received.gps_ns is not None:
-            self._untimed_since = None
-            return False
-        if self._untimed_since is None:
-            self._untimed_since = received_ns
-        if received_ns - self._untimed_since <= HOST_MINUTE_DELAY_NS:
-            return False
-        is_unknown = clock.minute is None
-        clock.hint(packet_time.compute_host_minute(received_ns, received.packet.milliseconds))
-        return is_unknown
 
 
 class StreamStatistics:

@@ -7,7 +7,7 @@ import time
 
 import pytest
 from oxts_bridge.ncom import NcomError, decode
-from oxts_bridge.sources import EARTH_RADIUS, Continuity, ReplaySource, UdpSource
+from oxts_bridge.sources import EARTH_RADIUS, ReplaySource, UdpSource, continues_stream
 from oxts_bridge.stream import NcomParser, StreamStatistics
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
@@ -133,14 +133,14 @@ class TestTwoUnitsAtOneAddress:
 
     @pytest.fixture
     def source(self, sink, port):
-        stream = Continuity()
+        newest = []
 
         def on_data(data, received_ns, publish):
-            for packet in NcomParser().feed(data):
-                stream.update(packet.packet)
+            newest[:] = [received.packet for received in NcomParser().feed(data)][-1:] or newest
             return sink.on_data(data, received_ns, publish)
 
-        source = UdpSource("127.0.0.1", port, "", on_data, sink.on_change, stream.continues)
+        source = UdpSource("127.0.0.1", port, "", on_data, sink.on_change,
+                           lambda data: continues_stream(newest[0], data))
         source.start()
         yield source
         source.stop()
@@ -175,14 +175,12 @@ class TestTwoUnitsAtOneAddress:
     ({"latitude": math.nan}, False),
 ])
 def test_stream_continues_at_a_reachable_position(packet, changes, continues):
-    stream = Continuity()
-    later = packet(START + 10, **changes)
-    assert not stream.continues(later)  # no packet before
-    stream.update(decode(packet(START)))
-    assert stream.continues(later) is continues
-    assert not stream.continues(packet(START, **changes))  # not later
-    assert not stream.continues(packet(START + 5000, **changes))  # too late
-    assert not stream.continues(b"not ncom")
+    newest, later = decode(packet(START)), packet(START + 10, **changes)
+    assert continues_stream(newest, later) is continues
+    assert not continues_stream(None, later)  # no packet before
+    assert not continues_stream(newest, packet(START, **changes))  # not later
+    assert not continues_stream(newest, packet(START + 5000, **changes))  # too late
+    assert not continues_stream(newest, b"not ncom")
 
 
 def test_busy_port_is_reported_and_opened_when_it_is_free(udp, sink, port, drive):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oxts_bridge import ncom
 from oxts_bridge.channels import encode_channel
 from oxts_bridge.file_decoder import KINDS, UNKNOWN_TIME, decode_file
-from oxts_bridge.packet_time import DUPLICATE, LATE, NEW
+from oxts_bridge.packet_time import DUPLICATE, LATE, NEW, to_unix_nanoseconds
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
 
@@ -316,3 +316,15 @@ def test_week_rollover_in_stream_and_file(drive):
     received = NcomParser().feed(b"".join(packets))
     times = [(10_080 * 2383 * 60_000 - 100 + 4 * i) * 1_000_000 for i in range(60)]
     assert [r.gps_ns for r in received] == times == decode_file(b"".join(packets)).gps_ns.tolist()
+
+
+def test_minute_of_a_live_stream_is_from_the_host_until_the_unit_sends_it(drive):
+    parser, first_ns = NcomParser(), to_unix_nanoseconds(START * 1_000_000)
+    packets = [*drive(7, START, 500, every=0), *drive(1, START + 3_500), *drive(1, START + 4_000, every=0)]
+    known = []
+    for i, data in enumerate(packets):
+        gps_ns = parser.feed(data, first_ns + 500_000_000 * i)[0].gps_ns
+        assert gps_ns in (None, (START + 500 * i) * 1_000_000)
+        known.append((gps_ns is not None, parser.minute_from_host))
+    assert known == [(False, False)] * 5 + [(False, True), (True, True), (True, False), (True, False)]
+    assert all(received.gps_ns is None for received in NcomParser().feed(b"".join(packets[:7])))
