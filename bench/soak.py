@@ -24,7 +24,7 @@ from faults.catalogue import CAN, HANGING, INS, KILLED, Fault
 from faults.rig import Rig, running
 from st_core.palette import RC
 from st_recordings.mcap import recover
-from st_recordings.runs.bag import open_bag
+from st_recordings.runs.bag_storage import open_bag
 
 FIGURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "soak.png"
 MAX_FAULT_DURATION = 12.0  # s; longer faults have rows in the fault table

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from st_recordings.runs.bag import ODOMETRY, definitions_folder
+from st_recordings.runs.bag import ODOMETRY
 from st_recordings.runs.cdr import load_typestore
 
-STORE = load_typestore(definitions_folder())
+STORE = load_typestore()
 
 
 def make(name: str, /, **values: Any) -> Any:

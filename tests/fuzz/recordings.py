@@ -17,7 +17,7 @@ from rosbags.rosbag2 import ReaderError
 from st_recordings.mcap import BagWriter, RecoveryError, recover
 from st_recordings.mcap_contents import read_records
 from st_recordings.runs import csv
-from st_recordings.runs.bag import ODOMETRY, STEERING, definitions_folder, read_bag
+from st_recordings.runs.bag import ODOMETRY, STEERING, read_bag
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import decode_signals, load_signal_table
 from st_recordings.runs.cdr import load_typestore
@@ -110,7 +110,7 @@ def _read_with_rosbags(bag: Path) -> str:
 
 def _make(name: str, **values: object) -> object:
     """A message; fields without a value are zero."""
-    store = load_typestore(definitions_folder())
+    store = load_typestore()
     fields = {}
     for field, (kind, detail) in store.get_msgdef(name).fields:
         if field in values:
@@ -125,7 +125,7 @@ def _make(name: str, **values: object) -> object:
 
 
 def _drive_bag(folder: Path) -> Path:
-    store, bag = load_typestore(definitions_folder()), BagWriter(folder / "drive")
+    store, bag = load_typestore(), BagWriter(folder / "drive")
     topics = {}
     for name, topic in ((ODOMETRY, "/ins/odometry"), (STEERING, "/vehicle/steering")):
         definition, _ = store.generate_msgdef(name, ros_version=2)

@@ -16,7 +16,6 @@ from st_cli.cli import app
 from st_core.vehicle import VehicleParameters
 from st_recordings.bag_metadata import read_type_hash
 from st_recordings.runs import LoadedRun, RunError, find_runs, read
-from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.frames import ERROR, EXTENDED, REMOTE
@@ -74,7 +73,7 @@ def bag_run(imported: Path, leaf: VehicleParameters) -> LoadedRun:
 @pytest.fixture(scope="module")
 def messages(imported: Path) -> list[tuple[str, int, Any]]:
     """(topic, log time [ns], message) of all messages of the bag."""
-    with AnyReader([imported], default_typestore=load_typestore(definitions_folder())) as reader:
+    with AnyReader([imported], default_typestore=load_typestore()) as reader:
         return [(connection.topic, log_ns, reader.deserialize(data, connection.msgtype))
                 for connection, log_ns, data in reader.messages()]
 
@@ -281,7 +280,7 @@ def test_installed_ros_types_deserialise_every_topic(imported: Path) -> None:
     topics = {t["topic_metadata"]["name"]: t["topic_metadata"] for t in information["topics_with_message_count"]}
     assert set(topics) == {"/ins/odometry", "/ins/ncom", "/vehicle/steering", "/vehicle/wheel_speeds", "/can/frames"}
     checked = set()
-    with AnyReader([imported], default_typestore=load_typestore(definitions_folder())) as reader:
+    with AnyReader([imported], default_typestore=load_typestore()) as reader:
         for connection, _, data in reader.messages():
             if connection.topic in checked:
                 continue

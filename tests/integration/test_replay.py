@@ -73,10 +73,9 @@ def external(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive as of another recorder: odometry in the frame `odom`, the road wheel angle as Float64, a text topic."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from st_recordings.runs.bag import definitions_folder
     from st_recordings.runs.cdr import load_typestore
 
-    base, store = tmp_path_factory.mktemp("external"), load_typestore(definitions_folder())
+    base, store = tmp_path_factory.mktemp("external"), load_typestore()
     odometry, number, text = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64", "std_msgs/msg/String"
     types = {"/localization": odometry, "/steer": number, "/chatter": text}
     with (AnyReader([recording], default_typestore=store) as reader,

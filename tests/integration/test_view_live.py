@@ -192,7 +192,6 @@ def test_plotted_errors_equal_those_of_the_evaluator(recorded) -> None:
 
 
 def test_relay_serves_messages_and_schema_on_loopback_only(tmp_path: Path) -> None:
-    from st_recordings.runs.bag import definitions_folder
     from st_recordings.runs.cdr import load_typestore
 
     processes = Processes(tmp_path)
@@ -208,7 +207,7 @@ def test_relay_serves_messages_and_schema_on_loopback_only(tmp_path: Path) -> No
         processes.close()
     assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
     assert "uint64 predicted" in channel["schema"]
-    status = load_typestore(definitions_folder()).deserialize_cdr(data, channel["schemaName"])
+    status = load_typestore().deserialize_cdr(data, channel["schemaName"])
     assert status.reason == "INS: nothing received yet" and status.predicted == 0
 
 

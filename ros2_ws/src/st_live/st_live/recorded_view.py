@@ -16,7 +16,8 @@ from st_predictor import convert
 from st_predictor.map_drawing import History, Pose, Ribbon, make_car_outline
 from st_recordings.recorded_results import find_configuration
 from st_recordings.results import format_band_lines
-from st_recordings.runs.bag import definitions_folder, open_bag, read_bag
+from st_recordings.runs.bag import read_bag
+from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import load_typestore
 from st_ros.polling import to_nanoseconds
 
@@ -266,7 +267,7 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
     stream.set_sinks(rr.FileSink(str(file)), default_blueprint=make_blueprint())
     scene = Scene(stream, car, recorded.nodes.get("predictor", {}).get("map_frame", "map"))
     n_frames, due_ns = 0, 0
-    with AnyReader([bag], default_typestore=load_typestore(definitions_folder())) as reader:
+    with AnyReader([bag], default_typestore=load_typestore()) as reader:
         # The topics of the suite may be recorded in any namespace.
         kinds = {c.topic: kind for c in reader.connections for topic, kind in TOPICS.items()
                  if f"/{c.topic}".endswith(f"/{topic.lstrip('/')}")}

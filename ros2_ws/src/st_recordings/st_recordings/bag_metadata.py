@@ -84,7 +84,7 @@ class BagFile:
 class BagInformation:
     """Content of metadata.yaml."""
 
-    files: list[BagFile]
+    files: Sequence[BagFile]
     topics: list[Topic]
     custom: Mapping[str, str] = field(default_factory=dict)
 

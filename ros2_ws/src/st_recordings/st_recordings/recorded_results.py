@@ -13,9 +13,8 @@ from st_core.vehicle import VehicleParameters
 from .car import read_vehicle
 from .paths import config
 from .runs import RunError
-from .runs.bag import definitions_folder, open_bag
-from .runs.bag_storage import recorded_parameters, recorded_text
-from .runs.cdr import get_field, load_typestore
+from .runs.bag_storage import open_bag, recorded_parameters, recorded_text
+from .runs.cdr import get_field
 
 PREDICTION, ERROR = "st_msgs/msg/Prediction", "st_msgs/msg/PredictionError"
 PLANNED = "st_msgs/msg/PlannedPrediction"
@@ -149,13 +148,11 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
 
     progress: called with the number of messages read in a bag, and the number of all such messages in it.
     """
-    store = load_typestore(definitions_folder())
     for bag in bags:
         storage = open_bag(bag)
-        topics = [t for t in storage.topics() if t.type_name == type_name and t.count and t.name.endswith(topic_end)]
+        topics = [t for t in storage.topics if t.type_name == type_name and t.name.endswith(topic_end)]
         total = sum(t.count for t in topics)
-        messages = chain.from_iterable(storage.messages(t.name) for t in topics)
-        for count, data in enumerate(messages, 1):
-            yield store.deserialize_cdr(data, type_name)
+        for count, (_, message) in enumerate(chain.from_iterable(map(storage.deserialise, topics)), 1):
+            yield message
             if progress and (count % 500 == 0 or count == total):
                 progress(count, total)

@@ -8,7 +8,7 @@ import fcntl
 import os
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import count
@@ -32,17 +32,12 @@ class RecoveryError(ValueError):
 
 
 @dataclass
-class FileReport:
-    """Result for one file."""
+class FileReport(BagFile):
+    """Result for one file. count, start_ns, end_ns: of the messages kept."""
 
-    path: Path
     intact: bool = False  # closed and without damage: not changed, or copied to the output
-    messages: int = 0  # number of messages kept
-    kept_bytes: int = 0  # up to the end of the data section
     lost_bytes: int = 0  # truncated or damaged
     damaged_records: int = 0
-    start_ns: int = 0  # first log time
-    end_ns: int = 0
     original: Path | None = None  # new path of the damaged file, if it was repaired in place
 
 
@@ -50,9 +45,7 @@ class FileReport:
 class RecoveryReport:
     """Result of a recovery."""
 
-    path: Path  # of the repaired bag directory or file
     files: list[FileReport] = field(default_factory=list)
-    topics: dict[str, int] = field(default_factory=dict)  # topic -> number of messages kept
     metadata_rebuilt: bool = False
 
     @property
@@ -62,19 +55,20 @@ class RecoveryReport:
 
     @property
     def messages(self) -> int:
-        return sum(f.messages for f in self.files)
+        """Number of messages kept."""
+        return sum(f.count for f in self.files)
 
     def __str__(self) -> str:
         """One line per file, for a terminal."""
         lines = []
-        for found in self.files:
-            seconds = (found.end_ns - found.start_ns) / 1e9
-            state = "intact, unchanged" if found.intact else f"repaired, {found.lost_bytes} bytes could not be kept"
-            if found.damaged_records:
-                state += f", {found.damaged_records} damaged records left out"
-            if found.original:
-                state += f", the original is {found.original.name}"
-            lines.append(f"{found.path.name}: {found.messages} messages over {seconds:.1f} s, {state}")
+        for file in self.files:
+            state = "intact, unchanged" if file.intact else f"repaired, {file.lost_bytes} bytes could not be kept"
+            if file.damaged_records:
+                state += f", {file.damaged_records} damaged records left out"
+            if file.original:
+                state += f", the original is {file.original.name}"
+            seconds = (file.end_ns - file.start_ns) / 1e9
+            lines.append(f"{file.name}: {file.count} messages over {seconds:.1f} s, {state}")
         if self.metadata_rebuilt:
             lines.append(f"{FILE_NAME}: rebuilt")
         return "\n".join(lines)
@@ -100,10 +94,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
             return _recover_directory(path, target)
         if not path.is_file():
             raise RecoveryError(f"{path} does not exist")
-        report = RecoveryReport(target)
-        contents = _recover_file(path, target, report)
-        report.topics = _count_messages(_build_information(report.files, [contents], path.parent))
-        return report
+        return RecoveryReport([_recover_file(path, target)[0]])
     except OSError as error:
         name = error.filename or target
         raise RecoveryError(f"{name}: {error.strerror or error}; this file is unchanged") from error
@@ -113,31 +104,29 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
     files = sorted(source.glob("*.mcap"), key=natural_sort_key)
     if not files:
         raise RecoveryError(f"{source} has no .mcap file")
-    report = RecoveryReport(target)
     if target != source:
         target.mkdir(parents=True)
-    contents = [_recover_file(file, target / file.name, report) for file in files]
-    information = _build_information(report.files, contents, source)
-    report.topics = _count_messages(information)
+    recovered = [_recover_file(file, target / file.name) for file in files]
+    report = RecoveryReport([file for file, _ in recovered])
+    information = _build_information(report.files, [contents for _, contents in recovered], source)
     if not _metadata_matches(target, information):
         information.save(target)
         report.metadata_rebuilt = True
     return report
 
 
-def _recover_file(source: Path, target: Path, recovery: RecoveryReport) -> Contents:
+def _recover_file(source: Path, target: Path) -> tuple[FileReport, Contents]:
     with source.open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         _check_recoverable(stream, source, size)
-        contents, report = Contents(), FileReport(target)
-        report.kept_bytes = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, report)))
-        report.intact = not report.damaged_records and _is_closed(stream, contents, report)
+        contents, report = Contents(), FileReport(target.name)
+        end_of_data = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, report)))
+        report.intact = not report.damaged_records and _is_closed(stream, contents, end_of_data)
         if not (report.intact and target == source):
             contents = _write_repaired(stream, size, source, target, report)
-    report.messages = contents.counts().total()
+    report.count = contents.counts().total()
     report.start_ns, report.end_ns = contents.times()
-    recovery.files.append(report)
-    return contents
+    return report, contents
 
 
 def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
@@ -154,9 +143,12 @@ def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
         raise RecoveryError(f"{source} was cut before anything was recorded")
 
 
-def _is_closed(stream: BinaryIO, contents: Contents, report: FileReport) -> bool:
-    """Whether a valid summary that counts the same messages follows the data, as in a closed file."""
-    stream.seek(report.kept_bytes)
+def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
+    """Whether a valid summary that counts the same messages follows the data, as in a closed file.
+
+    end_of_data: position of the byte after the data section.
+    """
+    stream.seek(end_of_data)
     end = BytesIO(stream.read())
     try:
         data_end, *summary, footer = StreamReader(end, skip_magic=True).records
@@ -164,7 +156,7 @@ def _is_closed(stream: BinaryIO, contents: Contents, report: FileReport) -> bool
         return False
     crc = zlib.crc32(end.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
     return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not end.read()
-            and footer.summary_start == report.kept_bytes + DATA_END_LENGTH and footer.summary_crc in (0, crc)
+            and footer.summary_start == end_of_data + DATA_END_LENGTH and footer.summary_crc in (0, crc)
             and all(record.message_count == contents.counts().total() for record in summary
                     if isinstance(record, Statistics)))
 
@@ -216,14 +208,7 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, rep
     return contents
 
 
-def _count_messages(information: BagInformation) -> dict[str, int]:
-    counts: Counter[str] = Counter()  # a topic may have two types
-    for topic in information.topics:
-        counts[topic.name] += topic.count
-    return counts
-
-
-def _build_information(files: list[FileReport], contents: list[Contents], source: Path) -> BagInformation:
+def _build_information(files: Sequence[BagFile], contents: list[Contents], source: Path) -> BagInformation:
     topics: dict[tuple[str, str], Topic] = {}
     previous = read_information(source).get("custom_data")
     custom = {str(key): str(text) for key, text in previous.items()} if isinstance(previous, dict) else {}
@@ -237,8 +222,7 @@ def _build_information(files: list[FileReport], contents: list[Contents], source
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),
                 _parse_qos(channel.metadata.get("offered_qos_profiles", ""))))
             topic.count += counts[channel.id]
-    bag_files = [BagFile(f.path.name, f.messages, f.start_ns, f.end_ns) for f in files]
-    return BagInformation(bag_files, list(topics.values()), custom)
+    return BagInformation(files, list(topics.values()), custom)
 
 
 def _parse_qos(text: str) -> list[Any]:
@@ -252,9 +236,12 @@ def _parse_qos(text: str) -> list[Any]:
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
     """Whether metadata.yaml has the same files, counts by topic and duration; other entries vary between recorders."""
     expected, found = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
+    counts: Counter[str] = Counter()  # a topic may have two types
+    for topic in information.topics:
+        counts[topic.name] += topic.count
     try:
-        counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
+        found_counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
     except (KeyError, TypeError):
         return False
-    return counts == _count_messages(information) and all(
+    return found_counts == counts and all(
         found.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))

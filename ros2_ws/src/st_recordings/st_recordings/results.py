@@ -14,9 +14,8 @@ from st_core.evaluation import Statistic
 
 from .paths import json_ready, replace_file, source_version
 from .recorded_results import ERROR, read_messages
-from .runs.bag import definitions_folder, open_bag, read_fields
-from .runs.bag_storage import Storage
-from .runs.cdr import get_field, load_typestore
+from .runs.bag_storage import Storage, open_bag
+from .runs.cdr import get_field
 from .runs.ins_log import yaw_from_quaternion
 
 MODES = ("forecast", "hindsight")
@@ -82,18 +81,18 @@ def read_results(folder: Path) -> Results:
     scores, configuration_hash = _read_scores(folder / "errors")
     summary = _read_last_message(errors, SUMMARY_TOPIC, "st_msgs/msg/ErrorSummary")
     bands = [row for row in summary.statistics if row.n_bands] if summary else []
-    return Results(_read_track(folder / "bag", bag), scores, _read_segments(folder / "errors", scores),
+    return Results(_read_track(bag), scores, _read_segments(folder / "errors", scores),
                    _read_ticks(bag), configuration_hash, bands)
 
 
-def _read_track(path: Path, bag: Storage) -> Track:
-    topic = next((t for t in bag.topics() if t.name == ODOMETRY_TOPIC and t.count), None)
+def _read_track(bag: Storage) -> Track:
+    topic = next((t for t in bag.topics if t.name == ODOMETRY_TOPIC), None)
     if topic is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
     position = [f"pose.pose.position.{axis}" for axis in "xy"]
     quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
     fields = ["header.stamp", *position, *quaternion]
-    values = read_fields(path, bag, topic, fields, load_typestore(definitions_folder()))
+    values = bag.read_fields(topic, fields)
     x, y = (values[name] for name in position)
     return Track(values["header.stamp"], x, y, np.unwrap(yaw_from_quaternion(*(values[name] for name in quaternion))))
 
@@ -101,7 +100,7 @@ def _read_track(path: Path, bag: Storage) -> Track:
 def _read_last_message(bag: Storage, topic: str, type_name: str) -> Any:
     """The last message of a topic; None if there is none."""
     last = deque(bag.messages(topic), maxlen=1)
-    return load_typestore(definitions_folder()).deserialize_cdr(last[0], type_name) if last else None
+    return bag.store.deserialize_cdr(last[0], type_name) if last else None
 
 
 def _read_ticks(bag: Storage) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag, find_runs, read
 from st_recordings.runs.bag import ODOMETRY, STEERING, has_odometry, read_bag
-from st_recordings.runs.bag_storage import McapStorage, SqliteStorage
+from st_recordings.runs.bag_storage import McapStorage, SqliteStorage, Storage
 from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout
 from st_recordings.runs.errors import RunError
 
@@ -118,7 +118,7 @@ def test_vectorised_reading_is_used_and_equals_message_by_message_reading(
     else:
         write_rosbag2(folder, DRIVE, StoragePlugin.SQLITE3)
     with monkeypatch.context() as patch:
-        patch.delattr(bag, "_read_one_by_one")
+        patch.delattr(Storage, "read_one_by_one")
         vectorised = read_bag(folder).log
     monkeypatch.setattr(kind, "columns", lambda *_: {})
     one_by_one = read_bag(folder).log

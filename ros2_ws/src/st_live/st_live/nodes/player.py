@@ -23,7 +23,6 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from st_msgs.msg import Prediction, PredictionError, PredictorStatus, Steering
-from st_recordings.runs.bag import definitions_folder
 from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.reconstruct import extract_steering_angle, get_stamp
 from st_recordings.runs.run_types import SteeringField
@@ -111,7 +110,7 @@ class Player:
 
     def play(self) -> int:
         """Play the recording; returns 0 after its end or a stop signal, 1 if a subscriber is missing."""
-        with AnyReader([self._bag], default_typestore=load_typestore(definitions_folder())) as reader:
+        with AnyReader([self._bag], default_typestore=load_typestore()) as reader:
             publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
                 print("recorder, predictor or evaluator has not subscribed to the inputs", file=sys.stderr)

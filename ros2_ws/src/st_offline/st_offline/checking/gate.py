@@ -13,7 +13,8 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.bag import is_own_can_log, may_carry_steering, open_bag
+from st_recordings.runs.bag import is_own_can_log, may_carry_steering
+from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import CAN_FRAME
 
 from . import check_report
@@ -58,7 +59,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     """Check a bag that is to be replayed, with `vehicle`, else the vehicle stored in it, and with the stored models and
     step. Raises RefusedRunError, and RunError for a bag that cannot be read or has no topic with the steering."""
     if not (settings and settings.steering) and is_own_can_log(bag):
-        has_other = any(map(may_carry_steering, open_bag(bag).topics()))
+        has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""
         raise RunError(bag, f"its steering is only in CAN frames ({CAN_FRAME}), which the nodes do not receive",
                        f"use st check, evaluate or discover, which decode them{other}")

@@ -8,36 +8,15 @@ from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
-from rosbags.typesys.store import Typestore
 from st_core.checks import AuxiliaryData
 from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
-from ..paths import project_root
-from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_storage, storage_files
-from .cdr import (
-    CAN_FRAME,
-    CAN_FRAMES,
-    NCOM,
-    ODOMETRY,
-    READ_ERRORS,
-    STEERING,
-    add_definitions,
-    get_field,
-    load_typestore,
-    read_summary,
-)
-from .errors import RunError, check_readable, format_share, shorten
+from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_bag, storage_files
+from .cdr import CAN_FRAME, CAN_FRAMES, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
+from .errors import RunError, format_share
 from .ins_log import InsLog, build_planar_ins_log, select_usable_rows, yaw_from_quaternion
-from .reconstruct import (
-    RECONSTRUCTED,
-    Reconstruction,
-    choose_auxiliary_fields,
-    collect_auxiliary_data,
-    deserialise,
-    find_steering_topic,
-    read_steering_columns,
-)
+from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import SteeringField, make_drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
@@ -67,11 +46,6 @@ class BagDrive:
     frame: str = ""  # frame_id of the first odometry message
     unknown: tuple[str, ...] = ()  # "topic (type)" of topics that were not read and that the suite does not publish
     origin: tuple[float, float, float] | None = None  # of the map: latitude, longitude [rad], altitude [m]
-
-
-def definitions_folder() -> Path:
-    """The folder with the .msg files of the suite's own messages."""
-    return project_root() / "ros2_ws" / "src" / "st_msgs" / "msg"
 
 
 def is_bag(path: Path) -> bool:
@@ -106,16 +80,16 @@ def is_own_can_log(path: Path) -> bool:
 
 
 def may_carry_steering(topic: Topic) -> bool:
-    """Whether --steering-topic may name a topic: it has messages other than odometry, raw data and text, and is not one
-    of KNOWN_TOPICS."""
-    return bool(topic.count) and not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
+    """Whether --steering-topic may name a topic: its messages are not odometry, raw data or text, and it is not one of
+    KNOWN_TOPICS."""
+    return not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
         ODOMETRY, NCOM, CAN_FRAME, CAN_FRAMES, "std_msgs/msg/String")
 
 
 def _read_types(path: Path) -> set[str]:
     """Types of the recorded messages; empty for a bag that cannot be read."""
     try:
-        return {t.type_name for t in open_bag(path).topics() if t.count}
+        return {*open_bag(path).by_type}
     except RunError:
         return set()
 
@@ -129,38 +103,38 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
     storage, records = open_bag(path, splits), read_metadata_records(path)
-    all_topics = storage.topics()
-    store = _build_typestore(storage, all_topics, steering)
-    reconstruction = Reconstruction(path, storage, records, store)
+    storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.is_of(t.name)})
+    reconstruction = Reconstruction(storage, records)
+    types = storage.by_type.keys()
     required: dict[Topic, tuple[str, ...]] = {}
-    if reads_odometry := bool(odometry) or reconstruction.has(ODOMETRY) or not reconstruction.has(NCOM):
-        required[_find_topic(path, all_topics, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
-    if steering is None and (reconstruction.has(STEERING) or not reconstruction.has(CAN_FRAMES)):
-        required[_find_topic(path, all_topics, STEERING)] = _STEERING_FIELDS
-    optional = choose_auxiliary_fields(all_topics)
-    by_topic = storage.columns({**required, **optional}, store)
-    columns = {topic.type_name: by_topic.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
+    if reads_odometry := bool(odometry) or ODOMETRY in types or NCOM not in types:
+        required[_find_topic(storage, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
+    if steering is None and (STEERING in types or CAN_FRAMES not in types):
+        required[_find_topic(storage, STEERING)] = _STEERING_FIELDS
+    optional = reconstruction.choose_auxiliary_fields()
+    by_topic = storage.columns({**required, **optional})
+    columns = {topic.type_name: by_topic.get(topic.name) or storage.read_one_by_one(topic, fields)
                for topic, fields in required.items()}
     topics = {topic.type_name: topic.name for topic in required}
     if not reads_odometry:
         columns[ODOMETRY] = reconstruction.reconstruct_odometry(_ODOMETRY_FIELDS)
-        topics[ODOMETRY] = reconstruction.find_topic(NCOM).name + RECONSTRUCTED
+        topics[ODOMETRY] = storage.by_type[NCOM].name + RECONSTRUCTED
     if steering is not None:
-        topic = find_steering_topic(path, all_topics, steering, store)
-        columns[STEERING], topics[STEERING] = read_steering_columns(path, storage, topic, steering, store), topic.name
+        topic = find_steering_topic(storage, steering)
+        columns[STEERING], topics[STEERING] = read_steering_columns(storage, topic, steering), topic.name
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.reconstruct_steering()
-        topics[STEERING] = reconstruction.find_topic(CAN_FRAMES).name + RECONSTRUCTED
+        topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns)]
     log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    recorded = {topic: by_topic[topic.name] for topic in optional if topic.name in by_topic}
-    auxiliary = collect_auxiliary_data(storage, all_topics, recorded, stamps, missing, store, reconstruction)
-    unknown = tuple(f"{t.name} ({t.type_name})" for t in all_topics if t.count and not (
+    recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
+    auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
+    unknown = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
     frame = reconstruction.map_frame()
     if reads_odometry:
-        first: Any = store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
+        first: Any = storage.store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = getattr(first.header, "frame_id", "")  # the definition of a header in the bag may lack it
     origin = reconstruction.read_origin()
     if origin is not None:
@@ -172,17 +146,12 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 def read_odometry(path: Path, odometry: str | None = None, splits: Sequence[Path] = ()) -> InsLog:
     """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError."""
     storage = open_bag(path, splits)
-    store = _build_typestore(storage, storage.topics(), None)
-    topic = _find_topic(path, storage.topics(), ODOMETRY, odometry)
-    columns = read_fields(path, storage, topic, _ODOMETRY_FIELDS, store)
+    storage.use_definitions([ODOMETRY])
+    topic = _find_topic(storage, ODOMETRY, odometry)
+    columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, row_notes = _select_odometry(columns)
     return build_planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
-
-
-def _build_typestore(storage: Storage, topics: Sequence[Topic], steering: SteeringField | None) -> Typestore:
-    names = {ODOMETRY} | {t.type_name for t in topics if steering and t.name.lstrip("/") == steering.topic.lstrip("/")}
-    return add_definitions(load_typestore(definitions_folder()), storage.definitions(), names)
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
@@ -201,14 +170,14 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
         changed = np.any([np.diff(value) != 0 for value in values], axis=0)
         resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
         if (repeated > MAX_REPEATED_STAMPS * len(stamps) and not resent) or (len(stamps) == 2 and repeated):
-            columns[kind]["header.stamp"] = read_log_times(storage, topic, stamps)
+            columns[kind]["header.stamp"] = storage.read_log_times(topic, stamps)
             count = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
                      else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{count}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
         if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
-            received = [read_log_times(storage, topic, columns[kind]["header.stamp"]) for kind, topic in topics.items()]
+            received = [storage.read_log_times(topic, columns[kind]["header.stamp"]) for kind, topic in topics.items()]
             a, b = received
             if max(a.min(), b.min()) <= min(a.max(), b.max()):
                 for kind, times in zip(topics, received, strict=True):
@@ -216,27 +185,6 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                 notes.append(f"the stamps of {names[0]} and {names[1]} do not overlap in time; the times of reception "
                              "are used for both")
     return notes
-
-
-def read_log_times(storage: Storage, topic: str, stamps: np.ndarray) -> np.ndarray:
-    """Times of reception of the messages [ns]; their header stamps if the number of messages differs."""
-    times = np.array([log_ns for log_ns, _ in storage.timed_messages(topic)], np.int64)
-    return times if len(times) == len(stamps) else stamps
-
-
-def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
-    """Opens a bag directory, a single storage file, or the files (`splits`) of one recording. Raises RunError."""
-    files = splits or ([path] if path.is_file() else storage_files(path))
-    for file in files:
-        check_readable(file)
-    return open_storage(path, files, load_typestore(definitions_folder()))
-
-
-def read_fields(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
-                store: Typestore) -> dict[str, np.ndarray]:
-    """Reads numeric fields (cdr.Layout) of all messages of a topic. Raises RunError."""
-    by_topic = storage.columns({topic: fields}, store)
-    return by_topic.get(topic.name) or _read_one_by_one(path, storage, topic, fields, store)
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
@@ -265,19 +213,19 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
     return records
 
 
-def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str | None = None) -> Topic:
+def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> Topic:
     """The topic of a type: the one with the given name, or else the preferred one. Raises RunError."""
-    found = [t for t in topics if t.type_name == type_name and t.count]
+    path, found = storage.path, [t for t in storage.topics if t.type_name == type_name]
     if name is not None:
-        named = next((t for t in topics if t.name.lstrip("/") == name.lstrip("/") and t.count), None)
+        named = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)
         if named in found:
             return named
         problem = f"is of type {named.type_name}" if named else "has no messages in the recording"
         raise RunError(path, f"--odometry-topic: {name} {problem}",
                        f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
     if not found:
-        recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in topics if t.count))[:300] or "nothing"
-        has_other = type_name == STEERING and any(map(may_carry_steering, topics))
+        recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in storage.topics))[:300] or "nothing"
+        has_other = type_name == STEERING and any(map(may_carry_steering, storage.topics))
         other = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
         raise RunError(path, f"it contains no message of type {type_name}; recorded: {recorded}",
                        f"also record the topic {PREFERRED_TOPICS[type_name]}{other}")
@@ -288,17 +236,6 @@ def _find_topic(path: Path, topics: Sequence[Topic], type_name: str, name: str |
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
                        f"record only one of them, or one whose name ends with {PREFERRED_TOPICS[type_name]}")
     return preferred[0]
-
-
-def _read_one_by_one(path: Path, storage: Storage, topic: Topic, fields: Sequence[str],
-                     store: Typestore) -> dict[str, np.ndarray]:
-    try:
-        rows = [[get_field(message, field) for field in fields]
-                for _, message in deserialise(path, storage, topic, store)]
-    except AttributeError as error:
-        raise RunError(path, f"its definition of {topic.type_name} differs from the ROS 2 definition: {shorten(error)}",
-                       "use a topic whose message type is defined as in ROS 2") from None
-    return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
 
 def _select_odometry(

@@ -7,7 +7,7 @@ unsupported one. Only bags with compressed files or messages are read by rosbags
 import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
@@ -26,8 +26,8 @@ from rosbags.typesys.store import Typestore
 from ..bag_metadata import read_information
 from ..mcap_contents import MAGIC
 from ..paths import natural_sort_key
-from .cdr import READ_ERRORS, Block, Layout, read_blocks, read_summary
-from .errors import RunError, format_share, shorten
+from .cdr import READ_ERRORS, Block, Layout, add_definitions, get_field, load_typestore, read_blocks, read_summary
+from .errors import RunError, check_readable, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
 ZSTD_MARK = b"\x28\xb5\x2f\xfd"
@@ -42,10 +42,22 @@ class Topic:
 
 
 class Storage(ABC):
-    """One recording, of one or several files."""
+    """One recording, of one or several files.
+
+    path: the bag directory or file that messages name. topics: those with messages. store: message types with which
+    messages are deserialised.
+    """
+
+    def __init__(self, path: Path):
+        """Called by a subclass when it can count messages."""
+        self.path, self.store = path, load_typestore()
+        self.topics = [Topic(name, type_name, count)
+                       for (name, type_name), count in self._count_messages().items() if count]
+        self.by_type = {topic.type_name: topic for topic in reversed(self.topics)}  # type -> its first topic
 
     @abstractmethod
-    def topics(self) -> list[Topic]: ...
+    def _count_messages(self) -> Counter[tuple[str, str]]:
+        """(topic, type) -> number of messages."""
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
@@ -55,17 +67,31 @@ class Storage(ABC):
     def definitions(self) -> dict[str, tuple[str, str]]:
         """Type -> ("ros2msg" or "ros2idl", text), for the message definitions in the recording."""
 
+    def use_definitions(self, types: Iterable[str]) -> None:
+        """Replaces types in `store` by their definitions in the recording."""
+        self.store = add_definitions(self.store, self.definitions(), types)
+
     def messages(self, topic: str) -> Iterator[bytes]:
         """Yields the serialised messages of a topic in the order of `timed_messages`."""
         return (data for _, data in self.timed_messages(topic))
 
-    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+    def deserialise(self, topic: Topic) -> Iterator[tuple[int, Any]]:
+        """Yields (log time [ns], message) of a topic. Raises RunError for a damaged message."""
+        for log_ns, data in self.timed_messages(topic.name):
+            try:
+                message = self.store.deserialize_cdr(data, topic.type_name)
+            except Exception as error:  # rosbags passes on exceptions of struct and numpy
+                raise RunError(self.path, f"a message of {topic.name} is damaged ({type(error).__name__})",
+                               "record it again, or repair the bag with `st recover`") from None
+            yield log_ns, message
+
+    def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
         """Numeric fields (cdr.Layout) of all messages, by topic name and field. Omits topics without messages, with
         messages of different layouts or, in MCAP, with several publishers."""
         uniform = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
-            gathered = _GatheredFields(topic.type_name, names, store)
+            gathered = _GatheredFields(topic.type_name, names, self.store)
             if rows:
                 sizes = np.array([len(row) for row in rows])
                 gathered.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
@@ -73,16 +99,38 @@ class Storage(ABC):
                 uniform[topic.name] = gathered.columns()
         return uniform
 
+    def read_fields(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
+        """Numeric fields of all messages of a topic, also if `columns` omits it. Raises RunError."""
+        return self.columns({topic: fields}).get(topic.name) or self.read_one_by_one(topic, fields)
 
-def open_storage(path: Path, files: Sequence[Path], store: Typestore) -> Storage:
-    """Opens a bag. Raises RunError for files of another kind and for a file that was not closed or is damaged."""
+    def read_one_by_one(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
+        """As `read_fields`, by deserialising every message."""
+        try:
+            rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
+        except AttributeError as error:
+            raise RunError(self.path, f"its definition of {topic.type_name} differs from the ROS 2 definition: "
+                           f"{shorten(error)}", "use a topic whose message type is defined as in ROS 2") from None
+        return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
+
+    def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
+        """Times of reception of the messages [ns]; their header stamps if the number of messages differs."""
+        times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
+        return times if len(times) == len(stamps) else stamps
+
+
+def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
+    """Opens a bag directory, a single storage file, or the files (`splits`) of one recording. Raises RunError for files
+    of another kind and for a file that was not closed or is damaged."""
+    files = splits or ([path] if path.is_file() else storage_files(path))
+    for file in files:
+        check_readable(file)
     if path.is_dir() and read_information(path).get("compression_mode"):
-        return RosbagsStorage(path, store)
+        return RosbagsStorage(path)
     suffixes = {f.suffix.lower() for f in files}
     if suffixes == {".mcap"}:
-        return McapStorage(files)
+        return McapStorage(path, files)
     if suffixes == {".db3"}:
-        return SqliteStorage(files)
+        return SqliteStorage(path, files)
     problem = "this bag has storage files of both kinds (.mcap, .db3)" if suffixes == {*EXTENSIONS} else (
         "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)")
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
@@ -133,19 +181,44 @@ def read_time_span(file: Path) -> tuple[int, int] | None:
     """First and last log time [ns since 1970] in a storage file; None if it is empty or cannot be read."""
     try:
         if file.suffix.lower() == ".db3":
-            ((first, last),) = SqliteStorage([file]).query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
+            ((first, last),) = _query(file, "SELECT MIN(timestamp), MAX(timestamp) FROM messages")
             return None if first is None else (first, last)
         summary = read_summary(file)
         if summary is not None and summary.statistics is not None:
             return summary.statistics.message_start_time, summary.statistics.message_end_time
-        times = [message.log_time for _, _, message in McapStorage([file]).stream(file)]
+        times = [message.log_time for _, _, message in _stream(file)]
         return (min(times), max(times)) if times else None
     except (RunError, OSError):
         return None
 
 
+def _stream(file: Path) -> Iterator[Any]:
+    """Yields (schema, channel, message) of an MCAP file one by one, even if it has no index. Raises RunError."""
+    try:
+        with file.open("rb") as stream:
+            yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
+    except READ_ERRORS as error:
+        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
+
+
+def _read_blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
+    try:
+        yield from read_blocks(file, summary, channels)
+    except READ_ERRORS as error:
+        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
+
+
+def _query(file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+    """Yields the rows that a query of an SQLite file returns. Raises RunError."""
+    try:
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+            yield from database.execute(text, values)
+    except sqlite3.Error as error:
+        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", "copy it again") from None
+
+
 class McapStorage(Storage):
-    def __init__(self, files: Sequence[Path]):
+    def __init__(self, path: Path, files: Sequence[Path]):
         self._files: list[tuple[Path, Summary | None]] = []
         encodings: set[str] = set()
         for file in files:
@@ -159,64 +232,49 @@ class McapStorage(Storage):
             if summary is None and tail != MAGIC:
                 raise RunError(file, "cannot be read as a bag (it was not closed)", RECOVERY_ADVICE)
             self._files.append((file, summary))
-            channels = summary.channels.values() if summary else [c for _, c, _ in islice(self.stream(file), 1000)]
+            channels = summary.channels.values() if summary else [c for _, c, _ in islice(_stream(file), 1000)]
             encodings |= {channel.message_encoding for channel in channels}
         if encodings and "cdr" not in encodings:
             raise RunError(self._files[0][0], f"its messages are encoded as {', '.join(sorted(map(str, encodings)))}, "
                            "but only CDR, the encoding of ROS 2, can be read",
                            "convert it to a ROS 2 bag (from ROS 1 with rosbags-convert)")
+        super().__init__(path)
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         found: dict[str, tuple[str, str]] = {}
         for file, summary in self._files:
-            schemas = summary.schemas.values() if summary else (s for s, _, _ in islice(self.stream(file), 1000) if s)
+            schemas = summary.schemas.values() if summary else (s for s, _, _ in islice(_stream(file), 1000) if s)
             found |= {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for s in schemas}
         return found
 
-    def topics(self) -> list[Topic]:
+    def _count_messages(self) -> Counter[tuple[str, str]]:
         counts: Counter[tuple[str, str]] = Counter()
         for file, summary in self._files:
             if summary is None:
-                counts.update((c.topic, schema.name if schema else "") for schema, c, _ in self.stream(file))
+                counts.update((c.topic, schema.name if schema else "") for schema, c, _ in _stream(file))
                 continue
             assert summary.statistics is not None  # ensured by read_summary
             for channel in summary.channels.values():
                 schema = summary.schemas.get(channel.schema_id)
                 counts[channel.topic, schema.name if schema else ""] += \
                     summary.statistics.channel_message_counts.get(channel.id, 0)
-        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
+        return counts
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
             channels = [n for n, c in summary.channels.items() if c.topic == topic] if summary else []
             if summary is None or len(channels) > 1:  # each publisher has a channel, and their messages alternate
-                yield from ((message.log_time, message.data) for _, channel, message in self.stream(file)
+                yield from ((message.log_time, message.data) for _, channel, message in _stream(file)
                             if channel.topic == topic)
                 continue
-            for _, block in self._blocks(file, summary, channels):
+            for _, block in _read_blocks(file, summary, channels):
                 rows = zip(block.log_time_ns.tolist(), block.starts.tolist(), block.sizes.tolist(), strict=True)
                 yield from ((ns, block.buffer[start : start + size].tobytes()) for ns, start, size in rows)
 
-    @staticmethod
-    def _blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-        try:
-            yield from read_blocks(file, summary, channels)
-        except READ_ERRORS as error:
-            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
-
-    @staticmethod
-    def stream(file: Path) -> Iterator[Any]:
-        """Yields (schema, channel, message) one by one, even if the file has no index."""
-        try:
-            with file.open("rb") as stream:
-                yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-        except READ_ERRORS as error:
-            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
-
-    def columns(self, fields: Mapping[Topic, Sequence[str]], store: Typestore) -> dict[str, dict[str, np.ndarray]]:
+    def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
         if any(summary is None for _, summary in self._files):
-            return super().columns(fields, store)
-        by_topic = {topic.name: _GatheredFields(topic.type_name, names, store) for topic, names in fields.items()}
+            return super().columns(fields)
+        by_topic = {topic.name: _GatheredFields(topic.type_name, names, self.store) for topic, names in fields.items()}
         for file, summary in self._files:
             assert summary is not None and summary.statistics is not None  # ensured by read_summary
             channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
@@ -225,7 +283,7 @@ class McapStorage(Storage):
             publishers = Counter(summary.channels[number].topic for number, count in remaining.items() if count)
             for topic, count in publishers.items():
                 by_topic[topic].is_uniform &= count == 1  # blocks of several publishers are not in order
-            for number, block in self._blocks(file, summary, channels):
+            for number, block in _read_blocks(file, summary, channels):
                 remaining[number] -= len(block.starts)
                 channels[number].add(block.buffer, block.starts, block.sizes)
             for number, count in remaining.items():
@@ -234,38 +292,30 @@ class McapStorage(Storage):
 
 
 class SqliteStorage(Storage):
-    def __init__(self, files: Sequence[Path]):
-        self._files = list(files)
-        self.topics()
+    def __init__(self, path: Path, files: Sequence[Path]):
+        self._files = files
+        super().__init__(path)
 
-    def query(self, file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
-        try:
-            with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
-                yield from database.execute(text, values)
-        except sqlite3.Error as error:
-            raise RunError(file, f"cannot be read as a bag ({shorten(error)})", "copy it again") from None
-
-    def topics(self) -> list[Topic]:
+    def _count_messages(self) -> Counter[tuple[str, str]]:
         counts: Counter[tuple[str, str]] = Counter()
         for file in self._files:
-            text = ("SELECT topics.name, topics.type, COUNT(messages.id) FROM topics "
-                    "LEFT JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
-            for name, type_name, count in self.query(file, text):
+            text = ("SELECT topics.name, topics.type, COUNT(*) FROM topics "
+                    "JOIN messages ON messages.topic_id = topics.id GROUP BY topics.id")
+            for name, type_name, count in _query(file, text):
                 counts[name, type_name] += count
-        return [Topic(name, type_name, count) for (name, type_name), count in counts.items()]
+        return counts
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         text = ("SELECT messages.timestamp, messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
                 "WHERE topics.name = ? ORDER BY messages.timestamp")
         for file in self._files:
-            yield from ((log_ns, _decompress(data)) for log_ns, data in self.query(file, text, topic))
+            yield from ((log_ns, _decompress(data)) for log_ns, data in _query(file, text, topic))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         found: dict[str, tuple[str, str]] = {}
         for file in self._files:
-            if any(self.query(file, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'")):
-                rows = self.query(file, "SELECT topic_type, encoding, encoded_message_definition "
-                                         "FROM message_definitions")
+            if any(_query(file, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'")):
+                rows = _query(file, "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
                 found |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
         return found
 
@@ -281,16 +331,16 @@ def _decompress(data: bytes) -> bytes:
 
 
 class RosbagsStorage(Storage):
-    def __init__(self, path: Path, store: Typestore):
-        self._path = path
+    def __init__(self, path: Path):
         try:
-            self._reader = AnyReader([path], default_typestore=store)
+            self._reader = AnyReader([path], default_typestore=load_typestore())
             self._reader.open()
         except (AnyReaderError, ReaderError, OSError, KeyError) as error:
             raise RunError(path, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
+        super().__init__(path)
 
-    def topics(self) -> list[Topic]:
-        return [Topic(c.topic, c.msgtype, c.msgcount) for c in self._reader.connections]
+    def _count_messages(self) -> Counter[tuple[str, str]]:
+        return sum((Counter({(c.topic, c.msgtype): c.msgcount}) for c in self._reader.connections), Counter())
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]

@@ -11,9 +11,10 @@ import can
 import numpy as np
 from scipy.ndimage import median_filter
 
-from .bag import definitions_folder, is_bag, open_bag, read_fields, read_log_times
+from .bag import is_bag
+from .bag_storage import open_bag
 from .can_formats import FORMATS, UNSTAMPED_LINE, Format
-from .cdr import CAN_FRAME, add_definitions, load_typestore
+from .cdr import CAN_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import (
     ERROR,
@@ -100,16 +101,16 @@ def _read_log(file: Path) -> CanLog:
 def _read_bag(path: Path) -> CanLog:
     """Reads the can_msgs/Frame messages of a bag; each of its topics is a bus. Raises RunError."""
     storage = open_bag(path)
-    store = add_definitions(load_typestore(definitions_folder()), storage.definitions(), [CAN_FRAME])
-    topics = sorted((t for t in storage.topics() if t.type_name == CAN_FRAME and t.count), key=lambda t: t.name)
+    storage.use_definitions([CAN_FRAME])
+    topics = sorted((t for t in storage.topics if t.type_name == CAN_FRAME), key=lambda t: t.name)
     if not topics:
         raise RunError(path, f"this bag contains no CAN frames ({CAN_FRAME})", "remove it from the command")
     parts, notes, steps = list[Frames](), list[str](), list[tuple[int, float]]()
     for bus, topic in enumerate(topics, start=1):
-        columns = read_fields(path, storage, topic, _BAG_FIELDS, store)
+        columns = storage.read_fields(topic, _BAG_FIELDS)
         time_ns, length = columns["header.stamp"], columns["dlc"]
         if 2 * np.count_nonzero(time_ns) < len(time_ns):
-            time_ns = read_log_times(storage, topic.name, time_ns)
+            time_ns = storage.read_log_times(topic.name, time_ns)
             notes.append(f"frames of {topic.name} have no stamp; the times of reception are used")
         flags = REMOTE * columns["is_rtr"] + ERROR * columns["is_error"]
         frames = Frames(

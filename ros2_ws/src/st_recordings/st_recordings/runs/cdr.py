@@ -28,6 +28,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ..paths import project_root
+
 # Message types of the recordings of the suite.
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
@@ -57,13 +59,12 @@ _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 
 
 @cache
-def load_typestore(definitions: Path) -> Typestore:
-    """Loads the message types of ROS 2 Jazzy, can_msgs/Frame, and the .msg files in a folder <package>/msg."""
+def load_typestore() -> Typestore:
+    """Loads the message types of ROS 2 Jazzy, can_msgs/Frame, and the suite's own messages, st_msgs."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    package = definitions.parent.name
     types: dict[str, Any] = dict(get_types_from_msg(_CAN_FRAME_DEFINITION, CAN_FRAME))
-    for file in sorted(definitions.glob("*.msg")):
-        types.update(get_types_from_msg(file.read_text(), f"{package}/msg/{file.stem}"))
+    for file in sorted((project_root() / "ros2_ws/src/st_msgs/msg").glob("*.msg")):
+        types.update(get_types_from_msg(file.read_text(), f"st_msgs/msg/{file.stem}"))
     store.register(types)
     return store
 

@@ -5,7 +5,7 @@ This module also reads steering from topics of any type, and auxiliary data for 
 
 import math
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from canedge_bridge.decode import SteeringCalibration
 from oxts_bridge import file_decoder, packet_time
 from oxts_bridge.motion import FIRST_FIX, GIVEN, Motion, Origin, reconstruct_odometry
 from oxts_bridge.ncom import NcomError
-from rosbags.typesys.store import Typestore
 from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, recorded_parameters, recorded_text
-from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS, get_field
+from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
 from .errors import RunError
 from .ins_log import compute_car_speed, is_newer, make_series
 from .ncom import collect_quality
@@ -38,24 +37,15 @@ _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "positio
 class Reconstruction:
     """Odometry, steering and speeds of one recording, computed from raw packets and frames."""
 
-    def __init__(self, path: Path, storage: Storage, records: Mapping[str, Mapping[str, str]], store: Typestore):
+    def __init__(self, storage: Storage, records: Mapping[str, Mapping[str, str]]):
         """records: metadata records with node parameters, DBC, signal table and vehicle file."""
-        self._path, self._storage, self._store = path, storage, store
+        self._storage, self._path, self._by_type = storage, storage.path, storage.by_type
         self._records, self._nodes = records, recorded_parameters(records)
-        self._topics = storage.topics()
-
-    def has(self, type_name: str) -> bool:
-        """Whether the recording contains messages of a type."""
-        return any(t.type_name == type_name and t.count for t in self._topics)
-
-    def find_topic(self, type_name: str) -> Topic:
-        """The first topic of a type with messages; `has` must be true for the type."""
-        return next(t for t in self._topics if t.type_name == type_name and t.count)
 
     @property
     def bus_is_described(self) -> bool:
         """Whether the recording includes CAN frames with their DBC and signal table."""
-        return self.has(CAN_FRAMES) and None not in self._read_descriptions()
+        return CAN_FRAMES in self._by_type and None not in self._read_descriptions()
 
     def map_frame(self) -> str:
         return str(self._nodes.get("oxts_bridge", {}).get("map_frame", "map"))
@@ -67,8 +57,8 @@ class Reconstruction:
         fields: names of stamp, position x, y, quaternion x, y, z, w, velocity x, y and yaw rate, in this order.
         """
         bridge = self._nodes.get("oxts_bridge", {})
-        columns = self._storage.columns({self.find_topic(NCOM): ("header.stamp", "raw_packet")}, self._store)
-        raw = columns.get(self.find_topic(NCOM).name)
+        topic = self._by_type[NCOM]
+        raw = self._storage.columns({topic: ("header.stamp", "raw_packet")}).get(topic.name)
         if raw is None:
             raise RunError(self._path, "its raw packets differ in length", "repair the bag with `st recover`")
         packets = zip(raw["header.stamp"].tolist(), map(bytes, raw["raw_packet"]), strict=True)
@@ -84,11 +74,11 @@ class Reconstruction:
 
     def read_origin(self) -> tuple[float, float, float] | None:
         """Recorded origin of the map frame: latitude, longitude [deg], altitude [m]; None if it was not recorded."""
-        topic = next((t for t in self._topics if t.name.endswith(ORIGIN_TOPIC) and t.type_name == ORIGIN_TYPE
-                      and t.count), None)
+        topic = next((t for t in self._storage.topics if t.name.endswith(ORIGIN_TOPIC) and t.type_name == ORIGIN_TYPE),
+                     None)
         if topic is None:
             return None
-        fix: Any = self._store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
+        fix: Any = self._storage.store.deserialize_cdr(next(self._storage.messages(topic.name)), topic.type_name)
         return fix.latitude, fix.longitude, fix.altitude
 
     def _choose_origin(self, bridge: Mapping[str, Any]) -> Origin:
@@ -124,11 +114,49 @@ class Reconstruction:
             raise RunError(self._path, "the road wheel angle of its raw frames needs the steering ratio and offset in "
                            f"a vehicle file: {error}", "also record vehicle/steering") from None
 
-    def decode_speeds(self) -> tuple[Series | None, Series | None]:
-        """(wheel speed, INS speed on CAN) [m/s] from raw CAN frames; None for a missing one."""
-        from .can_signals import collect_speeds
+    def choose_auxiliary_fields(self) -> dict[Topic, tuple[str, ...]]:
+        """Chooses auxiliary topics, one per type, and their fields. Raw packets are read only if no other topics have
+        the same content."""
+        fields = {self._by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in self._by_type}
+        if self._by_type.keys() >= {NCOM, INS_ON_CAN, INS_STATUS}:
+            fields.pop(self._by_type[NCOM])
+        return fields
 
-        return collect_speeds(self._signals)
+    def collect_auxiliary_data(self, columns: Mapping[str, Mapping[str, np.ndarray]], stamps: Mapping[str, np.ndarray],
+                               missing: Mapping[str, int]) -> AuxiliaryData:
+        """Collects the auxiliary data of a bag for the checks; what no topic contains is reconstructed if possible.
+
+        columns: fields from `choose_auxiliary_fields`, except unreadable ones, by type. stamps: times [ns] of "INS" and
+        "steering". missing: channel -> number of messages without a usable value.
+        """
+        quality = self._read_reported_quality()
+        wheels = _compute_wheel_speed(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
+        on_can = columns.get(INS_ON_CAN)
+        ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
+        if WHEEL_SPEEDS not in columns and self.bus_is_described:
+            from .can_signals import collect_speeds
+
+            wheels, decoded_speed = collect_speeds(self._signals)
+            ins_speed = ins_speed or decoded_speed
+        if NCOM in columns and (quality is None or ins_speed is None):
+            packet_quality, packet_speed = _decode_packets(columns[NCOM]["raw_packet"])
+            quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
+        return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed,
+                             quality)
+
+    def _read_reported_quality(self) -> InsQuality | None:
+        """INS quality from st_msgs/InsStatus messages, read one by one as their texts vary in length; None if there are
+        none, or one is damaged."""
+        if INS_STATUS not in self._by_type:
+            return None
+        try:
+            columns = self._storage.read_one_by_one(self._by_type[INS_STATUS], _STATUS_FIELDS)
+        except RunError:  # the data for checks is optional
+            return None
+        time_ns, *values = columns.values()
+        rows = is_newer(time_ns)
+        status, mode, north, east, heading = (column[rows].astype(float) for column in values)
+        return InsQuality(time_ns[rows], status, mode, np.hypot(north, east), heading)
 
     def _read_descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
@@ -154,54 +182,18 @@ class Reconstruction:
 
         table = self._table
         try:
-            frames = read_frames(self._storage.messages(self.find_topic(CAN_FRAMES).name))
+            frames = read_frames(self._storage.messages(self._by_type[CAN_FRAMES].name))
         except ValueError as error:
             raise RunError(self._path, f"its raw CAN frames are damaged: {error}",
                            "repair the bag with `st recover`") from None
         return decode_signals(frames, table)
 
 
-def choose_auxiliary_fields(topics: Sequence[Topic]) -> dict[Topic, tuple[str, ...]]:
-    """Chooses auxiliary topics, one per type, and their fields. Raw packets are read only if no other topics have the
-    same content."""
-    by_type = {topic.type_name: topic for topic in topics if topic.count}
-    fields = {by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in by_type}
-    if NCOM in by_type and INS_ON_CAN in by_type and INS_STATUS in by_type:
-        fields.pop(by_type[NCOM])
-    return fields
-
-
-def collect_auxiliary_data(storage: Storage, topics: Sequence[Topic], columns: Mapping[Topic, Mapping[str, np.ndarray]],
-                           stamps: Mapping[str, np.ndarray], missing: Mapping[str, int], store: Typestore,
-                           reconstruction: Reconstruction) -> AuxiliaryData:
-    """Collects the auxiliary data of a bag for the checks; what no topic contains is reconstructed if possible.
-
-    columns: fields of the topics from `choose_auxiliary_fields`, except unreadable ones. stamps: times [ns] of "INS"
-    and "steering". missing: channel -> number of messages without a usable value.
-    """
-    by_type = {topic.type_name: fields for topic, fields in columns.items()}
-    status = next((topic for topic in topics if topic.type_name == INS_STATUS and topic.count), None)
-    quality = _read_reported_quality(storage, status, store) if status else None
-    wheels = _compute_wheel_speed(by_type[WHEEL_SPEEDS]) if WHEEL_SPEEDS in by_type else None
-    on_can = by_type.get(INS_ON_CAN)
-    ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
-    if WHEEL_SPEEDS not in by_type and reconstruction.bus_is_described:
-        wheels, decoded_speed = reconstruction.decode_speeds()
-        ins_speed = ins_speed or decoded_speed
-    if NCOM in by_type and (quality is None or ins_speed is None):
-        packet_quality, packet_speed = _decode_packets(by_type[NCOM]["raw_packet"])
-        quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
-    return AuxiliaryData(stamps, {name: count for name, count in missing.items() if count}, wheels, ins_speed, quality)
-
-
 def _compute_wheel_speed(columns: Mapping[str, np.ndarray]) -> Series | None:
-    speeds = {}
-    for name, field in WHEEL_FIELDS.items():
-        valid = columns["valid"].astype(bool)
-        speed = make_series(columns["header.stamp"][valid], columns[field][valid])
-        if speed is not None:
-            speeds[name] = speed.time_ns, speed.values
-    return compute_car_speed(speeds)
+    valid = columns["valid"].astype(bool)
+    speeds = {name: make_series(columns["header.stamp"][valid], columns[field][valid])
+              for name, field in WHEEL_FIELDS.items()}
+    return compute_car_speed({name: (speed.time_ns, speed.values) for name, speed in speeds.items() if speed})
 
 
 def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
@@ -220,32 +212,16 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     return collect_quality(columns, rows), make_series(columns.utc_ns[rows][fix], forward[fix])
 
 
-def _read_reported_quality(storage: Storage, topic: Topic, store: Typestore) -> InsQuality | None:
-    """INS quality from st_msgs/InsStatus messages, read one by one as their texts vary in length; None if damaged."""
-    try:
-        rows = [[get_field(message, field) for field in _STATUS_FIELDS]
-                for _, message in deserialise("", storage, topic, store)]
-    except (RunError, AttributeError):  # the data for checks is optional
-        return None
-    if not rows:
-        return None
-    time_ns = np.array([row[0] for row in rows], np.int64)
-    values = np.array([row[1:] for row in rows], float)
-    rows_used = is_newer(time_ns)
-    time_ns, (status, mode, north, east, heading) = time_ns[rows_used], values[rows_used].T
-    return InsQuality(time_ns, status, mode, np.hypot(north, east), heading)
-
-
-def find_steering_topic(where: Any, topics: list[Topic], steering: SteeringField, store: Typestore) -> Topic:
+def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
     """Finds the topic that the option names. Raises RunError if it has no messages or an unknown type."""
-    found = next((t for t in topics if t.name.lstrip("/") == steering.topic.lstrip("/") and t.count), None)
+    found = next((t for t in storage.topics if steering.is_of(t.name)), None)
     if found is None:
-        names = ", ".join(sorted(t.name for t in topics if t.count))[:300] or "no messages"
-        raise RunError(where, f"--steering-topic: topic {steering.topic} has no messages in this bag",
+        names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "no messages"
+        raise RunError(storage.path, f"--steering-topic: topic {steering.topic} has no messages in this bag",
                        f"name one of the recorded topics: {names}")
-    if found.type_name not in store.fielddefs:
-        raise RunError(where, f"--steering-topic: the type {found.type_name} of topic {found.name} is unknown, and the "
-                       "bag does not contain its definition", "record it as MCAP, which includes definitions")
+    if found.type_name not in storage.store.fielddefs:
+        raise RunError(storage.path, f"--steering-topic: the type {found.type_name} of topic {found.name} is unknown, "
+                       "and the bag does not contain its definition", "record it as MCAP, which includes definitions")
     return found
 
 
@@ -282,25 +258,13 @@ def get_stamp(message: Any, log_ns: int) -> int:
     return (stamp.sec * 1_000_000_000 + stamp.nanosec if hasattr(stamp, "nanosec") else 0) or log_ns
 
 
-def deserialise(where: Any, storage: Storage, topic: Topic, store: Typestore) -> Iterator[tuple[int, Any]]:
-    """Yields (log time [ns], message) of a topic. Raises RunError for a damaged message."""
-    for log_ns, data in storage.timed_messages(topic.name):
-        try:
-            message = store.deserialize_cdr(data, topic.type_name)
-        except Exception as error:  # rosbags passes on exceptions of struct and numpy
-            raise RunError(where, f"a message of {topic.name} is damaged ({type(error).__name__})",
-                           "record it again, or repair the bag with `st recover`") from None
-        yield log_ns, message
-
-
-def read_steering_columns(where: Any, storage: Storage, topic: Topic, steering: SteeringField,
-                          store: Typestore) -> dict[str, np.ndarray]:
+def read_steering_columns(storage: Storage, topic: Topic, steering: SteeringField) -> dict[str, np.ndarray]:
     """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError."""
     # For a steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
     stamps, angles = [], []
-    for log_ns, message in deserialise(where, storage, topic, store):
+    for log_ns, message in storage.deserialise(topic):
         stamps.append(get_stamp(message, log_ns))
-        angles.append(extract_steering_angle(where, message, steering))
+        angles.append(extract_steering_angle(storage.path, message, steering))
     values, missing = np.array(angles), np.full(len(angles), math.nan)
     return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,
             "steering_wheel_angle": values if steering.quantity == "wheel" else missing, "valid": np.isfinite(values)}

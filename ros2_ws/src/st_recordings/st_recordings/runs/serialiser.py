@@ -1,7 +1,7 @@
 """Serialises the columns of a raw run as ROS messages of the suite."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,9 @@ class Messages:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def select(self, rows: slice) -> "Messages":
+        return replace(self, time_ns=self.time_ns[rows], edges=self.edges[rows.start : rows.stop + 1])
 
 
 class Serialiser:

@@ -13,9 +13,9 @@ from st_core.vehicle import VehicleParameters
 
 from ..mcap import BagWriter
 from ..results import collect_versions
-from .bag import definitions_folder
 from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, load_typestore
 from .errors import RunError
+from .frames import Frames
 from .load import apply_run_file, check_coverage, hash_files
 from .ncom import NcomLog
 from .raw import RawRun, build_drive, move_to_ins_clock, read_raw, summarise_alignment
@@ -28,6 +28,8 @@ BLOCK_NS = 20 * 10**9
 """Duration [ns] of the part of a run that is serialised at once, to limit the use of memory."""
 TIME_MARGIN_NS = 60 * 10**9
 """A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
+Stream = tuple[np.ndarray, Callable[[slice], Messages]]
+"""(times [ns] of the entries of a stream, function that serialises some of the entries)."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +64,23 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         writer = BagWriter(directory, _build_metadata_records(source, vehicle, settings, run))
     except OSError as error:
         raise RunError(directory, str(error.strerror or error)) from None
-    store = load_typestore(definitions_folder())
+    store = load_typestore()
     ids = {topic: writer.add_topic(topic, name, definition=store.generate_msgdef(name, ros_version=2)[0],
                                    type_hash=store.hash_rihs01(name)) for topic, name in TOPICS.items()}
-    blocks = _MessageBlocks(run, vehicle, settings, Serialiser(store))
+    streams = _make_streams(run, vehicle, settings, Serialiser(store))
+    start_ns = min(int(times[0]) for times, _ in streams if len(times))
+    span_ns = max(int(times[-1]) for times, _ in streams if len(times)) - start_ns
     counts = dict.fromkeys(TOPICS, 0)
     try:
-        for start in range(blocks.start_ns, blocks.end_ns + 1, BLOCK_NS):
-            for time_ns, topic, data in merge_in_time_order(blocks.messages(start, start + BLOCK_NS)):
+        for block_ns in range(start_ns, start_ns + span_ns + 1, BLOCK_NS):
+            edges = block_ns, block_ns + BLOCK_NS
+            parts = [serialise(rows) for times, serialise in streams
+                     if (rows := slice(*np.searchsorted(times, edges).tolist())).start < rows.stop]
+            for time_ns, topic, data in merge_in_time_order(parts):
                 writer.write(ids[topic], bytes(data), time_ns)
                 counts[topic] += 1
             if progress is not None:
-                progress(min((start + BLOCK_NS - blocks.start_ns) / (blocks.end_ns - blocks.start_ns + 1), 1.0))
+                progress(min((block_ns + BLOCK_NS - start_ns) / (span_ns + 1), 1.0))
     finally:
         writer.close()
     if writer.error:
@@ -82,60 +89,43 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
                         "run.yaml of the bag (bag: ...)")
-    return ImportResult(directory, counts, (blocks.end_ns - blocks.start_ns) * 1e-9, run, tuple(warnings), findings)
+    return ImportResult(directory, counts, span_ns * 1e-9, run, tuple(warnings), findings)
 
 
-class _MessageBlocks:
-    """Serialises the messages of a run in blocks of time."""
-
-    def __init__(self, run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser):
-        self._run, self._vehicle, self._settings, self._serialiser = run, vehicle, settings, serialiser
-        assert isinstance(run.ins, NcomLog) and run.steering is not None  # import_run reads only such runs
-        self._ins, self._steering, columns = run.ins, run.steering, run.ins.columns
-        self._covariances = Covariances(columns)
-        is_structure_b = columns.navigation_status == 11  # a packet without regular navigation data
-        self._packets = np.nonzero(~is_structure_b)[0]
-        # A packet with no time near the fixes gets the time of the previous one.
-        utc_ns, fix_ns = columns.utc_ns[self._packets], run.ins.time_ns
-        near = (utc_ns >= fix_ns[0] - TIME_MARGIN_NS) & (utc_ns <= fix_ns[-1] + TIME_MARGIN_NS)
-        near &= utc_ns != file_decoder.UNKNOWN_TIME
-        first = int(utc_ns[near].min()) if near.any() else int(fix_ns[0])
-        self._packet_ns = np.maximum.accumulate(np.where(near, utc_ns, first))
-        to_reference = run.alignment.to_reference_ns
-        self._frame_ns = to_reference(run.can.frames.time_ns)
-        buses = np.unique(run.can.frames.bus).tolist()
-        self._frames = [(bus, np.nonzero(run.can.frames.bus == bus)[0]) for bus in buses]
-        self._steering_ns = move_to_ins_clock(run, settings, run.steering.time_ns)
-        messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
-        self._wheels = [serialiser.serialise_wheel_speeds(m, run.signals, to_reference) for m in sorted(messages)]
-        times = [run.ins.time_ns, self._packet_ns, self._frame_ns, self._steering_ns]
-        self.start_ns = min(int(t[0]) for t in times if len(t))
-        self.end_ns = max(int(t[-1]) for t in times if len(t))
-
-    def messages(self, start_ns: int, end_ns: int) -> list[Messages]:
-        run, serialiser = self._run, self._serialiser
-        rows = _select_between(run.ins.time_ns, start_ns, end_ns)
-        parts = [serialiser.serialise_odometry(self._ins, rows, self._covariances)]
-        rows = _select_between(self._packet_ns, start_ns, end_ns)
-        parts.append(serialiser.serialise_ncom(self._ins.columns.raw[self._packets[rows]], self._packet_ns[rows]))
-        rows = _select_between(self._steering_ns, start_ns, end_ns)
-        wheel = self._settings.steering_sign * self._steering.values[rows]
-        parts.append(serialiser.serialise_steering(self._steering_ns[rows], wheel, self._steering.valid[rows],
-                                                   self._vehicle))
-        for wheels in self._wheels:
-            rows = _select_between(wheels.time_ns, start_ns, end_ns)
-            parts.append(Messages(wheels.topic, wheels.type_name, wheels.time_ns[rows], wheels.data,
-                                  wheels.edges[rows.start : rows.stop + 1]))
-        for bus, of_bus in self._frames:
-            frames = of_bus[_select_between(self._frame_ns[of_bus], start_ns, end_ns)]
-            if len(frames):
-                parts.append(serialiser.serialise_can_frames(run.can.frames.select(frames), self._frame_ns[frames],
-                                                             f"log:can{bus}"))
-        return [p for p in parts if len(p)]
+def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser
+                  ) -> list[Stream]:
+    """The streams of messages of a run."""
+    ins, steering = run.ins, run.steering
+    assert isinstance(ins, NcomLog) and steering is not None  # import_run reads only such runs
+    columns, covariances = ins.columns, Covariances(ins.columns)
+    packets = np.flatnonzero(columns.navigation_status != 11)  # 11: structure B, a packet without navigation data
+    # A packet with no time near the fixes gets the time of the previous one.
+    utc_ns = columns.utc_ns[packets]
+    near = (utc_ns >= ins.time_ns[0] - TIME_MARGIN_NS) & (utc_ns <= ins.time_ns[-1] + TIME_MARGIN_NS)
+    near &= utc_ns != file_decoder.UNKNOWN_TIME
+    first_ns = int(utc_ns[near].min()) if near.any() else int(ins.time_ns[0])
+    packet_ns = np.maximum.accumulate(np.where(near, utc_ns, first_ns))
+    steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
+    angle = settings.steering_sign * steering.values
+    to_reference = run.alignment.to_reference_ns
+    frame_ns, buses = to_reference(run.can.frames.time_ns), run.can.frames.bus
+    wheel_messages = {message for name, message in run.signals.signals if name in WHEEL_FIELDS}
+    wheels = [serialiser.serialise_wheel_speeds(m, run.signals, to_reference) for m in sorted(wheel_messages)]
+    return [
+        (ins.time_ns, lambda rows: serialiser.serialise_odometry(ins, rows, covariances)),
+        (packet_ns, lambda rows: serialiser.serialise_ncom(columns.raw[packets[rows]], packet_ns[rows])),
+        (steering_ns, lambda rows: serialiser.serialise_steering(steering_ns[rows], angle[rows], steering.valid[rows],
+                                                                 vehicle)),
+        *((messages.time_ns, messages.select) for messages in wheels),
+        *(_make_frame_stream(run.can.frames, frame_ns, np.flatnonzero(buses == bus), serialiser)
+          for bus in np.unique(buses).tolist())]
 
 
-def _select_between(time_ns: np.ndarray, start_ns: int, end_ns: int) -> slice:
-    return slice(*np.searchsorted(time_ns, (start_ns, end_ns)).tolist())
+def _make_frame_stream(frames: Frames, frame_ns: np.ndarray, of_bus: np.ndarray, serialiser: Serialiser) -> Stream:
+    """Stream of the frames with the indices `of_bus`. frame_ns: times of all frames [ns]."""
+    name = f"log:can{frames.bus[of_bus[0]]}"
+    return frame_ns[of_bus], lambda rows: serialiser.serialise_can_frames(
+        frames.select(of_bus[rows]), frame_ns[of_bus[rows]], name)
 
 
 def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
