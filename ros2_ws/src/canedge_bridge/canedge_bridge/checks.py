@@ -43,21 +43,16 @@ RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
 
 @dataclass(frozen=True)
 class CheckSpec:
-    """Counter or checksum of a message. signal: DBC name."""
+    """Counter or checksum of a message. signal: DBC name. rule: function in RULES; None for a counter."""
 
     signal: str
     field: Field
     mode: Mode
-
-
-@dataclass(frozen=True)
-class ChecksumSpec(CheckSpec):
-    """Checksum of a message. rule: see RULES. data: payload of one frame, or of all frames of a log."""
-
-    rule: Callable[[Sequence[Any], int], Any]
+    rule: Callable[[Sequence[Any], int], Any] | None = None
 
     def compute(self, data: Data, arbitration_id: int) -> Any:
-        """The correct checksum; the one in `data` is ignored."""
+        """The correct checksum of one frame, or of all frames of a log; the one in `data` is ignored."""
+        assert self.rule is not None, "a counter has no checksum"
         content = list(data)
         content[self.field.lowest] = content[self.field.lowest] & (0xFF ^ self.field.mask << self.field.shift)
         return self.rule(content, arbitration_id)

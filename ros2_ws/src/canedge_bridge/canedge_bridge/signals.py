@@ -14,7 +14,7 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 from st_core.yaml_text import suggest_key
 
-from .checks import RULES, CheckSpec, ChecksumSpec, Mode
+from .checks import RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
@@ -106,7 +106,7 @@ class MessageSpec:
     timeout: float
     signals: tuple[SignalSpec, ...]
     counter: CheckSpec | None
-    checksum: ChecksumSpec | None
+    checksum: CheckSpec | None
     fill: Mapping[str, int]
 
     @property
@@ -174,7 +174,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
         row = rows.entry(name)
         if [m.name for m in database.messages].count(name) > 1:
             raise TableError(f"{dbc_path}: defines {name} more than once; keep one definition")
-        is_needed = row.boolean("needed")
+        is_needed = row.get("needed", bool)
         if needed:
             is_needed = name in needed
         if name in defined:
@@ -245,16 +245,13 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) 
     if parts and parts not in (set(DATE_TIME_PARTS), set(GPS_SECONDS_PARTS)):
         raise TableError(f"{rows.origin}: {rows.path}: GPS time needs all of {', '.join(GPS_SECONDS_PARTS)} "
                          f"or all of {', '.join(DATE_TIME_PARTS)}")
-    counter = row.optional("counter")
-    checksum = row.optional("checksum")
     fill = row.optional("fill")
     for sample in row.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
         dbc=dbc, needed=is_needed, signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
-        counter=_read_check(counter, dbc, dbc_path) if counter else None,
-        checksum=_read_checksum(checksum, dbc, dbc_path) if checksum else None,
+        counter=_read_check(row, "counter", dbc, dbc_path), checksum=_read_check(row, "checksum", dbc, dbc_path),
         fill={} if fill is None else {name: fill.integer(
             name, 0, 2 ** _find_signal(dbc, name, dbc_path, row).length - 1) for name in fill})
 
@@ -289,7 +286,7 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
     low, high = entry.interval("range", default=(-math.inf, math.inf))
-    sign = entry.text("sign_signal") if "sign_signal" in entry else None
+    sign = entry.get("sign_signal", str) if "sign_signal" in entry else None
     spec = SignalSpec(
         extractor=Extractor(message, dbc), name=name, unit=unit, gain=direction * scale * factor,
         bias=offset * factor, factor=factor, minimum=low, maximum=high,
@@ -301,7 +298,7 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
 
 def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
-    text = entry.text("unit")
+    text = entry.get("unit", str)
     unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
     if unit is None:
         raise entry.error("unit", f"{text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
@@ -338,30 +335,28 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
             "sign_signal")
 
 
-def _read_check(entry: Entry, dbc: DbcMessage, dbc_path: Path, keys: tuple[str, ...] = ("signal", "check")
-                ) -> CheckSpec:
-    entry.allow_only(*keys)
-    signal = _find_signal(dbc, entry.text("signal"), dbc_path, entry)
+def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckSpec | None:
+    """The "counter" or "checksum" of a message; None if the table gives none."""
+    entry = row.optional(key)
+    if entry is None:
+        return None
+    entry.allow_only(*(("signal", "rule", "check") if key == "checksum" else ("signal", "check")))
+    signal = _find_signal(dbc, entry.get("signal", str), dbc_path, entry)
     field = Field.of(signal)
     if signal.is_signed or signal.is_float or field.higher:
         raise entry.error("signal", f"{signal.name} cannot be a counter or checksum: it must be unsigned and within "
                           f"one byte in {dbc_path}")
-    return CheckSpec(signal.name, field, Mode(entry.choice("check", [str(m) for m in Mode])))
-
-
-def _read_checksum(entry: Entry, dbc: DbcMessage, dbc_path: Path) -> ChecksumSpec:
-    check = _read_check(entry, dbc, dbc_path, ("signal", "rule", "check"))
-    bits, rule = RULES[entry.choice("rule", RULES)]
-    if bits != check.field.bits:
-        raise entry.error("rule", f"needs {bits} bits, but {check.signal} has {check.field.bits}")
-    return ChecksumSpec(check.signal, check.field, check.mode, rule)
+    bits, rule = RULES[entry.choice("rule", RULES)] if key == "checksum" else (field.bits, None)
+    if bits != field.bits:
+        raise entry.error("rule", f"needs {bits} bits, but {signal.name} has {field.bits}")
+    return CheckSpec(signal.name, field, Mode(entry.choice("check", [str(m) for m in Mode])), rule)
 
 
 def _check_sample(entry: Entry, dbc: DbcMessage, signals: tuple[SignalSpec, ...], dbc_path: Path) -> None:
     """Raises TableError if the recorded frame of a sample does not decode to its value, apart from the sign."""
     entry.allow_only("data", "signal", "value", "unit")
     try:
-        data = bytes.fromhex(entry.text("data"))
+        data = bytes.fromhex(entry.get("data", str))
     except ValueError:
         raise entry.error("data", "not hexadecimal bytes") from None
     spec = {s.dbc.name: s for s in signals}[entry.choice("signal", [s.dbc.name for s in signals])]

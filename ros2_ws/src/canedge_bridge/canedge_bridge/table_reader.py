@@ -30,8 +30,14 @@ def one_line(error: object, limit: int = 300) -> str:
     return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
 
 
+_TYPE_NAMES = {str: "a string", bool: "true or false", int: "a whole number"}
+
+
 class Entry:
-    """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping."""
+    """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping.
+
+    Its methods raise TableError for a missing key and for a value of another type or outside its limits.
+    """
 
     def __init__(self, origin: str, path: str, value: Any):
         self.origin = origin
@@ -74,11 +80,12 @@ class Entry:
             raise self.error(key, "expected a list")
         return [Entry(self.origin, f"{self._path_of(key)}[{i}]", value) for i, value in enumerate(values)]
 
-    def text(self, key: str) -> str:
-        return self._typed(key, str, "a string")
-
-    def boolean(self, key: str) -> bool:
-        return self._typed(key, bool, "true or false")
+    def get(self, key: str, kind: type) -> Any:
+        """The value of a key, of exactly this type."""
+        value = self._get(key)
+        if type(value) is not kind:
+            raise self.error(key, f"{value!r} is not {_TYPE_NAMES[kind]}")
+        return value
 
     def choice(self, key: str, allowed: Iterable[Any]) -> Any:
         value = self._get(key)
@@ -95,7 +102,7 @@ class Entry:
         return self._number(key, self._get(key), minimum, maximum)
 
     def integer(self, key: str, minimum: int, maximum: int) -> int:
-        return int(self._number(key, self._typed(key, int, "a whole number"), minimum, maximum))
+        return int(self._number(key, self.get(key, int), minimum, maximum))
 
     def quantity(self, key: str, unit: str, minimum: float, maximum: float) -> float:
         """A number with its unit, `key: {value: 1.0, unit: s}`."""
@@ -114,12 +121,6 @@ class Entry:
         if not low < high:
             raise self.error(key, f"{low:g} is not below {high:g}")
         return low, high
-
-    def _typed(self, key: str, kind: type, description: str) -> Any:
-        value = self._get(key)
-        if type(value) is not kind:
-            raise self.error(key, f"{value!r} is not {description}")
-        return value
 
     def _number(self, key: str, value: Any, minimum: float, maximum: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):

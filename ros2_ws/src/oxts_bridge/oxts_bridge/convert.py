@@ -32,8 +32,10 @@ from .stream import ReceivedPacket
 UNKNOWN_VARIANCE = 1e6
 _UNKNOWN_BLOCK = (UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, UNKNOWN_VARIANCE)
 
-MESSAGE_TYPES = {"ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix,
-         "velocity": TwistWithCovarianceStamped, "time_reference": TimeReference, "trigger": Trigger}
+MESSAGE_TYPES = {
+    "ncom": Ncom, "odometry": Odometry, "imu": Imu, "nav_sat_fix": NavSatFix, "velocity": TwistWithCovarianceStamped,
+    "time_reference": TimeReference, "status": InsStatus, "trigger": Trigger, "origin": NavSatFix}
+"""Topic under ins/ -> type of its messages."""
 
 
 class Publishers:
@@ -45,15 +47,11 @@ class Publishers:
     def __init__(self, node: Node, settings: SimpleNamespace):
         self._node, self._settings = node, settings
         self._publishers: list[Publisher] = []
-        self._out = {
-            name: OnDemandPublisher(self._create(type_, f"ins/{name}", SAMPLE_QOS) if name in settings.topics else None)
-            for name, type_ in MESSAGE_TYPES.items()
-        }
-        self._status = self._create(InsStatus, "ins/status", LATCHED) if "status" in settings.topics else None
-        self._origin = self._create(NavSatFix, "ins/origin", LATCHED) if "origin" in settings.topics else None
-        self._tf = OnDemandPublisher(self._create(TFMessage, "/tf", 100) if settings.publish_tf else None)
-        self._tf_static = self._create(TFMessage, "/tf_static", LATCHED) if settings.publish_tf else None
-        self._clock = self._create(Clock, "/clock", 10) if settings.publish_clock else None
+        self._out = {name: self._create(type_, f"ins/{name}", LATCHED if name in ("status", "origin") else SAMPLE_QOS,
+                                        name in settings.topics) for name, type_ in MESSAGE_TYPES.items()}
+        self._tf = self._create(TFMessage, "/tf", 100, settings.publish_tf)
+        self._tf_static = self._create(TFMessage, "/tf_static", LATCHED, settings.publish_tf)
+        self._clock = self._create(Clock, "/clock", 10, settings.publish_clock)
         frame = settings.ins_frame
         self._odometry = Odometry(header=Header(frame_id=settings.map_frame), child_frame_id=frame)
         self._velocity = TwistWithCovarianceStamped(header=Header(frame_id=frame))
@@ -71,10 +69,11 @@ class Publishers:
             header=Header(frame_id=settings.odom_frame), child_frame_id=settings.base_frame)
         self._transforms = TFMessage(transforms=[self._transform])
 
-    def _create(self, type_: type, name: str, qos: QoSProfile | int) -> Publisher:
-        publisher = self._node.create_publisher(type_, name, qos)
-        self._publishers.append(publisher)
-        return publisher
+    def _create(self, type_: type, name: str, qos: QoSProfile | int, is_enabled: bool) -> OnDemandPublisher:
+        if not is_enabled:
+            return OnDemandPublisher(None)
+        self._publishers.append(self._node.create_publisher(type_, name, qos))
+        return OnDemandPublisher(self._publishers[-1])
 
     def destroy(self) -> None:
         for publisher in self._publishers:
@@ -178,8 +177,6 @@ class Publishers:
     def publish_status(self, stamp_ns: int, navigation_status: int, status: StatusTracker, counters: Counters,
                        time_jumps: int) -> None:
         """Publish st_msgs/InsStatus with the newest values of all status channels."""
-        if self._status is None:
-            return
         number, get, accuracy = status.get_number, status.get, Accuracy.from_status(status)
         (east, north, up), (velocity_east, velocity_north, velocity_up), (roll, pitch, heading) = accuracy
         message = InsStatus(
@@ -206,32 +203,29 @@ class Publishers:
         for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
             setattr(message, f"{name}_mode", _to_integer(get(field)))
             setattr(message, f"{name}_mode_text", describe_mode(get(field)))
-        self._status.publish(message)
+        self._out["status"].publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
         """geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
-        if self._origin is not None:
-            message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
-            _set_time(message.header.stamp, stamp_ns)
-            message.latitude, message.longitude, message.altitude = geodetic
-            self._origin.publish(message)
+        message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
+        _set_time(message.header.stamp, stamp_ns)
+        message.latitude, message.longitude, message.altitude = geodetic
+        self._out["origin"].publish(message)
 
     def publish_clock(self, utc_ns: int) -> None:
-        if self._clock is not None:
-            message = Clock()
-            _set_time(message.clock, utc_ns)
-            self._clock.publish(message)
+        message = Clock()
+        _set_time(message.clock, utc_ns)
+        self._clock.publish(message)
 
     def publish_static_transforms(self, stamp_ns: int) -> None:
         """Publish map -> odom (identity, as the INS does not drift relative to the map) and base_link -> ins_link."""
-        if self._tf_static is not None:
-            s = self._settings
-            transforms = [TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
-                          for parent, child in ((s.map_frame, s.odom_frame), (s.base_frame, s.ins_frame))]
-            for transform in transforms:
-                _set_time(transform.header.stamp, stamp_ns)
-            _set_vector(transforms[1].transform.translation, self._base_to_ins)
-            self._tf_static.publish(TFMessage(transforms=transforms))
+        s = self._settings
+        transforms = [TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
+                      for parent, child in ((s.map_frame, s.odom_frame), (s.base_frame, s.ins_frame))]
+        for transform in transforms:
+            _set_time(transform.header.stamp, stamp_ns)
+        _set_vector(transforms[1].transform.translation, self._base_to_ins)
+        self._tf_static.publish(TFMessage(transforms=transforms))
 
 
 def _set_time(time: Any, nanoseconds: int) -> None:

@@ -12,7 +12,7 @@ from st_ros import parameters, spin
 from st_ros.diagnostics import Diagnostics
 from st_ros.parameters import ConfigurationError, Parameter
 
-from .convert import Publishers
+from .convert import MESSAGE_TYPES, Publishers
 from .geometry import LocalFrame, Vector
 from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
@@ -22,7 +22,6 @@ from .sources import ReplaySource, Source, UdpSource, continues_stream
 from .status import EventLog, StatusTracker
 from .stream import NcomParser, ReceivedPacket, StreamStatistics
 
-TOPICS = ("ncom", "odometry", "imu", "nav_sat_fix", "velocity", "time_reference", "status", "trigger", "origin")
 NCOM, RECEIVE = "ncom", "receive"
 
 PARAMETERS = (
@@ -35,7 +34,7 @@ PARAMETERS = (
     Parameter("loop", False, "replay: start again at the end"),
     Parameter("start_offset", 0.0, "replay: start this long after the first time in the file", "s", 0.0, 1e9),
     Parameter("publish_clock", False, "replay: publish /clock with the file's time"),
-    Parameter("topics", list(TOPICS), "topics under ins/ to publish"),
+    Parameter("topics", list(MESSAGE_TYPES), "topics under ins/ to publish"),
     Parameter("publish_tf", True, "publish map -> odom -> base_link -> ins_link"),
     Parameter("map_frame", "map", "frame of odometry: east, north, up from the origin"),
     Parameter("odom_frame", "odom", "REP-105 frame between map and base; identical to map here"),
@@ -231,8 +230,8 @@ def check(settings: SimpleNamespace, node_name: str) -> None:
         raise ConfigurationError(f"{node_name}.{key}: {reason}")
 
     for topic in settings.topics:
-        if topic not in TOPICS:
-            reject("topics", f"{topic!r} is not one of {', '.join(TOPICS)}")
+        if topic not in MESSAGE_TYPES:
+            reject("topics", f"{topic!r} is not one of {', '.join(MESSAGE_TYPES)}")
     for key in ("bind_address", "sender_filter") if settings.sender_filter else ("bind_address",):
         try:
             ipaddress.ip_address(getattr(settings, key))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from canedge_bridge.checks import ChecksumSpec, Mode, find_counter_faults
+from canedge_bridge.checks import Mode, find_counter_faults
 from canedge_bridge.extraction import has_length, stack_bytes
 from canedge_bridge.ins_time import replace_gps_time
 from canedge_bridge.plausibility import find_plausible
@@ -212,7 +212,7 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
     for name, check in (("checksum", spec.checksum), ("counter", spec.counter)):
         if check is None or check.mode is Mode.OFF:
             continue
-        if isinstance(check, ChecksumSpec):
+        if check.rule:
             wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
         else:
             wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout_ns)
