@@ -68,8 +68,8 @@ class Field:
     first_byte: int
     unit: str = "1"
     scale: float = 1
-    offset: float = 0
     validity: Validity = ALWAYS
+    offset: float = 0
     cyclic: int = 0
 
     @cached_property
@@ -168,28 +168,26 @@ def unless(*codes: int, fresh: bool = False) -> Validity:
                     flag_byte=6 if fresh else None)
 
 
-BYTE = unless(0xFF)
-WORD = unless(0xFFFF)
+NIBBLE, BYTE, WORD, INT32 = unless(0xF), unless(0xFF), unless(0xFFFF), unless(-(1 << 31))
 # Units send 0x8000 for an unknown undulation. The manual gives 0xFFFF, which is also a valid -5 mm: it means unknown
 # only while HDOP and PDOP are invalid too.
 UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
                       lambda raw, data: raw != -0x8000 and (raw != -1 or data[2:4] != b"\xff\xff"), -0x8000)
-NIBBLE = unless(0xF)
 
 
 def _byte(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """One byte, 0xFF = invalid."""
-    return F(name, "u8", first_byte, unit, scale, offset, BYTE)
+    return F(name, "u8", first_byte, unit, scale, BYTE, offset)
 
 
 def _word(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
     """Two bytes, 0xFFFF = invalid."""
-    return F(name, "u16", first_byte, unit, scale, offset, WORD)
+    return F(name, "u16", first_byte, unit, scale, WORD, offset)
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
     """Three consecutive two-byte values, the first at byte 0."""
-    return [F(name, kind, 2 * i, unit, scale, 0, validity) for i, name in enumerate(names)]
+    return [F(name, kind, 2 * i, unit, scale, validity) for i, name in enumerate(names)]
 
 
 def _lever_arm(prefix: str) -> list[Field]:
@@ -206,7 +204,7 @@ def _angles(prefix: str) -> list[Field]:
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
     """Kalman filter innovations, normalised by their standard deviation."""
-    return [F(name, "shifted", first + i, "sigma", 0.1, 0, BIT0_SET) for i, name in enumerate(names)]
+    return [F(name, "shifted", first + i, "sigma", 0.1, BIT0_SET) for i, name in enumerate(names)]
 
 
 def _counters(*names: str) -> list[Field]:
@@ -222,7 +220,7 @@ def _receiver_status(receiver: str) -> list[Field]:
             F(f"{receiver}.AntPower", "bits2+2", 0, validity=unless(3, 2)),
             _byte(f"{receiver}.CpuUsed", 1, "%"), _byte(f"{receiver}.CoreNoise", 2, "%"),
             _byte(f"{receiver}.SerBaud", 3), _byte(f"{receiver}.NumSats", 4),
-            _byte(f"{receiver}.PosMode", 5), _byte(f"{receiver}.CoreTemp", 6, "degC", 1, -70),
+            _byte(f"{receiver}.PosMode", 5), _byte(f"{receiver}.CoreTemp", 6, "degC", offset=-70),
             _byte(f"{receiver}.SupplyVolt", 7, "V", 0.1)]
 
 
@@ -262,33 +260,32 @@ TABLE: dict[int, list[Field]] = {
     11: [*_xyz(("WxSfAcc", "WySfAcc", "WzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
     12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
-    13: [F("AtH", "i16", 0, "deg", degrees(1e-4), 0, FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), 0, FRESH),
-         F("BaseLineLength", "u16", 4, "m", 1e-3, 0, unless(0, 0xFFFF, fresh=True)),
+    13: [F("AtH", "i16", 0, "deg", degrees(1e-4), FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), FRESH),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, unless(0, 0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
     14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
-    15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), 0, FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), 0, FRESH),
-         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, 0, unless(0xFFFF, fresh=True)),
+    15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), FRESH),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, unless(0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
-    16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, 0, BIT0_SET)],
+    16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, BIT0_SET)],
     17: _receiver_counters("GpsSecondary"),
     18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, cyclic=16), F("ImuCharsSkipped", "u16", 6, cyclic=16)],
     19: [F("DevId", "text8", 0)],
-    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, 0, unless(-1)), F("BaseStationId", "text4", 2)],
-    21: [F("DiskSpace", "i32", 0, "byte", 1024, 0, NOT_NEGATIVE),
-         F("FileSize", "i32", 4, "byte", 1024, 0, NOT_NEGATIVE)],
+    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, unless(-1)), F("BaseStationId", "text4", 2)],
+    21: [F("DiskSpace", "i32", 0, "byte", 1024, NOT_NEGATIVE), F("FileSize", "i32", 4, "byte", 1024, NOT_NEGATIVE)],
     22: [_word("TimeMismatch", 0), _byte("ImuTimeDiff", 2, "ms"), _byte("ImuTimeMargin", 3, "ms"),
          _word("ImuLoopTime", 4, "ms"), _word("OpLoopTime", 6, "ms")],
     23: [_word("BnsLag", 0, "ms"), _word("UpTimeCode", 2), _byte("GPSPosReject", 4), _byte("GPSVelReject", 5),
          _byte("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
-    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
-         F("OldRefY", "i24", 3, "m", 1.2e-3, 0, unless(-0x800000, 0x7FFFFF)),
-         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), 0, unless(-0x8000))],
+    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, unless(-0x800000, 0x7FFFFF)),
+         F("OldRefY", "i24", 3, "m", 1.2e-3, unless(-0x800000, 0x7FFFFF)),
+         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), unless(-0x8000))],
     26: _lever_arm("RemoteLeverArm"),
     27: [_byte("HeadQuality", 0), _byte("HeadSearchType", 1), _byte("HeadSearchStatus", 2), _byte("HeadSearchReady", 3),
          _word("HeadSearchInit", 4), _word("HeadSearchNum", 6)],
-    28: [_byte("HeadSearchMaster", 0, "PRN", 1, 1), _byte("HeadSearchSlave1", 1, "PRN", 1, 1),
-         _byte("HeadSearchSlave2", 2, "PRN", 1, 1), _byte("HeadSearchSlave3", 3, "PRN", 1, 1),
+    28: [*(_byte(f"HeadSearch{name}", i, "PRN", offset=1) for i, name in enumerate(
+             ("Master", "Slave1", "Slave2", "Slave3"))),
          F("HeadSearchTime", "u16", 4, "s"), F("HeadSearchConstr", "u16", 6)],
     29: [F(f"Option{name}", "u8", i, validity=HIGH_BIT_CLEAR) for i, name in enumerate(
         ("Level", "Vibration", "GpsAcc", "Udp", "Ser1", "Ser2", "Heading", "Heave"))],
@@ -305,8 +302,8 @@ TABLE: dict[int, list[Field]] = {
     34: _lever_arm_accuracy("ZeroVelLeverArm"),
     35: _lever_arm("NoSlipLeverArm"),
     36: _lever_arm_accuracy("NoSlipLeverArm"),
-    37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), 0, B6_NOT_255),
-         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_NOT_255), _byte("NumSatsUsedPos", 4),
+    37: [F("HeadingMisAlign", "i16", 0, "deg", degrees(1e-4), B6_NOT_255),
+         F("HeadingMisAlignAcc", "u16", 2, "deg", degrees(1e-5), B6_NOT_255), _byte("NumSatsUsedPos", 4),
          _byte("NumSatsUsedVel", 5), _byte("NumSatsUsedAtt", 7)],
     38: [_byte("OptionSZVDelay", 0, "s"), _byte("OptionSZVPeriod", 1, "s", 0.1), _word("OptionTopSpeed", 2, "m/s", 0.5),
          _byte("OptionInitSpeed", 4, "m/s", 0.1), F("OptionSer3", "u8", 5, validity=HIGH_BIT_CLEAR)],
@@ -317,8 +314,7 @@ TABLE: dict[int, list[Field]] = {
     40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _word("OutputLatency", 2, "s", 0.01),
          F("SerialNumber24", "u24", 4, validity=unless(0xFFFFFF))],
     41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
-         F("OptionCanBaud", "u8", 3),
-         *(F(f"WifiIp{i}", "u8", 3 + i, validity=BYTE) for i in (1, 2, 3, 4))],
+         F("OptionCanBaud", "u8", 3), *(_byte(f"WifiIp{i}", 3 + i) for i in (1, 2, 3, 4))],
     42: [_byte("OptionHLDelay", 0, "s"), _byte("OptionHLPeriod", 1, "s", 0.1),
          _word("OptionHLAngleStd", 2, "deg", degrees(1e-5)), _byte("OptionStatDelay", 4, "s"),
          _byte("OptionStatSpeed", 5, "m/s", 0.01), F("GnssSources", "u8", 6, validity=HIGH_BIT_CLEAR)],
@@ -329,7 +325,7 @@ TABLE: dict[int, list[Field]] = {
          _byte("WSpeedTimeUnchanged", 6, "s", 0.1), _byte("GadStatus", 7)],
     46: _lever_arm("WSpeedLeverArm"),
     47: _lever_arm_accuracy("WSpeedLeverArm"),
-    48: [F("Undulation", "i16", 0, "m", 5e-3, 0, UNDULATION), _byte("HDOP", 2, "1", 0.1), _byte("PDOP", 3, "1", 0.1),
+    48: [F("Undulation", "i16", 0, "m", 5e-3, UNDULATION), _byte("HDOP", 2, "1", 0.1), _byte("PDOP", 3, "1", 0.1),
          _byte("OutputDatum", 5), _byte("DatumEllipsoid", 6), _byte("DatumEarthFrame", 7)],
     49: [_word("OmniStarFreq", 0, "Hz", 1000, 1.52e9), _byte("OmniStarSNR", 2, "dB", 0.2),
          _byte("OmniStarLockTime", 3, "s"),
@@ -359,10 +355,8 @@ TABLE: dict[int, list[Field]] = {
              ("GnssGlonassEnabled", "GnssGalileoEnabled", "RawRngEnabled", "RawDopEnabled", "RawL1Enabled",
               "RawL2Enabled", "RawL5Enabled"))),
          _byte("ProductType", 7)],
-    66: [F("RefLat", "i32", 0, "deg", 1e-7, 0, unless(-(1 << 31))),
-         F("RefLon", "i32", 4, "deg", 1e-7, 0, unless(-(1 << 31)))],
-    67: [F("RefAlt", "i32", 0, "m", 1e-3, 0, unless(-(1 << 31))),
-         F("RefHeading", "i32", 4, "deg", 1e-7, 0, unless(-(1 << 31)))],
+    66: [F("RefLat", "i32", 0, "deg", 1e-7, INT32), F("RefLon", "i32", 4, "deg", 1e-7, INT32)],
+    67: [F("RefAlt", "i32", 0, "m", 1e-3, INT32), F("RefHeading", "i32", 4, "deg", 1e-7, INT32)],
     72: [*_xyz(("AxSf", "AySf", "AzSf"), "i16", 1e-6, "1", FRESH), *_nibbles(7, "DiffNumGpsL1", "DiffNumGpsL2")],
     73: [*_xyz(("AxSfAcc", "AySfAcc", "AzSfAcc"), "u16", 1e-6, "1", FRESH),
          *_nibbles(7, "DiffNumGloL1", "DiffNumGloL2")],
@@ -378,8 +372,8 @@ TABLE: dict[int, list[Field]] = {
     88: _innovations("InnVerticalSlip"),
     89: [*_lever_arm("VerticalSlipLeverArm"), F("WifiApStatus", "u8", 7, validity=POSITIVE)],
     90: [*_lever_arm_accuracy("VerticalSlipLeverArm"), F("WifiRegion", "u8", 7)],
-    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), 0, B6_ZERO),
-         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), 0, B6_ZERO)],
+    91: [F("PitchMisalign", "i16", 0, "deg", degrees(1e-4), B6_ZERO),
+         F("PitchMisalignAcc", "u16", 2, "deg", degrees(1e-5), B6_ZERO)],
     93: [*_nibbles(1, "NumGalUsedInPos", "NumBdsUsedInPos"), F("NmeaEnabled", "lo4", 2), F("PtpEpoch", "hi4", 2),
          F("PpsStatus", "lo4", 3, validity=NIBBLE), F("LidarIpLastByte", "u8", 4),
          F("TimingSource", "lo4", 5, validity=NIBBLE)],
@@ -391,7 +385,7 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(5, "GpsExternal.NumBdsB1", "GpsExternal.NumBdsB2"), *_nibbles(6, "DiffNumGalE1", "DiffNumGalE5"),
          *_nibbles(7, "DiffNumBdsB1", "DiffNumBdsB2")],
     95: [F("GadStreamId", "u8", 0, validity=POSITIVE), _byte("GadRejected", 1),
-         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, 0, WITHIN_MINUTE)],
+         *_innovations("GadInn1", "GadInn2", "GadInn3", first=2), F("GadTime", "u16", 5, "s", 1e-3, WITHIN_MINUTE)],
 }
 
 FIELDS: dict[int, dict[str, Field]] = {channel: {f.name: f for f in fields} for channel, fields in TABLE.items()}
