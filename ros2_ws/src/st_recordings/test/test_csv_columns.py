@@ -312,14 +312,15 @@ def test_unit_of_times_since_1970_is_inferred_or_declared(tmp_path: Path, factor
 @pytest.mark.parametrize(("stamp", "start"), [
     ("2026-05-04T23:59:59.{:03d}Z", 1_777_939_199), ("2026-05-04 23:59:59.{:03d}", 1_777_939_199),
     ("04.05.2026 23:59:59.{:03d}", 1_777_939_199), ("2026-05-05T01:59:59.{:03d}+02:00", 1_777_939_199),
-    ("23:59:59.{:03d}", 86_399),
+    ("23:59:59.{:03d}", 86_399), ("2026_05_04_23_59_59_{:03d}", 1_777_939_199),
 ])
 def test_times_as_text_over_midnight(tmp_path: Path, stamp: str, start: int) -> None:
     file = write(tmp_path / "d.csv", PLAIN)
     head, *lines = file.read_text().splitlines()
     texts = [stamp.format(20 * k) if k < 50 else
              stamp.format(20 * k - 1000).replace("23:59:59", "00:00:00").replace("01:59:59", "02:00:00")
-             .replace("-05-04", "-05-05").replace("04.05", "05.05") for k in range(len(lines))]
+             .replace("-05-04", "-05-05").replace("04.05", "05.05").replace("04_23_59_59", "05_00_00_00")
+             for k in range(len(lines))]
     file.write_text("\n".join([head, *(f"{t},{line.partition(',')[2]}" for t, line in zip(texts, lines, strict=True))]))
     drive = read_csv(file)
     assert_values(drive.log)

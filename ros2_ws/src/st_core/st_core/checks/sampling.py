@@ -271,7 +271,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     where = tuple((float(time[first[k]]), float(time[last[k]])) for k in frozen)
     text = f"{name} is constant for {seconds:.1f} s while the car moves"
     if name == "velocity_y" and not values.any():
-        text = "velocity_y is 0 throughout, so the sideslip at each start is unknown"
+        text = "velocity_y is missing or 0 throughout, so the sideslip at each start is unknown"
     throughout = seconds > 0.5 * float(time[-1] - time[0])
     severity = Severity.ERROR if throughout and name not in OPTIONAL_CHANNELS else Severity.WARNING
     if throughout:

@@ -446,7 +446,7 @@ def _is_comment(line: str, delimiter: str) -> bool:
 
 def _parse_number(text: str) -> float:
     try:
-        return float(text.strip(" '"))
+        return float(text.strip(" '")) if "_" not in text else float("nan")  # float accepts 1_000
     except ValueError:
         return float("nan")
 

@@ -19,6 +19,7 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
+_UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
 _SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
@@ -83,6 +84,8 @@ def _replace_month_name(match: re.Match[str]) -> str:
 def parse_stamp(text: str) -> tuple[float, float] | None:
     """(seconds since 1970, midnight or the full hour; period [s] after which they restart, 0 if never) of a time.
     A time without time zone is UTC. None for a text that is not a time."""
+    if match := _UNDERSCORED_STAMP.fullmatch(text):
+        text = "{}-{}-{} {}:{}:{}.{}".format(*match.groups("0"))
     match = _STAMP.fullmatch(_COMPACT_STAMP.sub(r"\1-\2-\3 \4:\5:\6", text))
     if match is None:
         return None
