@@ -4,7 +4,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,11 +19,14 @@ from rich.table import Table
 from rich.text import Text
 from st_core.palette import MODEL_COLOUR
 from st_msgs.msg import ErrorSummary, Prediction, PredictorStatus
+from st_recordings.paths import json_ready
 from st_recordings.results import format_band_lines
 from st_ros.polling import PolledSubscription
 
 AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
+TABLE_MODES = ("hindsight", "forecast", "course", "plan")
+AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent
 LEVELS = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
@@ -158,18 +161,40 @@ def render_motion(state: SuiteState) -> Text:
 
 
 def render_errors(state: SuiteState) -> RenderableType:
-    """Table of mean, largest magnitude and RMS of the horizon-mean errors so far [m], by model and mode."""
+    """The table of the errors so far."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the end of the first prediction", style="dim")
-    table = Table(box=None, padding=(0, 1))
-    for column in ("model", "mode", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
-        table.add_column(column, justify="left" if column in ("model", "mode") else "right", no_wrap=True)
+    models: dict[str, dict[str, Any]] = {}
     for s in statistics:
-        table.add_row(Text(s.model, style=MODEL_COLOUR.get(s.model, "")), s.mode, str(s.n_starts),
-                      _format_statistics(s.longitudinal_mean, s.longitudinal_max, s.longitudinal_rmse),
-                      _format_statistics(s.lateral_mean, s.lateral_max, s.lateral_rmse))
+        models.setdefault(s.model, {})[s.mode] = {"n_starts": s.n_starts, **{
+            axis: {name: json_ready(getattr(s, f"{axis}_{name}")) for name in STATISTICS} for axis in AXES}}
+    return make_error_table(models, digits=2)
+
+
+def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
+    """Table of mean, largest magnitude and RMS of the horizon-mean errors [m]; the smallest of each mode is bold.
+
+    models: as in summary.json. digits: number of decimal places.
+    """
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
+    for column in ("mode", "model", "starts", *(f"{axis}, m\nmean | max | RMSE" for axis in AXES)):
+        table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)
+    for mode in TABLE_MODES:
+        rows = {model: modes[mode] for model, modes in models.items() if mode in modes}
+        for model, row in rows.items():
+            cells = [Text(" | ").join(_format_statistic(rows, model, axis, name, digits) for name in STATISTICS)
+                     for axis in AXES]
+            table.add_row(mode, Text(model, style=MODEL_COLOUR.get(model, "")), str(row["n_starts"]), *cells)
+        table.add_section()
     return table
+
+
+def _format_statistic(rows: Mapping[str, Any], model: str, axis: str, name: str, digits: int) -> Text:
+    value = rows[model][axis][name]
+    magnitudes = [abs(v) for row in rows.values() if (v := row[axis][name]) is not None]
+    is_best = value is not None and abs(value) <= min(magnitudes) + 0.5 * 10.0**-digits
+    return Text("-" if value is None else f"{value:.{digits}f}", style="bold" if is_best else "")
 
 
 def render_ticks(state: SuiteState) -> Text:
@@ -197,7 +222,3 @@ def render_health(state: SuiteState) -> Text:
         style = "red" if status.level >= ERROR or silent else "yellow"
         text.append(f"{level}: {status.name}: {status.message}\n", style=style)
     return text if text else Text("all nodes OK" if state.health else "", style="green")
-
-
-def _format_statistics(*values: float) -> str:
-    return " | ".join("-" if math.isnan(v) else f"{v:5.2f}" for v in values)

@@ -1,7 +1,7 @@
 """Draws a recorded run as a Rerun recording (.rrd) with a frame every 0.1 s."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,6 @@ RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by level of the band
 THIN_LINE, THICK_LINE, TRACK_LINE = (rr.Radius.ui_points(points) for points in (0.6, 1.8, 4.0))
 # Each model's path is narrower than the previous one and drawn above it: all stay visible where they coincide.
 MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0.6))
-Projection = Callable[[np.ndarray, np.ndarray], np.ndarray]  # from map x, y to screen coordinates
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
@@ -88,14 +87,9 @@ def make_blueprint() -> rrb.Blueprint:
     )
 
 
-def to_north_up(x, y, pose: Pose) -> np.ndarray:
-    """(..., 2) screen coordinates [m] of map points x east, y north [m], around a car at `pose`."""
-    return np.stack(np.broadcast_arrays(np.asarray(x) - pose.x, pose.y - np.asarray(y)), axis=-1)
-
-
-def to_heading_up(x, y, pose: Pose) -> np.ndarray:
-    """(..., 2) screen coordinates [m] of map points x, y [m], seen from a car at `pose`, its heading up."""
-    forward, left = map_to_body(np.asarray(x) - pose.x, np.asarray(y) - pose.y, pose.yaw)
+def to_screen(view: Pose, x, y) -> np.ndarray:
+    """(..., 2) screen coordinates, right and down [m], of map points x, y [m]; `view`: origin, and direction of up."""
+    forward, left = map_to_body(np.asarray(x) - view.x, np.asarray(y) - view.y, view.yaw)
     return np.stack(np.broadcast_arrays(-left, -forward), axis=-1)
 
 
@@ -184,53 +178,54 @@ class Scene:
         log("plots/lateral_acceleration/measured", rr.Scalars([sample.velocity_x * sample.yaw_rate]))
         if self._angle is not None:
             log("plots/steering/measured", rr.Scalars([math.degrees(self._angle)]))
-        lines = [to_north_up(x, y, pose) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * AROUND)]
+        north_up = pose._replace(yaw=0.5 * math.pi)
+        lines = [to_screen(north_up, x, y) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * AROUND)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN_LINE, order=-1.0)
-        self._draw_view("map", lambda x, y: to_north_up(x, y, pose), pose, now_ns)
-        self._draw_view("ahead", lambda x, y: to_heading_up(x, y, pose), pose, now_ns)
+        self._draw_view("map", north_up, pose, now_ns)
+        self._draw_view("ahead", pose, pose, now_ns)
         if not 0 <= self._text_due_ns - now_ns <= TEXT_PERIOD_NS:  # the second limit: the clock has been set back
             self._text_due_ns = now_ns + TEXT_PERIOD_NS
             text = format_errors(self._statistics, self._ticks, list(self._health.values()))
             log("text", rr.TextDocument(text, media_type="text/markdown"))
 
-    def _draw_view(self, root: str, project: Projection, pose: Pose, now_ns: int) -> None:
-        """Draw car, track, predictions with bands, and earlier predictions."""
+    def _draw_view(self, root: str, view: Pose, pose: Pose, now_ns: int) -> None:
+        """Draw car, track, predictions with bands, and earlier predictions. view: as for `to_screen`."""
         history = self._history
         track = np.array([(x, y) for _, x, y in history.track])[::-TRACK_STRIDE]
         colour = rgb(MEASURED_COLOUR, 0.6)
-        self._log_lines(f"{root}/track", [project(track[:, 0], track[:, 1])], [colour], TRACK_LINE, order=0.0)
-        outline = project(*make_car_outline(pose, self._car))
+        self._log_lines(f"{root}/track", [to_screen(view, track[:, 0], track[:, 1])], [colour], TRACK_LINE, order=0.0)
+        outline = to_screen(view, *make_car_outline(pose, self._car))
         self._log_lines(f"{root}/car", [outline], [(20, 20, 20)], THICK_LINE, order=5.0)
         ghosts, ghost_colours, errors, error_colours = [], [], [], []
         for number, model in enumerate(history.models):
             self._log_name(model)
             path = history.find_newest(model, now_ns)
-            self._log_lines(f"{root}/paths/{model}", [project(path.x, path.y)] if path else [], [rgb(colour_of(model))],
-                            MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)], order=3.0 + 0.1 * number)
-            self._draw_ribbons(f"{root}/bands/{model}", project, path.ribbons if path else (), model, number)
+            self._log_lines(f"{root}/paths/{model}", [to_screen(view, path.x, path.y)] if path else [],
+                            [rgb(colour_of(model))], MODEL_WIDTHS[min(number, len(MODEL_WIDTHS) - 1)],
+                            order=3.0 + 0.1 * number)
+            self._draw_ribbons(f"{root}/bands/{model}", view, path.ribbons if path else (), model, number)
             for age, ghost in history.find_ghosts(model, now_ns):
-                ghosts.append(project(ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
+                ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
             # A line from the car to the position predicted for the present one horizon ago.
             if point := history.find_predicted_position(model, now_ns):
-                errors.append(project(*np.transpose([(pose.x, pose.y), point])))
+                errors.append(to_screen(view, *np.transpose([(pose.x, pose.y), point])))
                 error_colours.append(rgb(colour_of(model)))
         self._log_lines(f"{root}/ghosts", ghosts, ghost_colours, THIN_LINE, order=1.0)
         self._log_lines(f"{root}/errors", errors, error_colours, THICK_LINE, order=4.5)
 
-    def _draw_ribbons(self, entity: str, project: Projection, ribbons: Sequence[Ribbon], model: str,
-                      number: int) -> None:
+    def _draw_ribbons(self, entity: str, view: Pose, ribbons: Sequence[Ribbon], model: str, number: int) -> None:
         """Fill the bands with lines from edge to edge, because Rerun cannot fill areas in 2D.
 
         Lines are 1.2 times as wide as their spacing, to leave no gaps. The edges of the widest band are
         drawn above all areas, so that the bands of every model remain visible.
         """
-        edges = [project(*side.T) for band in ribbons[:1] for side in (band.left, band.right)]
+        edges = [to_screen(view, *side.T) for band in ribbons[:1] for side in (band.left, band.right)]
         self._log_lines(f"{entity}/edges", edges, [rgb(colour_of(model), 0.6)], THIN_LINE, order=0.8)
         for level, strength in RIBBON_STRENGTH.items():
             strips, radii = np.empty((0, 2, 2)), np.empty(0)
             for band in (r for r in ribbons if r.level == level):
-                left, right = (project(*side[::RIBBON_STRIDE].T) for side in (band.left, band.right))
+                left, right = (to_screen(view, *side[::RIBBON_STRIDE].T) for side in (band.left, band.right))
                 middle = 0.5 * (left + right)
                 strips = np.stack([left, right], axis=1)
                 radii = 0.6 * np.hypot(*np.gradient(middle, axis=0).T)

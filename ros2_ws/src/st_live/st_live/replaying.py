@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from .configuration import REPLAY_NODES, TRUNCATION_WARNING, make_replay_paramet
 from .node import Monitor
 from .page import LiveView
 from .session import Outcome, start_nodes
-from .suite import Child, Suite, SuiteError, claim_domain, read_domain_id
+from .suite import Child, Parameters, Suite, SuiteError, claim_domain, read_domain_id
 
 DRAIN_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 PROGRESS_PERIOD = 0.2  # s
@@ -55,12 +56,12 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     if "map_frame" not in recorded.nodes.get("predictor", {}):
         for node in ("predictor", "evaluator"):  # external recordings may use another frame
             parameters[node]["map_frame"] = drive.frame
-    options = []
-    if steering is not None:  # the player converts the external topic to st_msgs/Steering
-        options = ["--steering-field", steering.field, "--steering-scale", repr(steering.scale)]
-        if steering.quantity == "wheel":
-            options += ["--steering-wheel", repr(car.steering_ratio), repr(car.steering_wheel_offset)]
-    return _play(bag, drive.topics, folder, parameters, rate, console, view, options), car.name
+    predictor = parameters["predictor"]
+    player = {"bag": str(bag.absolute()), "rate": rate, "odometry": drive.topics[ODOMETRY],
+              "steering": drive.topics[STEERING], "steering_field": steering and asdict(steering),
+              "steering_ratio": car.steering_ratio, "steering_wheel_offset": car.steering_wheel_offset,
+              "horizon": predictor["horizon"], "tick_rate": predictor["rate"], "models": predictor["models"]}
+    return _play(player, folder, parameters, console, view), car.name
 
 
 def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
@@ -69,30 +70,26 @@ def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
     return topics + ([TRUNCATION_WARNING.format(bag, "played")] if was_interrupted(bag) else [])
 
 
-def _play(bag: Path, topics: Mapping[str, str], folder: Path, parameters: Mapping[str, Mapping[str, Any]], rate: float,
-          console: Console, view: LiveView | None, options: Sequence[str]) -> Outcome:
-    """Run nodes and player. topics: of odometry and steering in the bag, by type. options: more player options."""
-    problem, interrupted = "", False
-    predictor = parameters["predictor"]
+def _play(settings: Mapping[str, Any], folder: Path, parameters: Parameters, console: Console,
+          view: LiveView | None) -> Outcome:
+    """Run nodes and player. settings: of the player."""
+    problem, interrupted, name = "", False, Path(settings["bag"]).name
     with (claim_domain(read_domain_id()) as domain, Suite(folder, parameters, domain) as suite,
           Monitor(domain) as monitor):
         start_nodes(suite, monitor, [("st_predictor", name) for name in REPLAY_NODES])
         if view:
-            view.open(folder, domain, predictor, bag.name, console)
-        player = suite.start("player", [
-            sys.executable, "-m", "st_live.nodes.player", str(bag.absolute()), "--rate", str(rate),
-            "--odometry", topics[ODOMETRY], "--steering", topics[STEERING], "--horizon", str(predictor["horizon"]),
-            "--tick-rate", str(predictor["rate"]), "--models", *predictor["models"], *options])
+            view.open(folder, domain, parameters["predictor"], name, console)
+        player = suite.start("player", [sys.executable, "-m", "st_live.nodes.player", json.dumps(settings)])
         try:
-            _watch(suite, player, bag.name, rate, console)
+            _watch(suite, player, name, settings["rate"], console)
         except SuiteError as error:
             problem = str(error)
         except KeyboardInterrupt:
             interrupted = True
         statuses = suite.stop("player")
         time.sleep(DRAIN_TIME)
-        for name in reversed(REPLAY_NODES):
-            statuses.update(suite.stop(name))
+        for node in reversed(REPLAY_NODES):
+            statuses.update(suite.stop(node))
     return Outcome(statuses, interrupted, problem)
 
 
@@ -108,7 +105,7 @@ def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console
             if player.process.poll() is None:
                 suite.check()
             status = _read_last_status(player)
-            progress.update(bar, completed=status.get("done", 0.0), total=status.get("duration", 1.0))
+            progress.update(bar, completed=status.get("played", 0.0), total=status.get("duration", 1.0))
     if player.process.returncode:
         raise SuiteError(f"the player ended with status {player.process.returncode}: {player.read_last_lines()}")
     status = _read_last_status(player)

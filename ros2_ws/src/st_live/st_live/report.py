@@ -12,15 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
-from rich.text import Text
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
 from st_recordings.results import Results, format_band_lines, read_results, summarise, write_summary
 from st_recordings.runs.errors import RunError
 
+from .node import TABLE_MODES, make_error_table
 from .session import Outcome
 
-STATISTICS = ("mean", "max", "rmse")
 MAX_LINE_GAP = 1.0  # s between scored starts; no line is drawn across a longer gap
 INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
@@ -44,7 +42,8 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
         summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
         draw_paths(results, f"{about['what']}: {make_headline(summary)}", folder / "paths.png")
-    console.print(make_error_table(summary, f"{about['what']}: mean error over each horizon, at the INS point"))
+    title = f"{about['what']}: mean error over each horizon, at the INS point"
+    console.print(make_error_table(summary["models"], title))
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)
     ticks = summary["ticks"]
@@ -137,43 +136,13 @@ def _draw_errors(axes: Axes, results: Results, mode: str, quantity: str) -> None
                   ls=MODEL_LINE[model])
 
 
-def make_error_table(summary: dict[str, Any], title: str) -> Table:
-    """Table of mean, maximum and RMS of the horizon-mean errors [m]; the smallest of each mode is bold.
-
-    summary: content of summary.json.
-    """
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1))
-    for column in ("mode", "model", "starts", "longitudinal, m\nmean | max | RMSE", "lateral, m\nmean | max | RMSE"):
-        table.add_column(column, justify="left" if column in ("mode", "model") else "right", no_wrap=True)
-    models = summary["models"]
-    for mode in ("hindsight", "forecast", "course", "plan"):
-        for model, modes in models.items():
-            if mode not in modes:
-                continue
-            row = modes[mode]
-            cells = [_format_cell(models, mode, axis, row) for axis in ("longitudinal", "lateral")]
-            table.add_row(mode, Text(model, style=MODEL_COLOUR.get(model, "")), str(row["n_starts"]), *cells)
-        table.add_section()
-    return table
-
-
-def _format_cell(models: dict[str, Any], mode: str, axis: str, row: dict[str, Any]) -> Text:
-    parts = []
-    for statistic in STATISTICS:
-        value = row[axis][statistic]
-        magnitudes = [abs(v) for m in models.values() if mode in m and (v := m[mode][axis][statistic]) is not None]
-        is_best = value is not None and abs(value) <= min(magnitudes) + 5e-4  # half of the last digit shown
-        parts.append(Text("-" if value is None else f"{value:.3f}", style="bold" if is_best else ""))
-    return Text(" | ").join(parts)
-
-
 def describe_incomplete(models: dict[str, Any]) -> str:
     """Number of starts of one model without a complete horizon, by mode, as a range if the models differ; "" if none.
 
     models: as in summary.json.
     """
     counts = {mode: sorted({modes[mode]["n_incomplete"] for modes in models.values() if mode in modes})
-              for mode in ("hindsight", "forecast", "course", "plan")}
+              for mode in TABLE_MODES}
     return ", ".join(f"{mode} {' to '.join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))}"
                      for mode, numbers in counts.items() if any(numbers))
 

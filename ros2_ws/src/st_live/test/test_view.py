@@ -21,7 +21,7 @@ from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
-from st_live.recorded_view import format_errors, make_grid_lines, to_heading_up, to_north_up
+from st_live.recorded_view import format_errors, make_grid_lines, to_screen
 from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
@@ -37,17 +37,17 @@ pytestmark = pytest.mark.ros
 def test_heading_up_view_has_left_on_the_left_and_ahead_up(yaw: float) -> None:
     """Screen y points down: up is negative."""
     pose = Pose(120.0, -40.0, yaw)
-    ahead = to_heading_up(120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw), pose)
-    left = to_heading_up(120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw), pose)
+    ahead = to_screen(pose, 120.0 + 10.0 * math.cos(yaw), -40.0 + 10.0 * math.sin(yaw))
+    left = to_screen(pose, 120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw))
     assert ahead == pytest.approx([0.0, -10.0], abs=1e-9)
     assert left == pytest.approx([-10.0, 0.0], abs=1e-9)
 
 
 def test_north_up_view_has_east_on_the_right() -> None:
-    pose = Pose(5.0, 7.0, 1.0)
-    assert to_north_up(5.0, 17.0, pose) == pytest.approx([0.0, -10.0])
-    assert to_north_up(15.0, 7.0, pose) == pytest.approx([10.0, 0.0])
-    assert to_north_up(np.zeros(4), np.zeros(4), pose).shape == (4, 2)
+    pose = Pose(5.0, 7.0, math.pi / 2)
+    assert to_screen(pose, 5.0, 17.0) == pytest.approx([0.0, -10.0])
+    assert to_screen(pose, 15.0, 7.0) == pytest.approx([10.0, 0.0])
+    assert to_screen(pose, np.zeros(4), np.zeros(4)).shape == (4, 2)
 
 
 def test_grid_lines_are_fixed_in_the_map() -> None:

@@ -5,7 +5,6 @@ converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the cloc
 have followed, as the stamps in their messages show.
 """
 
-import argparse
 import json
 import math
 import struct
@@ -85,26 +84,28 @@ def read_issued_at(data: bytes) -> int:
 
 
 class Player:
-    def __init__(self, options: argparse.Namespace):
+    """Plays one bag.
+
+    settings: bag (path); rate (speed relative to the recording, 0: as fast as the nodes can follow); odometry, steering
+    (topics in the recording); steering_field (fields of SteeringField for an external steering topic, else null);
+    steering_ratio, steering_wheel_offset [rad] (of the car); horizon [s], tick_rate [Hz], models (of the predictor).
+    """
+
+    def __init__(self, settings: Mapping[str, Any]):
         self._stop = spin.StopRequest()
-        self._bag, self._rate = options.bag, options.rate
-        self._published_topics = dict(zip((options.odometry, options.steering), INPUT_TOPICS, strict=True))
-        self._steering = options.steering
-        self._steering_field = None
-        if options.steering_field:
-            self._steering_field = SteeringField(options.steering, options.steering_field,
-                                                 "wheel" if options.steering_wheel else "road")
-        self._scale: float = options.steering_scale  # factor from the recorded number to rad, left +
-        self._ratio: float = options.steering_wheel[0] if options.steering_wheel else 1.0
-        self._offset: float = options.steering_wheel[1] if options.steering_wheel else 0.0  # steering wheel [rad]
+        self._settings, self._bag, self._rate = settings, Path(settings["bag"]), settings["rate"]
+        self._published_topics = dict(zip((settings["odometry"], settings["steering"]), INPUT_TOPICS, strict=True))
+        field = settings["steering_field"]
+        self._steering_field = None if field is None else SteeringField(**field)
         self._node = Node("player")
         self._clock = self._node.create_publisher(Clock, "/clock", QoSProfile(depth=QUEUE_DEPTH))
         self._followers = [] if self._rate > 0 else [
             # With a lead of one tick, exactly one tick is due, and that tick publishes a prediction or a status.
-            Follower(self._node, {f"predictor/{options.models[-1]}/prediction": (Prediction, read_issued_at),
-                                  "predictor/status": (PredictorStatus, read_header_stamp)}, 1.0 / options.tick_rate),
+            Follower(self._node, {f"predictor/{settings['models'][-1]}/prediction": (Prediction, read_issued_at),
+                                  "predictor/status": (PredictorStatus, read_header_stamp)},
+                     1.0 / settings["tick_rate"]),
             Follower(self._node, {"evaluator/errors": (PredictionError, read_header_stamp)},
-                     options.horizon + SCORE_DELAY),
+                     settings["horizon"] + SCORE_DELAY),
         ]
         self._reported_at = 0.0
 
@@ -124,13 +125,13 @@ class Player:
                     self._report((clock_ns - first_ns) * 1e-9, duration)
                 if self._stop.requested:
                     break
-                if self._steering_field and connection.topic == self._steering:
+                if self._steering_field and connection.topic == self._settings["steering"]:
                     message = reader.deserialize(data, connection.msgtype)
                     publishers[connection.topic].publish(self._convert_steering(message, self._steering_field, log_ns))
                 else:
                     publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
-        self._report(duration, duration, "done", time.monotonic() - started)
+        self._report(duration, duration, time.monotonic() - started)
         return 0
 
     def close(self) -> None:
@@ -145,7 +146,7 @@ class Player:
             elif connection.topic.endswith(ORIGIN) and connection.msgtype == "sensor_msgs/msg/NavSatFix":
                 self._published_topics[connection.topic] = ORIGIN
             if connection.topic in self._published_topics and connection.topic not in publishers:
-                converted = self._steering_field and connection.topic == self._steering
+                converted = self._steering_field and connection.topic == self._settings["steering"]
                 message_type = Steering if converted else find_message_class(connection.msgtype)
                 name = self._published_topics[connection.topic]
                 qos = LATCHED if name == ORIGIN else QoSProfile(depth=QUEUE_DEPTH)
@@ -153,10 +154,10 @@ class Player:
         return publishers
 
     def _convert_steering(self, message: Any, field: SteeringField, log_ns: int) -> Steering:
-        value = self._scale * extract_steering_angle(self._bag, message, field)
-        wheel = value if field.quantity == "wheel" else math.nan
-        converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=(value - self._offset) / self._ratio,
-                             valid=math.isfinite(value))
+        wheel, road = math.nan, extract_steering_angle(self._bag, message, field)
+        if field.quantity == "wheel":
+            wheel, road = road, (road - self._settings["steering_wheel_offset"]) / self._settings["steering_ratio"]
+        converted = Steering(steering_wheel_angle=wheel, road_wheel_angle=road, valid=math.isfinite(road))
         converted.header.stamp = from_nanoseconds(get_stamp(message, log_ns))
         return converted
 
@@ -180,32 +181,21 @@ class Player:
             follower.wait(clock_ns)
         return clock_ns
 
-    def _report(self, played: float, duration: float, state: str = "playing", wall_time: float = 0.0) -> None:
-        """Print the progress as a line of JSON, at most every STATUS_PERIOD while playing; all times in s."""
+    def _report(self, played: float, duration: float, wall_time: float = 0.0) -> None:
+        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at the end, at once and with `wall_time`.
+
+        played, duration: of the recording; wall_time: taken for it; all in s.
+        """
         now = time.monotonic()
-        if state != "playing" or now - self._reported_at > STATUS_PERIOD:
+        if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now
-            status = {"state": state, "done": round(played, 2), "duration": round(duration, 2)}
-            print(json.dumps(status | ({"wall": round(wall_time, 2)} if wall_time else {})), flush=True)
+            status = {"played": round(played, 2), "duration": round(duration, 2), "wall": round(wall_time, 2)}
+            print(json.dumps(status), flush=True)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bag", type=Path)
-    parser.add_argument("--rate", type=float, default=1.0,
-                        help="speed relative to the recording; 0: as fast as the nodes can follow")
-    parser.add_argument("--models", nargs="+", required=True, help="models of the predictor, in its order")
-    parser.add_argument("--tick-rate", type=float, required=True, help="ticks per second of the predictor")
-    parser.add_argument("--horizon", type=float, required=True, help="horizon of the predictor [s]")
-    parser.add_argument("--odometry", required=True, help="topic of the odometry in the recording")
-    parser.add_argument("--steering", required=True, help="topic of the steering in the recording")
-    parser.add_argument("--steering-scale", type=float, default=1.0, help="factor to rad, left +")
-    parser.add_argument("--steering-field", default="", help="field with the angle, unless messages are Steering")
-    parser.add_argument("--steering-wheel", type=float, nargs=2,
-                        help="steering ratio and offset [rad], for an angle of the steering wheel")
-    options = parser.parse_args()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    player = Player(options)
+    player = Player(json.loads(sys.argv[1]))
     try:
         return player.play()
     finally:
