@@ -140,7 +140,7 @@ class LiveView:
             raise SuiteError(f"--view-address {address}: the port is not a whole number from 0 to 65535")
         if save is not None:
             check_new_rerun_file("--view-save", save)
-        self._page, self._host, self._port = page or address is not None, host, int(port or 0)
+        self._page, self._host, self._port = page or address is not None, host or LOOPBACK, int(port or 0)
         self._save = save and save.absolute()
         self._processes: Processes | None = None
         self._server: Child | None = None

@@ -19,9 +19,9 @@ from typing import ClassVar
 from urllib.parse import quote
 
 from rich.console import Console
-from st_ros.scheduling import lower_priority
+from st_ros.scheduling import BACKGROUND_NICE, lower_priority
 
-from .suite import VIEW_NICE, Child, Processes, SuiteError
+from .suite import Child, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s until a server must accept connections
@@ -76,10 +76,9 @@ class _Handler(BaseHTTPRequestHandler):
 def show_recording(folder: Path, file: Path, console: Console) -> None:
     """Serve a recording (.rrd), show its address, and wait for Ctrl-C or the end of Rerun.
 
-    folder: for settings and logs. Raises SuiteError without rerun-sdk or if the start fails.
+    folder: for settings and logs. Raises SuiteError if the start fails; call `check_rerun` first.
     """
-    check_rerun("st view")
-    lower_priority(VIEW_NICE)
+    lower_priority(BACKGROUND_NICE)
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         rerun_port = probe.getsockname()[1]

@@ -98,7 +98,7 @@ class Supervisor:
         node.responded = node.responded or last > node.started
         silence = now - max(last, node.started)
         if silence > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
-            self._suite.kill(node.name)
+            self._suite.stop(node.name, timeout=0.0)
             self._schedule_restart(node, now, f"was silent for {silence:.0f} s and was killed")
 
     def _schedule_restart(self, node: _SupervisedNode, now: float, cause: str) -> None:

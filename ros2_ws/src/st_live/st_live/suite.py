@@ -28,7 +28,6 @@ LARGEST_SAFE_DOMAIN = 101  # the ports of higher domains are in the system's eph
 LARGEST_VALID_DOMAIN = 232  # higher domains have no valid port
 # Priorities of SCHED_RR: above other programs, far below the kernel's own threads (50 and more).
 REALTIME_PRIORITIES = {"oxts_bridge": 22, "canedge_bridge": 22, "predictor": 21}
-VIEW_NICE = 5  # a third of the CPU share of bridges and predictor under contention
 # Names of environment variables.
 DISCOVERY_RANGE, RMW = "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -109,15 +108,11 @@ class Processes:
                 return child
         return None
 
-    def kill(self, name: str) -> None:
-        """Kill and remove the child with this name, for a child that does not respond to SIGINT."""
-        for child in [c for c in self.children if c.name == name]:
-            child.process.kill()
-            child.process.wait()
-            self.children.remove(child)
-
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
-        """End one child, or all in the order of their start; returns the exit statuses. timeout: for each child [s]."""
+        """End one child, or all in the order of their start; returns the exit statuses.
+
+        timeout: for each child until it is killed [s].
+        """
         statuses = {}
         for child in [c for c in self.children if name in (None, c.name)]:
             process = child.process

@@ -156,6 +156,10 @@ def test_address_without_a_valid_port_is_refused(address: str) -> None:
         LiveView(True, address)
 
 
+def test_port_alone_does_not_open_the_page_to_the_network() -> None:
+    assert LiveView(True, ":8080")._host == "127.0.0.1"
+
+
 def odometry(time_s: float, x: float, y: float, yaw: float, speed: float, yaw_rate: float) -> Odometry:
     message = Odometry()
     message.header.frame_id, message.header.stamp = "map", from_nanoseconds(round(time_s * 1e9))

@@ -21,13 +21,13 @@ CHECK_PERIOD = 10.0  # s of measurement between checks
 CPU_SHARE = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
-NOT_LIVE = frozenset(("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
-                      "out_of_range", "channel_wraps", "channel_jumps"))
+NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
+                     "out_of_range", "channel_wraps", "channel_jumps")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: of the worst confirmed fault; else "note" with, "" without, unconfirmed findings."""
+    """Result of a check. severity: of the worst confirmed fault; else "note" if there is any finding, or ""."""
 
     severity: str
     message: str
@@ -82,7 +82,7 @@ class Consistency:
             return
         cpu_start = time.thread_time()
         try:
-            findings = [finding for finding in check(log, self._vehicle).findings if finding.name not in NOT_LIVE]
+            findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_REPORTED_LIVE]
         finally:
             self.cpu_time += time.thread_time() - cpu_start
             self._not_before = started + self.cpu_time / self._share

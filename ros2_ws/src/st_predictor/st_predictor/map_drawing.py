@@ -129,12 +129,10 @@ class History:
 
     def find_ghosts(self, model: str, now_ns: int) -> list[tuple[float, Path]]:
         """(ghost age [s], path) for each of GHOST_AGES with a prediction within GHOST_TOLERANCE, youngest first."""
-        paths = list(self._paths.get(model, ()))
-        starts = [p.start_ns for p in paths]
-        ghosts = []
+        paths, ghosts = list(self._paths.get(model, ())), []
         for age in GHOST_AGES:
             start_ns = now_ns - round(age * 1e9)
-            index = bisect_left(starts, start_ns)
+            index = bisect_left(paths, start_ns, key=lambda p: p.start_ns)
             best = min(paths[max(index - 1, 0):index + 1], key=lambda p: abs(p.start_ns - start_ns), default=None)
             if best is not None and abs(best.start_ns - start_ns) <= GHOST_TOLERANCE * 1e9:
                 ghosts.append((age, best))

@@ -28,9 +28,9 @@ from st_predictor.map_drawing import Pose
 from st_recordings.car import read_vehicle
 from st_ros import spin
 from st_ros.polling import PolledSubscription, create_steady_timer
+from st_ros.scheduling import BACKGROUND_NICE
 
 from ..page import PageServer
-from ..suite import VIEW_NICE
 
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s, duration of the measured track shown, and time between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
@@ -232,7 +232,7 @@ def main() -> int:
         return 2
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     print(f"serving on {options.address}:{server.port}", flush=True)
-    status = spin.run(lambda: PassengerNode(PassengerFrames(car, options.map_frame), server), nice=VIEW_NICE)
+    status = spin.run(lambda: PassengerNode(PassengerFrames(car, options.map_frame), server), nice=BACKGROUND_NICE)
     server.stop()
     return status
 

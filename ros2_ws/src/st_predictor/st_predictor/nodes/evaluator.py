@@ -19,6 +19,7 @@ from st_recordings.mcap import BagWriter, Qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import LATCHED, PolledSubscription, create_steady_timer
+from st_ros.scheduling import BACKGROUND_NICE
 
 from .. import convert, params
 from ..consistency import Consistency
@@ -26,7 +27,6 @@ from ._bag import is_complete, make_recording_check, open_bag
 from ._bands import add_coverage, make_coverage_check, read_bands
 from ._inputs import Inputs
 
-NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
 LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
@@ -189,4 +189,4 @@ class EvaluatorNode(Node):
 
 
 def main() -> int:
-    return spin.run(EvaluatorNode, nice=NICE)
+    return spin.run(EvaluatorNode, nice=BACKGROUND_NICE)

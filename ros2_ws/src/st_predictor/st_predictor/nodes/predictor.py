@@ -44,7 +44,7 @@ class TickCounter:
     """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops the ticks it missed."""
 
     def __init__(self) -> None:
-        self._counts = {"predicted": 0, "stale": 0, "overrun": 0, "slow": 0}
+        self._counts = {"predicted": 0, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
         self._started = False
         self._next_due_ns: int | None = None
         self._reported_overruns = 0
@@ -62,20 +62,18 @@ class TickCounter:
         skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
         """
         if self._started or skipped != "stale":
-            self._counts["overrun"] += missed if self._started else 0
-            self._counts[skipped or "predicted"] += 1
+            self._counts["skipped_overrun"] += missed if self._started else 0
+            self._counts[f"skipped_{skipped}" if skipped else "predicted"] += 1
             self._started = True
 
     def take_new_overruns(self) -> int:
         """Number of overruns since the previous call."""
-        reported, self._reported_overruns = self._reported_overruns, self._counts["overrun"]
+        reported, self._reported_overruns = self._reported_overruns, self._counts["skipped_overrun"]
         return self._reported_overruns - reported
 
     def as_dict(self) -> dict[str, int]:
         """The counts by field name of st_msgs/PredictorStatus."""
-        predicted, stale, overrun, slow = self._counts.values()
-        return {"due": sum(self._counts.values()), "predicted": predicted, "skipped_stale": stale,
-                "skipped_overrun": overrun, "skipped_slow": slow}
+        return {"due": sum(self._counts.values()), **self._counts}
 
 
 class PredictorNode(Node):

@@ -21,11 +21,11 @@ from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.parameters import ConfigurationError
 from st_ros.polling import UNRESOLVED_PREFIX, PolledSubscription, create_steady_timer, find_message_class, match_qos
+from st_ros.scheduling import BACKGROUND_NICE
 
 from .. import convert, params
 from ._bag import is_complete, make_recording_check, open_bag
 
-NICE = 5  # lower priority than bridges and predictor: a third of their CPU share under contention
 WORK_PERIOD = 0.05  # s between reads of the queues; each queued message has its time of arrival
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
 RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
@@ -226,4 +226,4 @@ def name_files(files: Sequence[str]) -> dict[str, str]:
 
 
 def main() -> int:
-    return spin.run(RecorderNode, nice=NICE)
+    return spin.run(RecorderNode, nice=BACKGROUND_NICE)
