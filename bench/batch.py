@@ -79,7 +79,3 @@ def _model(name: str, car, log, folder: Path) -> dict:
     best = max(rates[key] for key in cpp)
     return {"per_s": rates, "of_limit": {key: rate / best for key, rate in rates.items() if key not in cpp},
             "lanes_over_numba_scalar": rates["lanes"] / rates["numba scalar"], "lanes_minus_limit": apart}
-
-
-if __name__ == "__main__":
-    print(run())

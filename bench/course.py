@@ -57,7 +57,3 @@ def measure_course(run: Path) -> dict[str, dict]:
 
 def _st(*arguments: object) -> None:
     subprocess.run([sys.executable, "-m", "st_cli", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
-
-
-if __name__ == "__main__":
-    print(run())

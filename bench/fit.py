@@ -29,7 +29,3 @@ def run() -> dict:
         seconds = time.process_time() - begin
     return {"residuals": measured.size, "cpu_s": seconds, "evaluations": int(fit.nfev + 2 * fit.njev),
             "true": str(truth), "found": str([round(float(x), 4) for x in fit.x])}
-
-
-if __name__ == "__main__":
-    print(run())

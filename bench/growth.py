@@ -54,7 +54,3 @@ def _plot(by_length: dict, by_horizon: dict, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
         plt.close(figure)
-
-
-if __name__ == "__main__":
-    print(run())

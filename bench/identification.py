@@ -157,7 +157,3 @@ def measure_speed() -> dict:
         call()
         result[name] = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall}
     return result
-
-
-if __name__ == "__main__":
-    print(run())

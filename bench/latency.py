@@ -138,7 +138,3 @@ def _evaluate(node: Listener) -> dict:
         "between_packets_ms": percentiles(gaps),
         "hops_ms": measure_hops(node),
     }
-
-
-if __name__ == "__main__":
-    print(run())

@@ -29,7 +29,3 @@ def run() -> dict:
                 "open_files": process.num_fds(),
             }
     return result
-
-
-if __name__ == "__main__":
-    print(run())

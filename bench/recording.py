@@ -77,7 +77,3 @@ def _file_system(folder: Path) -> str:
     above = [m for m in mounts if folder.resolve().is_relative_to(m[1])]
     device, _, kind, *_ = max(above, key=lambda m: len(m[1]))
     return f"{kind} on {device}"
-
-
-if __name__ == "__main__":
-    print(run())

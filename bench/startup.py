@@ -46,7 +46,3 @@ def run() -> dict:
 
         return {"live_floats_s": seconds(LIVE), "batch_numpy_s": seconds(BATCH, "numpy"),
                 "batch_lanes_cold_s": seconds(BATCH, "lanes"), "batch_lanes_cached_s": seconds(BATCH, "lanes")}
-
-
-if __name__ == "__main__":
-    print(run())

@@ -51,7 +51,3 @@ def run() -> dict:
         "with_bands_ms_p99": float(with_p99),
         "bands_ms_p50": float(with_p50 - p50),
     }
-
-
-if __name__ == "__main__":
-    print(run())

@@ -60,7 +60,3 @@ def _summarise(listeners: list[Listener], seconds: float) -> dict:
         "latency_p50_ms": float(np.percentile(pooled, 50)), "latency_p99_ms": float(np.percentile(pooled, 99)),
         "latency_p50_by_round_ms": " ".join(f"{np.percentile(r, 50):.1f}" if r else "-" for r in repetitions),
     }
-
-
-if __name__ == "__main__":
-    print(run())
