@@ -71,7 +71,7 @@ def test_implausible_samples_are_reported_and_left_out_without_other_findings(lo
     named = [finding for finding in findings if finding.name in NAMES]
     assert named and {each for finding in named for each in finding.channels} == {channel}
     assert {finding.name for finding in findings} <= {*NAMES}
-    usable, _ = drop_implausible(broken)
+    usable, _ = drop_implausible(broken, broken.start_ns)
     values = getattr(usable, channel)
     truth = getattr(log, channel)
     time = log.steering_time_ns if "wheel" in channel else log.ins_time_ns
@@ -106,7 +106,7 @@ def test_wrapped_channel_is_the_only_error(log, leaf, channel, share):
     broken, _ = with_implausible_samples(log, leaf, channel, wrap)
     found = check(broken, leaf)
     assert [(finding.name, finding.channels) for finding in found.findings].count(("channel_wraps", (channel,))) == 1
-    _, implausible = drop_implausible(broken)
+    _, implausible = drop_implausible(broken, broken.start_ns)
     rechecked = check(broken, leaf, AuxiliaryData(implausible=tuple(implausible))).findings
     assert [finding.name for finding in rechecked].count("channel_wraps") == 1
     assert not [finding for finding in found.with_severity(Severity.ERROR) if finding.name != "channel_wraps"]
@@ -120,10 +120,10 @@ def test_channel_with_a_sign_change_is_not_compared_with_others(log, leaf):
 
 def test_channel_with_more_than_half_implausible_is_an_error_and_not_removed(log, leaf):
     broken, _ = with_implausible_samples(log, leaf, "yaw_rate", _fixed(-9999.0, 1000, 3500))
-    usable, (finding,) = drop_implausible(broken)
+    usable, (finding,) = drop_implausible(broken, broken.start_ns)
     assert finding.severity is Severity.ERROR and len(usable.x) == len(log.x)
 
 
 def test_sentinel_value_is_reported_in_degrees_too(log, leaf):
     broken, _ = with_implausible_samples(log, leaf, "steering_wheel_angle", _fixed(np.deg2rad(-9999.0), MIDDLE, 120))
-    assert "(-9999 deg)" in drop_implausible(broken)[1][0].text
+    assert "(-9999 deg)" in drop_implausible(broken, broken.start_ns)[1][0].text

@@ -26,7 +26,7 @@ def with_rotated_map(log, angle):
 
 
 def with_reversed_ins(log):
-    """The INS is mounted facing with_reversed_ins; yaw, velocities and accelerations are consistent with that."""
+    """The INS is mounted facing backwards; yaw, velocities and accelerations are consistent with that."""
     names = ("velocity_x", "velocity_y", "acceleration_x", "acceleration_y")
     return replace(log, yaw=log.yaw + np.pi, **{name: -getattr(log, name) for name in names})
 
@@ -67,8 +67,9 @@ def test_healthy_drive_of_any_kind_has_no_error(leaf, kind):
     lambda log: replace(log, steering_time_ns=np.zeros(0, np.int64), road_wheel_angle=np.zeros(0),
                         steering_wheel_angle=None),
     lambda log: replace(log, steering_time_ns=log.steering_time_ns + 10**13),
+    lambda log: log.select_ins(slice(0)),
 ], ids=["UTM", "10 turns of yaw", "-100 turns of yaw", "rotated map", "other epoch", "no auxiliary channels", "no a_y",
-        "slow steering", "no steering", "steering of another day"])
+        "slow steering", "no steering", "steering of another day", "no INS"])
 def test_healthy_drive_with_another_origin_or_fewer_channels_has_no_findings(leaf, change):
     assert check(change(exact_drive(leaf)), leaf).findings == ()
 

@@ -156,8 +156,9 @@ def test_gap_is_not_taken_for_a_slower_sensor(log, gap):
 @pytest.mark.parametrize(("channel", "share"), [("road_wheel_angle", 0.5), ("yaw_rate", 0.5), ("acceleration_x", 1.0)])
 def test_share_of_missing_values_refers_to_all_recorded_rows(log, channel, share):
     count = len(log.steering_time_ns if channel == "road_wheel_angle" else log.x)
-    found = findings_by_name(log, auxiliary=AuxiliaryData(missing={channel: count}))
-    assert found["values_missing"].value == pytest.approx(share)
+    finding = findings_by_name(log, auxiliary=AuxiliaryData(missing={channel: count}))["values_missing"]
+    assert finding.value == pytest.approx(share)
+    assert ("they were kept without it" in finding.text) is (channel == "acceleration_x")
 
 
 def test_positions_repeated_at_a_lower_rate_are_no_jumps(log):

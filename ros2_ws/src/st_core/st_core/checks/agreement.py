@@ -9,6 +9,7 @@ from scipy.stats import f as fisher
 from ..clock_fit import STEP, Fit, Pair, fit, mean_correlation, resample, select_common_samples
 from ..clock_types import MAX_SPAN
 from ..regression import symmetric_interval
+from .finding import LIMITS
 from .motion import correlate
 from .regression import Estimate, Regression
 
@@ -40,6 +41,16 @@ class Agreement:
     expected_lag_rejected: bool = True  # whether the lag expected without a fault fits significantly worse
     correlation_without_lag: float = 0.0  # at zero lag
     determines_lag: bool = True  # whether lags that differ by LAG_TEST_SHIFT fit significantly worse
+
+    @property
+    def correlates(self) -> bool:
+        """Whether the correlation, of either sign, is high enough to compare the two."""
+        return abs(self.correlation) >= LIMITS.min_correlation
+
+    @property
+    def has_lag(self) -> bool:
+        """Whether the lag is significant, and fits significantly better than the lag expected without a fault."""
+        return self.lag.significant and self.expected_lag_rejected
 
 
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
@@ -83,9 +94,9 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
                      all(_fits_worse(pair, offset, solution.offset, cutoff) for offset in neighbours))
 
 
-def _fits_worse(pair: Pair, offset: float, best: float, cutoff: float) -> bool:
+def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
     """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
-    (smallest, residual), common = _compute_residual_shares(pair, [best, offset])
+    (smallest, residual), common = _compute_residual_shares(pair, [best_offset, offset])
     return residual > _compute_f_limit(common, cutoff, LAG_TEST_LEVEL) * smallest
 
 

@@ -11,12 +11,13 @@ from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
 from .agreement import Agreement
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Comparison, DriveCheck, Finding, Severity
+from .inertial import CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
 from .regression import Estimate, add_systematic_uncertainty
 from .steps import check_position_steps
 from .trial import try_corrections
-from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, is_yaw_late
+from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, shifted_yaw_fits_better
 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
@@ -32,7 +33,8 @@ class _Results:
     estimates: dict[str, Estimate] = field(default_factory=dict)
     panels: list[Comparison] = field(default_factory=list)
 
-    def add(self, findings: list[Finding], estimates: dict[str, Estimate], panel: Comparison | None) -> None:
+    def add(self, result: CheckResult) -> None:
+        findings, estimates, panel = result
         self.findings += findings
         self.estimates |= estimates
         self.panels += [panel] if panel else []
@@ -48,9 +50,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
-    start_ns = auxiliary.start_ns
-    if start_ns is None:
-        start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
+    start_ns = next(iter(log.ins_time_ns.tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
     log, implausible = drop_implausible(log, start_ns)
     # The reader has already reported the samples that it left out or kept.
     reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
@@ -111,10 +111,10 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     if vehicle is not None:
         if not broken & {*STEERING}:
             wheel_measured = log.steering_wheel_angle is not None
-            results.add(*vehicle_relations.check_steering(corrected, vehicle, wheel_measured))
+            results.add(vehicle_relations.check_steering(corrected, vehicle, wheel_measured))
         unusable = coarse | _list_channels(stuck, "channel_frozen")
         if sideslip_measured and not unusable & {"velocity_y", "yaw_rate"}:
-            results.add(*vehicle_relations.check_rear_axle(corrected, vehicle))
+            results.add(vehicle_relations.check_rear_axle(corrected, vehicle))
         results.findings += vehicle_relations.check_tyre_limit(corrected)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed))
     results.findings = _limit_to_measured_channels(results.findings, log, corrected)
@@ -175,10 +175,9 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _
     results.findings += lag_findings + position_findings
     if lag_findings or any(finding.name == "yaw_offset" for finding in position_findings):
         yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
-    panel = inertial.make_agreement_panel(yaw_rate, tolerances, "yaw rate: sensor versus change of yaw",
-                                          removed.get("yaw_rate_scale", 1.0),
-                                          removed.get("yaw_scale", removed.get("yaw_convention", 1.0)))
-    results.add(*inertial.judge_agreement(yaw_rate, tolerances, removed.get("yaw_rate_scale", 1.0)), panel)
+    results.add(inertial.judge_agreement(
+        yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed.get("yaw_rate_scale", 1.0),
+        removed.get("yaw_scale", removed.get("yaw_convention", 1.0))))
     if "yaw_offset" in estimates:
         estimates["yaw_offset"] = estimates["yaw_offset"].shifted(removed.get("yaw_offset", 0.0))
     for name, source in (("velocity_scale", "velocity_scale"), ("velocity_x_scale", "velocity_scale"),
@@ -191,7 +190,7 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _
     if yaw_rate:
         motion = inertial.correct_yaw_rate(motion, yaw_rate)
     for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
-        results.add(*result)
+        results.add(result)
     return motion, results
 
 
@@ -201,22 +200,19 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
-    time = motion.time
-    earlier_yaw = replace(motion, yaw=np.interp(time - lag, time, motion.yaw))
-    if is_yaw_late(motion, earlier_yaw):
-        aligned, findings = correct_units(earlier_yaw)
-        return replace(aligned, yaw=np.interp(time + lag, time, aligned.yaw)), findings
-    aligned, findings = correct_units(replace(motion, yaw_rate=np.interp(time + lag, time, motion.yaw_rate)))
-    return replace(aligned, yaw_rate=np.interp(time - lag, time, aligned.yaw_rate)), findings
+    yaw_is_wrong = shifted_yaw_fits_better(motion, motion.with_earlier(-lag, "yaw"))
+    name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
+    aligned, findings = correct_units(motion.with_earlier(seconds, name))
+    return aligned.with_earlier(-seconds, name), findings
 
 
-def _check_yaw_lag(motion: Motion, found: Agreement | None) -> tuple[Motion, list[Finding]]:
+def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding]]:
     """(corrected motion, finding) of a yaw that lags or leads the yaw rate, if positions confirm that yaw is wrong."""
-    if (found is None or not (found.lag.significant and found.expected_lag_rejected)
-            or abs(found.lag.value) < LIMITS.lag or abs(found.correlation) < LIMITS.min_correlation):
+    if (agreement is None or not agreement.has_lag or not agreement.correlates
+            or abs(agreement.lag.value) < LIMITS.lag):
         return motion, []
-    lag = add_systematic_uncertainty("yaw_lag", found.lag.scaled(-1.0))
-    corrected = replace(motion, yaw=np.interp(motion.time + lag.value, motion.time, motion.yaw))
+    lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
+    corrected = motion.with_earlier(lag.value, "yaw")
     if not position.positions_confirm_yaw_lag(motion, corrected, lag.value):
         return motion, []
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON

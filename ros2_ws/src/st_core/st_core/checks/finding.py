@@ -100,7 +100,7 @@ class Channel:
     noise: float  # standard deviation of white noise [unit]
     resolution: float  # quantisation step [unit]; 0 if the values are not quantised
     repeated: float  # fraction of samples equal to the previous one
-    missing: int = 0  # number of rows left out because they have no value
+    missing: int = 0  # number of rows without a value
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +162,8 @@ class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
     stamps: time stamps of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of
-    rows left out because they have no usable value, by channel. ins_speed: of CAN frames, or of NCOM packets recorded
-    with odometry.
+    rows without a usable value, by channel; a row that lacks only an acceleration was kept. ins_speed: of CAN frames,
+    or of NCOM packets recorded with odometry.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)

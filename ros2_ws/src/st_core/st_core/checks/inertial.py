@@ -56,25 +56,36 @@ class Tolerances:
     bias_question: str = ""  # on the cause of a bias
 
 
-def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_scale: float = 1.0,
-                    ) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by name of the finding). removed_scale: factor already divided out of the channel."""
-    if found is None or abs(found.correlation) < min(tolerances.min_correlation, LIMITS.min_correlation):
-        return [], {}
+def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,
+                    removed_reference_scale: float = 1.0) -> CheckResult:
+    """Result of a comparison. title: of its panel, which shows both series in the recorded units. removed_scale,
+    removed_reference_scale: factors already divided out of the channel and of the reference."""
+    if agreement is None:
+        return [], {}, None
+    panel = Comparison(
+        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.reference}", agreement.time,
+        removed_scale * agreement.measured, removed_reference_scale * agreement.derived,
+        tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
+    return (*_judge(agreement, tolerances, removed_scale), panel) if agreement.correlates else ([], {}, panel)
+
+
+def _judge(agreement: Agreement, tolerances: Tolerances,
+           removed_scale: float) -> tuple[list[Finding], dict[str, Estimate]]:
+    """(findings, estimates by name of the finding) of series that correlate; removed_scale: see `judge_agreement`."""
     name = tolerances.channel
-    scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(found, kind))
+    scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(agreement, kind))
                         for kind in ("scale", "lag", "bias"))
-    late = (lag.significant and found.expected_lag_rejected and abs(lag.value) >= tolerances.lag
-            and found.spread >= tolerances.min_spread)
-    lag_findings = [_make_lag_finding(found, lag, tolerances)] if late else []
-    estimates = {f"{name}_lag": lag} if found.determines_lag else {}
-    if abs(found.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
+    late = (lag.significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
+            and agreement.spread >= tolerances.min_spread)
+    lag_findings = [_make_lag_finding(agreement, lag, tolerances)] if late else []
+    estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
+    if abs(agreement.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
         return lag_findings, estimates
     estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
     estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: no bias was fitted
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
-    explained_by_noise = scale.value < 1.0 and scale.value / found.correlation**2 + scale.half > 1.0
+    explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half > 1.0
     findings: list[Finding] = []
     scale_error = abs(scale.value - 1.0)
     wrong_unit = not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit_ratio)
@@ -82,8 +93,8 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
         findings.append(_make_unit_finding(scale, tolerances))
     elif scale_error >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise:
         text = f"{name} is {format_estimate(scale)} times its value from {tolerances.reference}"
-        findings.append(_make_finding("scale", text, scale, scale_error * found.spread, tolerances, 1.0 / scale.value,
-                                      scale_error >= tolerances.severe_scale))
+        findings.append(_make_finding("scale", text, scale, scale_error * agreement.spread, tolerances,
+                                      1.0 / scale.value, scale_error >= tolerances.severe_scale))
     # The user's correction divides by the reported scale before it subtracts the bias.
     divisor = scale.value if findings else 1.0
     findings += lag_findings
@@ -97,12 +108,12 @@ def judge_agreement(found: Agreement | None, tolerances: Tolerances, removed_sca
     return findings, estimates
 
 
-def _make_lag_finding(found: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
-    rate = float(np.std(np.gradient(found.derived, found.time)))
+def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
+    rate = float(np.std(np.gradient(agreement.derived, agreement.time)))
     text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.reference} by "
-            f"{format_magnitude(lag)} s{format_alternative_lags(found)}")
-    if abs(found.correlation) < tolerances.min_correlation:
-        text += f"; their correlation is only {abs(found.correlation):.2f}, so scale and bias are not judged"
+            f"{format_magnitude(lag)} s{format_alternative_lags(agreement)}")
+    if abs(agreement.correlation) < tolerances.min_correlation:
+        text += f"; their correlation is only {abs(agreement.correlation):.2f}, so scale and bias are not judged"
     return _make_finding("lag", text, lag, abs(lag.value) * rate, tolerances, lag.value,
                          abs(lag.value) >= tolerances.severe_lag)
 
@@ -147,51 +158,40 @@ def format_magnitude(estimate: Estimate) -> str:
     return format_estimate(estimate).removeprefix("-")
 
 
-def format_alternative_lags(found: Agreement, response: float = 0.0) -> str:
+def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
     """Text on other lags that fit equally well; "" if there are none. response: lag of the car, added to them [s]."""
-    others = sorted(lag + response for lag in found.other_lags)
+    others = sorted(lag + response for lag in agreement.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""
-
-
-def make_agreement_panel(found: Agreement | None, tolerances: Tolerances, title: str, measured_factor: float = 1.0,
-                         derived_factor: float = 1.0) -> Comparison | None:
-    """Both series in the recorded units, for a figure. The factors were divided out before the comparison."""
-    return None if found is None else Comparison(
-        tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.reference}", found.time,
-        measured_factor * found.measured, derived_factor * found.derived,
-        tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
     """Compare yaw rate and change of yaw. An error of the initial yaw rate decays within LIMITS.yaw_settling_time."""
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    found = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, derived_is_angle=True)
-    return found, Tolerances(
+    return compare_series(
+        motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, derived_is_angle=True), Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
         severe_bias=0.01, position_effect=position_effect, min_correlation=GYRO_CORRELATION)
 
 
 def estimate_yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s]; 0 if it is small, or if the two agree well without a correction."""
-    found = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF,
+    agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF,
                            derived_is_angle=True)
-    if (found is None or not (found.expected_lag_rejected and found.lag.significant)
-            or abs(found.lag.value) < LIMITS.severe_lag or found.correlation < LIMITS.min_correlation):
+    if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
+            or agreement.correlation < LIMITS.min_correlation):
         return 0.0
     # A yaw rate of the opposite sign also correlates, half a period later.
-    return found.lag.value if abs(found.correlation_without_lag) < found.correlation - 0.05 else 0.0
+    return agreement.lag.value if abs(agreement.correlation_without_lag) < agreement.correlation - 0.05 else 0.0
 
 
-def correct_yaw_rate(motion: Motion, found: Agreement) -> Motion:
+def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
     """The motion with lag, scale and bias of its yaw rate corrected, as far as the correlation determines them."""
-    if found.correlation < LIMITS.min_correlation:
+    if agreement.correlation < LIMITS.min_correlation:
         return motion
-    lag = found.lag.value if found.lag.significant and found.expected_lag_rejected else 0.0
-    rate = motion.yaw_rate
-    if found.correlation >= GYRO_CORRELATION:
-        rate = (rate - found.bias.value) / found.scale.value
-    return replace(motion, yaw_rate=np.interp(motion.time + lag, motion.time, rate))
+    if agreement.correlation >= GYRO_CORRELATION:
+        motion = replace(motion, yaw_rate=(motion.yaw_rate - agreement.bias.value) / agreement.scale.value)
+    return motion.with_earlier(agreement.lag.value, "yaw_rate") if agreement.has_lag else motion
 
 
 def check_accelerations(motion: Motion) -> list[CheckResult]:
@@ -206,18 +206,15 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     def compare(name: str, values: np.ndarray) -> Agreement | None:
         return compare_series(time, derived[name], time, values, ACCELERATION_CUTOFF)
 
-    def correlates(found: Agreement | None) -> bool:
-        return found is not None and abs(found.correlation) >= LIMITS.min_correlation
-
     agreements = {name: compare(name, values) for name, values in measured.items()}
     exchanged = dict(zip(measured, reversed(measured), strict=True))
-    if len(measured) == 2 and not any(map(correlates, agreements.values())) and all(
-            correlates(compare(name, measured[other])) for name, other in exchanged.items()):
+    if len(measured) == 2 and not any(a and a.correlates for a in agreements.values()) and all(
+            (a := compare(name, measured[other])) and a.correlates for name, other in exchanged.items()):
         text = "acceleration_x and acceleration_y are exchanged (x is forward, y left)"
         return [([Finding("acceleration_axes", Severity.WARNING, (*measured,), text,
                           advice=Advice.for_run_yaml({"columns": exchanged}))], {}, None)]
     results = []
-    for name, found in agreements.items():
+    for name, agreement in agreements.items():
         axis, reference, lag = "forward", "velocity", ACCELERATION_LAG
         if name == "acceleration_y":
             axis, reference = "lateral", "velocity and yaw rate"
@@ -226,8 +223,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
             name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR, LIMITS.acceleration_bias,
             severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
             bias_question=": is it mounted at an angle, or is the road not level?")
-        panel = make_agreement_panel(found, tolerances, f"{axis} acceleration: sensor versus velocity")
-        results.append((*judge_agreement(found, tolerances), panel))
+        results.append(judge_agreement(agreement, tolerances, f"{axis} acceleration: sensor versus velocity"))
     return results
 
 
@@ -235,12 +231,11 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
     """Compare other sources of the speed with the forward speed of the INS."""
     results = []
     for name in motion.speeds:
-        found = compare_speed(motion, name)
         scale, lag = SPEED_LIMITS[name]
         tolerances = Tolerances(name, "velocity_x", "m/s", lag, scale, np.inf, min_spread=MIN_SPEED_DEVIATION,
                                 unit_questions=SPEED_UNITS)
-        panel = make_agreement_panel(found, tolerances, f"forward speed: {name.replace('_', ' ')} versus velocity_x")
-        results.append((*judge_agreement(found, tolerances), panel))
+        title = f"forward speed: {name.replace('_', ' ')} versus velocity_x"
+        results.append(judge_agreement(compare_speed(motion, name), tolerances, title))
     return results
 
 

@@ -13,6 +13,7 @@ from ..types import body_to_map
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
+MAX_LISTED = 20  # largest number of stretches listed in most findings
 MIN_MOVING_SPEED = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
@@ -68,6 +69,10 @@ class Motion:
                 recorded = signals.get(name, getattr(self, name))
                 signals[name] = values.get("scale", 1.0) * recorded + values.get("add", 0.0)
         return replace(self, **signals)
+
+    def with_earlier(self, seconds: float, *names: str) -> "Motion":
+        """The motion with INS channels moved to earlier times; at the end their last value is held."""
+        return replace(self, **{name: np.interp(self.time + seconds, self.time, getattr(self, name)) for name in names})
 
     def select_ins(self, mask: np.ndarray) -> "Motion":
         """The motion with only the INS samples in a mask (n,)."""

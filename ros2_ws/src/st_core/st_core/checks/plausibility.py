@@ -31,7 +31,7 @@ MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
-MAX_LISTED = 200  # largest number of stretches listed in a finding
+MAX_LISTED_STRETCHES = 200  # largest number of stretches of implausible samples listed in a finding
 STEP_TIME = 0.05  # s; interval that `ChannelLimits.step` refers to
 
 
@@ -72,39 +72,27 @@ class _Channel:
         self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
 
 
-def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveLog, list[Finding]]:
+def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Finding]]:
     """(the drive without implausible samples, one finding for each kind and channel).
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
     sample is left out of the steering only. A channel with more than half of its samples implausible keeps all of them,
-    and its finding is an error. start_ns: zero of the times in the findings; None for the first INS measurement.
+    and its finding is an error. start_ns: zero of the times in the findings.
     """
-    if start_ns is None:
-        start_ns = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
-    bad_rows = np.zeros(len(log.ins_time_ns), bool)
-    bad_steering = np.zeros(len(log.steering_time_ns), bool)
-    with_nan: dict[str, Any] = {}  # optional signals
+    bad: dict[str, np.ndarray] = {}  # mask of the implausible samples by channel
     findings: list[Finding] = []
-    moving = _detect_motion(log)
     steering = "road_wheel_angle" if log.steering_wheel_angle is None else "steering_wheel_angle"
-    for name in (*INS_SIGNALS, "acceleration_x", "acceleration_y", steering):
-        values = getattr(log, name)
-        if values is None:
-            continue
-        time_ns, is_moving = log.ins_time_ns, moving
-        if name == steering:
-            time_ns = log.steering_time_ns
-            if len(moving):
-                is_moving = np.interp(time_ns - start_ns, log.ins_time_ns - start_ns, moving) > 0.5
-        bad, channel_findings = find_implausible_samples(name, (time_ns - start_ns) * NANOSECOND, values, is_moving)
-        findings += channel_findings
-        if name == steering:
-            bad_steering |= bad
-        elif name in OPTIONAL_INS_SIGNALS and bad.any():
-            with_nan[name] = np.where(bad, np.nan, values)
-        elif name not in OPTIONAL_INS_SIGNALS:
-            bad_rows |= bad
+    for time_ns, names in ((log.ins_time_ns, (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)),
+                           (log.steering_time_ns, (steering,))):
+        seconds, moving = (time_ns - start_ns) * NANOSECOND, _detect_motion(log, time_ns)
+        for name in names:
+            if (values := getattr(log, name)) is not None:
+                bad[name], channel_findings = find_implausible_samples(name, seconds, values, moving)
+                findings += channel_findings
+    with_nan: dict[str, Any] = {name: np.where(bad[name], np.nan, getattr(log, name))
+                                for name in OPTIONAL_INS_SIGNALS if name in bad}
     log = replace(log, **with_nan)
+    bad_rows, bad_steering = np.any([bad[name] for name in INS_SIGNALS], axis=0), bad[steering]
     if bad_rows.any() and not bad_rows.all():
         usable = np.flatnonzero(~bad_rows)
         # Unwrapping across an implausible sample may have added a full turn to yaw.
@@ -112,8 +100,8 @@ def drop_implausible(log: DriveLog, start_ns: int | None = None) -> tuple[DriveL
         log = log.select_ins(usable)
         log = replace(log, yaw=log.yaw - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(turns))))
     if bad_steering.any() and not bad_steering.all():
-        names = [name for name in ("steering_time_ns", *STEERING) if getattr(log, name) is not None]
-        log = replace(log, **{name: getattr(log, name)[~bad_steering] for name in names})
+        log = replace(log, **{key: getattr(log, key)[~bad_steering] for key in ("steering_time_ns", *STEERING)
+                              if getattr(log, key) is not None})
     return log, merge_findings(findings)
 
 
@@ -155,14 +143,15 @@ def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
 
-def _detect_motion(log: DriveLog) -> np.ndarray:
-    """Whether the car moves at each INS sample, by velocity or by positions, either of which may drop out."""
+def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
+    """Whether the car moves at instants [ns], by velocity or by positions, either of which may drop out."""
     if len(log.ins_time_ns) < 2:
-        return np.zeros(len(log.ins_time_ns), bool)
-    time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
+        return np.zeros(len(instants_ns), bool)
+    time, instants = ((t - log.ins_time_ns[0]) * NANOSECOND for t in (log.ins_time_ns, instants_ns))
     begin, end = (np.clip(time + side, time[0], time[-1]) for side in (-0.5, 0.5))
     distance = np.hypot(*(np.interp(end, time, p) - np.interp(begin, time, p) for p in (log.x, log.y)))
-    return (distance / (end - begin) > MIN_MOVING_SPEED) | (np.abs(log.velocity_x) > MIN_MOVING_SPEED)
+    moving = (distance / (end - begin) > MIN_MOVING_SPEED) | (np.abs(log.velocity_x) > MIN_MOVING_SPEED)
+    return np.interp(instants, time, moving) > 0.5
 
 
 def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
@@ -251,7 +240,7 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
         neighbours = part[:, None] + np.arange(-half, half + 1)
         inside = np.clip(neighbours, 0, len(channel.values) - 1)
         known = (neighbours == inside) & (stretch[inside] == stretch[part][:, None])
-        median = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1) if len(part) else np.zeros(0)
+        median = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1)
         spikes.append(part[np.abs(channel.values[part] - median) > channel.limit])
     uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
     irregular = np.concatenate(([False], uneven)) | np.concatenate((uneven, [False]))
@@ -295,5 +284,5 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
     advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
               "channel_jumps": "check the sensor and the settings of the logger",
               }.get(kind, "check the sensor and the settings of the logger; no command uses these samples")
-    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED],
+    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED_STRETCHES],
                    advice=Advice("look", advice))

@@ -24,6 +24,7 @@ from .motion import Motion, has_varying_speed, integrate, make_windows
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 
 WINDOW = 1.0  # s
+HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
 # Largest fraction of a position lag that remains after the correction of a yaw that lags, or leads, which is rarer.
@@ -103,30 +104,28 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
     """(motion corrected for the causes found, the findings, an estimate of every cause as its finding reports it)."""
-    found: dict[str, Estimate] = {}
+    causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
         problem = make_residual_regression(corrected)
         if len(problem.time) < MIN_WINDOWS:
             return motion, [], {}
-        min_values = {}
-        for name in problem.columns:
-            effect = problem.compute_effect(name, 1.0, HORIZON, WINDOW)  # m per unit of the cause
-            min_values[name] = max(LIMITS.min_reported_effect / max(effect, 1e-9),
-                                   MIN_REPORTED.get(CAUSES[name].unit, 0.0))
-        refined = _refine_causes(problem, found, min_values, has_varying_speed(motion.velocity_x))
-        found = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
-        corrected = _correct_causes(motion, found)
-        if not found:
+        effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
+        min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
+                                MIN_REPORTED.get(CAUSES[name].unit, 0.0)) for name, effect in effects.items()}
+        refined = _refine_causes(problem, causes, min_values, has_varying_speed(motion.velocity_x))
+        causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
+        corrected = _correct_causes(motion, causes)
+        if not causes:
             break
-    findings = [_make_finding(name, estimate, problem) for name, estimate in found.items()
+    findings = [_make_finding(name, estimate, abs(estimate.value) * effects[name]) for name, estimate in causes.items()
                 if not _convert_to_reported(name, estimate).covers(neutral_value(name))]
     problem = make_residual_regression(corrected)
     estimates = {}
     for name in problem.columns:  # each is fitted together with the causes found
-        alongside = tuple(other for other in found if other != name and other not in CONFOUNDED.get(name, ()))
+        alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
         estimate = problem.estimate((*alongside, name))[name]
-        estimates[name] = _convert_to_reported(name, estimate.shifted(found[name].value) if name in found else estimate)
+        estimates[name] = _convert_to_reported(name, estimate.shifted(causes[name].value if name in causes else 0.0))
     estimates["position_scale"] = estimates["velocity_scale"].inverse()  # if the velocity is correct
     return corrected, findings, estimates
 
@@ -139,14 +138,15 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
             abs(wrong.value - 1.0) < WHEEL_SCALE_TOLERANCE):
         return motion, findings
-    scale, factor = estimates["position_scale"], wrong.value
+    scale = estimates["position_scale"]
     text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, which agrees with the "
             "wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
-    found = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
-                    interval=scale.interval, advice=advice)
-    scaled = {name: factor * getattr(motion, name) for name in ("x", "y", "velocity_x", "velocity_y")}
-    return replace(motion, **scaled), [found if finding is wrong else finding for finding in findings]
+    instead = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
+                      interval=scale.interval, advice=advice)
+    factor = {"scale": wrong.value}
+    return (motion.corrected({"correct": {"position": factor, "velocity": factor}}),
+            [instead if finding is wrong else finding for finding in findings])
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
@@ -210,32 +210,32 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
             if finding.name in names else finding for finding in findings]
 
 
-def _refine_causes(problem: Regression, found: dict[str, Estimate], min_values: dict[str, float],
+def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
                    speed_varies: bool) -> dict[str, Estimate]:
-    """Refined values of the causes found so far, and further causes; min_values: smallest reported value by cause."""
-    excluded = {*found, *(other for name in found for other in CONFOUNDED.get(name, ()))}
-    free = {name: value for name, value in min_values.items() if name not in excluded}
-    more = _find_causes(problem, {name: value for name, value in free.items() if name not in BIASES}, tuple(found))
-    _, scale, _ = problem.fit((*found, *more))
-    loss = problem.compute_loss((*found, *more), scale)
+    """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
+    excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
+    candidates = [name for name in min_values if name not in excluded]
+    further = _find_causes(problem, [name for name in candidates if name not in BIASES], min_values, tuple(causes))
+    _, scale, _ = problem.fit((*causes, *further))
+    loss = problem.compute_loss((*causes, *further), scale)
     for bias, confounded in BIASES.items():
-        if bias in free and confounded & {*more} and speed_varies:
-            candidates = {name: value for name, value in free.items()
-                          if name not in confounded and (name == bias or name not in BIASES)}
-            instead = _find_causes(problem, candidates, tuple(found))
-            if bias in instead and MIN_LOSS_RATIO * problem.compute_loss((*found, *instead), scale) < loss:
-                more = instead
-    estimates = problem.estimate((*found, *more))
-    return {name: estimate.shifted(found[name].value) if name in found else estimate
+        if bias in candidates and confounded & {*further} and speed_varies:
+            others = [name for name in candidates if name not in {*confounded, *BIASES} - {bias}]
+            alternative = _find_causes(problem, others, min_values, tuple(causes))
+            if bias in alternative and MIN_LOSS_RATIO * problem.compute_loss((*causes, *alternative), scale) < loss:
+                further = alternative
+    estimates = problem.estimate((*causes, *further))
+    return {name: estimate.shifted(causes[name].value) if name in causes else estimate
             for name, estimate in estimates.items()}
 
 
-def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further causes. free: smallest reported value by candidate. always: causes found so far."""
-    causes = problem.select_causes({name: value for name, value in free.items() if name != "velocity_scale"}, always,
+def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
+                 always: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of further causes. min_values: smallest reported value by cause. always: causes found so far."""
+    causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, always,
                                    () if "velocity_scale" in always else AXES)
     axes = [name for name in AXES if name in causes]
-    if "velocity_scale" not in free or not axes or (
+    if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
     # An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
@@ -250,9 +250,9 @@ def _find_causes(problem: Regression, free: dict[str, float], always: tuple[str,
     return (*others, "velocity_scale") if is_velocity else tuple(causes)
 
 
-def _make_finding(name: str, estimate: Estimate, problem: Regression) -> Finding:
+def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
+    """Finding of a cause. effect: shift of the position after the horizon [m]."""
     cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
-    effect = problem.compute_effect(name, estimate.value, HORIZON, WINDOW)
     positive = reported.value > 0.0
     spherical = name in AXES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
     text = (SPHERE_TEXT if spherical else cause.text).format(
@@ -275,19 +275,19 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
     return add_systematic_uncertainty(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
 
 
-def _correct_causes(motion: Motion, found: dict[str, Estimate]) -> Motion:
-    """The motion without the causes found, each with its estimated value."""
-    value = {name: found[name].value if name in found else 0.0 for name in CAUSES}
-    ahead, scale, time = value["position_reference"], 1.0 + value["velocity_scale"], motion.time
+def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
+    """The motion without these causes, each with its estimated value."""
+    value = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
+    ahead, scale = value["position_reference"], 1.0 + value["velocity_scale"]
     y = motion.y / (1.0 + value["y_scale"])
     x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
-    fields = {"x": x - ahead * np.cos(motion.yaw), "y": y - ahead * np.sin(motion.yaw),
-              "yaw": motion.yaw - value["yaw_offset"],
-              "velocity_x": motion.velocity_x * scale - value["velocity_x_bias"],
-              "velocity_y": motion.velocity_y * scale - value["velocity_y_bias"]}
-    for cause in {"position_lag", "velocity_lag"} & found.keys():
-        fields |= {name: np.interp(time + value[cause], time, fields[name]) for name in CAUSES[cause].channels}
-    return replace(motion, **fields)
+    motion = replace(motion, x=x - ahead * np.cos(motion.yaw), y=y - ahead * np.sin(motion.yaw),
+                     yaw=motion.yaw - value["yaw_offset"],
+                     velocity_x=motion.velocity_x * scale - value["velocity_x_bias"],
+                     velocity_y=motion.velocity_y * scale - value["velocity_y_bias"])
+    for cause in {"position_lag", "velocity_lag"} & causes.keys():
+        motion = motion.with_earlier(value[cause], *CAUSES[cause].channels)
+    return motion
 
 
 def make_distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:

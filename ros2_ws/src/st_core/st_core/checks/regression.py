@@ -121,38 +121,34 @@ class Regression:
             estimates[name] = Estimate(theta[name], deviation, interval)
         return estimates
 
-    def compute_effect(self, name: str, value: float, horizon: float, window: float) -> float:
-        """RMS change of y over `horizon` [s] due to a cause with this value; windows have a length of `window` [s]."""
-        count = max(round(horizon / window), 1)
+    def compute_effect(self, name: str, count: int) -> float:
+        """RMS change of y in `count` <= n successive windows, per unit of a cause."""
         column = self.columns[name]
-        if len(column) < count:
-            return float(np.sqrt(np.square(value * column).sum(axis=1).mean())) * count
         sums = np.cumsum(np.vstack([np.zeros((1, column.shape[1])), column]), axis=0)
-        change = value * (sums[count:] - sums[:-count])
-        return float(np.sqrt(np.square(change).sum(axis=1).mean()))
+        return float(np.sqrt(np.square(sums[count:] - sums[:-count]).sum(axis=1).mean()))
 
-    def select_causes(self, candidates: Mapping[str, float], always: Sequence[str] = (),
-                      alongside: Sequence[str] = ()) -> dict[str, Estimate]:
+    def select_causes(self, candidates: Sequence[str], min_values: Mapping[str, float], always: Sequence[str],
+                      alongside: Sequence[str]) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together.
 
-        candidates: smallest reported value by name. always: causes that are fitted in any case. alongside: causes that
+        min_values: smallest reported value by cause. always: causes that are fitted in any case. alongside: causes that
         are fitted together with a candidate that is insignificant without them, because they act as slow noise on it.
         """
-        chosen: list[str] = []
+        causes: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
         while remaining:
-            _, scale, _ = self.fit([*always, *chosen])
-            losses = {name: self.compute_loss([*always, *chosen, name], scale) for name in remaining}
-            best = min(losses, key=losses.__getitem__)
-            remaining.remove(best)
+            _, scale, _ = self.fit([*always, *causes])
+            losses = {name: self.compute_loss([*always, *causes, name], scale) for name in remaining}
+            cause = min(losses, key=losses.__getitem__)
+            remaining.remove(cause)
             # A cause that makes a previous one insignificant is collinear with it and must not be added.
-            for extra in ((), [name for name in alongside if name not in (*always, *chosen, best)]):
-                joint = self.estimate([*always, *chosen, best, *extra])
-                if all(is_relevant(joint[name], candidates[name]) for name in (*chosen, best)):
-                    chosen.append(best)
+            for extra in ((), [name for name in alongside if name not in (*always, *causes, cause)]):
+                joint = self.estimate([*always, *causes, cause, *extra])
+                if all(is_relevant(joint[name], min_values[name]) for name in (*causes, cause)):
+                    causes.append(cause)
                     break
-        joint = self.estimate([*always, *chosen])
-        return {name: joint[name] for name in chosen}
+        joint = self.estimate([*always, *causes])
+        return {name: joint[name] for name in causes}
 
 
 def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:

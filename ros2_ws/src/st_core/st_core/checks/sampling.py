@@ -1,6 +1,6 @@
 """Checks of sampling (time stamps, gaps, held, frozen, clipped and rounded values) and of the INS status."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
-from .motion import MAX_GAP, Motion, find_groups, find_spans, find_stretches
+from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_stretches
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
@@ -32,34 +32,29 @@ MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
-MAX_LISTED = 20  # largest number of stretches listed in a finding on time stamps or the INS
 MIN_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
     """Rate, gaps, noise and resolution of every channel of the drive."""
     channels = {}
-    for name, unit in UNITS.items():
-        time, values = _select_channel(motion, name)
-        if values is None or len(values) < 3:
-            continue
+    for name, time, values in _iterate_channels(motion):
         spacing = np.diff(time)
         channels[name] = Channel(
-            unit, len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
+            UNITS[name], len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
             float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, estimate_resolution(time, values),
             float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
     return channels
 
 
-def _select_channel(motion: Motion, name: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """(time [s], values) of the known samples of a channel; values None if it was not recorded."""
-    if name == "road_wheel_angle":
-        return motion.steering_time, motion.steering
-    values = getattr(motion, name)
-    if values is None:
-        return motion.time, None
-    known = np.isfinite(values)
-    return motion.time[known], values[known]
+def _iterate_channels(motion: Motion) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """(name, time [s], values) of each recorded channel, without NaN, if it has three samples or more."""
+    for name in UNITS:
+        is_steering = name == "road_wheel_angle"
+        time, values = (motion.steering_time if is_steering else motion.time,
+                        motion.steering if is_steering else getattr(motion, name))
+        if values is not None and (finite := np.isfinite(values)).sum() >= 3:
+            yield name, time[finite], values[finite]
 
 
 def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
@@ -113,7 +108,8 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
                 f"recorded at {rate:.3g} Hz")
         advice = "no action is needed if that is the sensor's rate"
     else:
-        text = f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were left out"
+        text = (f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were "
+                f"{'kept without it' if keeps_row else 'left out'}")
         advice = "check what the logger writes in these rows"
     severity = Severity.NOTE if rate or share <= LIMITS.note_share else Severity.WARNING
     return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
@@ -190,12 +186,10 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
 def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:
     """Findings of channels that are held at a lower rate, clipped, or constant while the car moves."""
     findings = []
-    for name, channel in channels.items():
-        time, values = _select_channel(motion, name)
-        if values is not None:
-            findings += (_check_held(name, time, values)
-                         or _check_clipped(name, time, values, motion, channel.resolution)
-                         or _check_frozen(name, time, values, motion, channel.resolution))
+    for name, time, values in _iterate_channels(motion):
+        resolution = channels[name].resolution
+        findings += (_check_held(name, time, values) or _check_clipped(name, time, values, motion, resolution)
+                     or _check_frozen(name, time, values, motion, resolution))
     return merge_findings(findings)
 
 

@@ -13,14 +13,14 @@ from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .motion import MAX_GAP, MIN_MOVING_SPEED, Motion, find_groups, find_stretches, integrate
+from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, find_stretches, integrate
 from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
 MIN_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
 MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
-MAX_LISTED, MAX_LISTED_JUMPS = 20, 50  # largest number of stretches listed in a finding
+MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
@@ -115,14 +115,10 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
             f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
-    leave_out: list[list[float]] = []  # stretches that become gaps, across which no prediction is scored
-    for first, last in where:
-        begin, end = round(first - JUMP_MARGIN, 2), round(last + JUMP_MARGIN, 2)
-        if leave_out and begin <= leave_out[-1][1]:
-            leave_out[-1][1] = end
-        else:
-            leave_out.append([begin, end])
-    advice = Advice.for_run_yaml({"leave_out": leave_out})
+    # Stretches with jumps become gaps, across which no prediction is scored.
+    advice = Advice.for_run_yaml({"leave_out": [
+        [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
+        for begin, end in find_stretches(np.unique(where), 2.0 * JUMP_MARGIN)]})
     if count > MAX_LISTED_JUMPS:
         advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,

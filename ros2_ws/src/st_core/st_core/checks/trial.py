@@ -59,14 +59,14 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     before = _compute_prediction_error(state)
     harmful = False
     if errors:
-        together: State | None = state
+        corrected: State | None = state
         for finding in errors:
-            together = _apply_advice(together, finding.advice) if together else None
-        after = _compute_prediction_error(together)
+            corrected = _apply_advice(corrected, finding.advice) if corrected else None
+        after = _compute_prediction_error(corrected)
         outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
-        harmful = together is None or after is None or (before is not None and _is_worse(before, after))
-        if together is not None and not harmful:
-            state, before = together, after
+        harmful = after is None or (before is not None and _is_worse(before, after))
+        if corrected is not None and not harmful:
+            state, before = corrected, after
     for finding in tested:
         if finding.severity is Severity.WARNING and not harmful:
             after = _compute_prediction_error(_apply_advice(state, finding.advice))
@@ -144,8 +144,8 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
 
 
 def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog,
-                  step: float) -> Finding | None:
-    """The finding `check_step_length` for all models together; None if the step [s] is short enough.
+                      step: float) -> Finding | None:
+    """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
     """

@@ -22,6 +22,7 @@ MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
+MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 COURSE_TOLERANCE = 1.2  # the same for the course, which is uncertain by ten per cent in one short bend
 MAX_SCALE_ERROR = 0.005  # relative scale error of a faultless gyroscope or projection
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
@@ -115,9 +116,9 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
                    advice=advice)
 
 
-def is_yaw_late(motion: Motion, earlier: Motion) -> bool:
-    """Whether positions agree clearly better with velocity and yaw in `earlier`, the drive with yaw shifted in time."""
-    return _compute_misfit(earlier) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
+def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
+    """Whether positions agree clearly better with velocity and yaw in `shifted`, the drive with yaw shifted in time."""
+    return _compute_misfit(shifted) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
 def _correct_both_turns(motion: Motion) -> Corrected:
@@ -319,7 +320,8 @@ def _correct_yaw_offset(motion: Motion) -> Corrected:
     measured, derived = _compute_displacements(motion, *motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
-    if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < 0.35:
+    if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or (
+            abs(angle) < MIN_YAW_OFFSET):
         return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely

@@ -22,7 +22,7 @@ from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .agreement import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, compare_series
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import CheckResult, format_alternative_lags, format_magnitude
-from .motion import MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
+from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 
@@ -31,7 +31,6 @@ MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear re
 DEGREE = 180.0 / np.pi
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
 MIN_REAR_AXLE_WINDOWS = 30
-MAX_LISTED = 20  # largest number of stretches listed in a finding
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the steering gain
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
@@ -47,8 +46,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     derived = np.arctan(vehicle.wheelbase * curvature)
     speed = float(np.median(motion.velocity_x[moving])) if moving.any() else MIN_SPEED
     response = compute_response_time(vehicle, speed)
-    found = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF, expected_lag=-response,
-                           max_fitted_lag=2.0 * MAX_LAG)
+    agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF,
+                               expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
     gain = _estimate_steering_gain(motion, derived)
     # Understeer with the stability factor K increases the steering of this drive by the mean of 1 + K v^2, weighted
     # with the square of the angle: for K of the vehicle file, at least 0, and for the largest K of road cars.
@@ -56,27 +55,27 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
     largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))
     understeer = 1.0 + expected * mean_square, 1.0 + largest * mean_square
-    if found is None or abs(found.correlation) < LIMITS.min_correlation:
+    if agreement is None or not agreement.correlates:
         cause = _make_unrelated_finding(motion, derived) or (
             gain and _make_unit_finding(gain, understeer, vehicle, wheel_measured))
         return [cause] if cause else [], {}, None
     # In one long bend, gain and offset are confounded.
-    if gain is not None and (found.scale.deviation > 0.2 * abs(found.scale.value)
-                             or abs(float(found.derived.mean())) > found.spread):
-        found = replace(found, scale=gain, bias=NO_BIAS)
-    gain = add_systematic_uncertainty("steering_scale", found.scale)
+    if gain is not None and (agreement.scale.deviation > 0.2 * abs(agreement.scale.value)
+                             or abs(float(agreement.derived.mean())) > agreement.spread):
+        agreement = replace(agreement, scale=gain, bias=NO_BIAS)
+    gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
-        "steering_lag", found.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
-    findings = [_make_unit_finding(gain, understeer, vehicle, wheel_measured),
-                _make_offset_finding(found, speed, vehicle, wheel_measured)]
-    estimates = {"steering_scale": gain, "steering_sign": gain}
+        "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the steering responds to another yaw moment and determines no lag.
-    if found.correlation * gain.value >= 0.0:
-        findings.insert(1, _make_lag_finding(lag, found, speed, vehicle, format_alternative_lags(found, response)))
-        estimates |= {"steering_lag": lag} if found.determines_lag else {}
-    estimates["steering_offset"] = add_systematic_uncertainty("steering_offset", found.bias)
+    has_lag = agreement.correlation * gain.value >= 0.0
+    findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
+                _make_lag_finding(lag, agreement, speed, vehicle, response) if has_lag else None,
+                _make_offset_finding(agreement, speed, vehicle, wheel_measured))
+    estimates = {"steering_scale": gain, "steering_sign": gain,
+                 "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
+    estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
     panel = Comparison("steering", "road wheel angle: steering sensor versus curvature", "rad", "road_wheel_angle",
-                       "from yaw rate and speed", found.time, found.measured, found.derived,
+                       "from yaw rate and speed", agreement.time, agreement.measured, agreement.derived,
                        ("steering_scale", "steering_sign", "steering_lag", "steering_offset"))
     return [finding for finding in findings if finding], estimates, panel
 
@@ -176,31 +175,32 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
-def _make_lag_finding(lag: Estimate, found: Agreement, speed: float, vehicle: VehicleParameters,
-                      alternatives: str) -> Finding | None:
-    if not lag.significant or not found.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
+def _make_lag_finding(lag: Estimate, agreement: Agreement, speed: float, vehicle: VehicleParameters,
+                      response: float) -> Finding | None:
+    """Finding of a lag beyond the response time [s] of the car; None if it is small."""
+    if not lag.significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
-    missed = abs(lag.value) * float(np.std(found.derived)) * np.sqrt(2.0)
+    missed = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
     effect = _compute_lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {format_magnitude(lag)} s"
-            f"{alternatives}, beyond the car's own response")
+            f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
                          replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
-def _make_offset_finding(found: Agreement, speed: float, vehicle: VehicleParameters,
+def _make_offset_finding(agreement: Agreement, speed: float, vehicle: VehicleParameters,
                          wheel_measured: bool) -> Finding | None:
-    size = abs(found.scale.value)
-    bias = found.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else found.bias
+    size = abs(agreement.scale.value)
+    bias = agreement.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else agreement.bias
     offset = add_systematic_uncertainty("steering_offset", bias)
     if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
         return None
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = _compute_lateral_shift(offset.value, speed, vehicle)
-    offset_left = offset.value * float(np.sign(found.scale.value))  # after correction of a wrong sign
+    offset_left = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
     if wheel_measured:
         wheel = vehicle.steering_wheel_offset + offset_left * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
@@ -231,13 +231,13 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     problem = Regression(windows.time[usable], lateral[:, None], {
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
-    found = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
+    estimates = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
     declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
-    heading = add_systematic_uncertainty("heading_misaligned", found["heading"])
-    point = add_systematic_uncertainty("measuring_point", found["point"].shifted(-declared))
+    heading = add_systematic_uncertainty("heading_misaligned", estimates["heading"])
+    point = add_systematic_uncertainty("measuring_point", estimates["point"].shifted(-declared))
     low, high = (declared + end for end in point.interval)
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
-    is_mirrored = low < -declared < high and declared > LIMITS.ins_position and found["slip"].interval[1] < 0.0
+    is_mirrored = low < -declared < high and declared > LIMITS.ins_position and estimates["slip"].interval[1] < 0.0
     findings = []
     if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
@@ -248,7 +248,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
     point_or_sign = make_lateral_sign_finding() if is_mirrored else _make_point_finding(point, motion, vehicle)
     findings += [point_or_sign] if point_or_sign else []
-    motion_of_axle = sum(found[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
+    motion_of_axle = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
                        "velocity_y", "rear axle at the distance of the vehicle file", windows.time[usable], lateral,
                        declared * rate + motion_of_axle, ("heading_misaligned", "measuring_point"))

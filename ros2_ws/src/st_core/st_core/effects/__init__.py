@@ -17,8 +17,6 @@ from ._base import (
     DYNAMIC,
     EFFECT_KINDS,
     EFFECTS,
-    HOOKS,
-    SLOTS,
     TOTAL_DELAY,
     Effect,
     Instant,
@@ -31,7 +29,7 @@ from ._base import (
     register,
 )
 
-__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "HOOKS", "SLOTS", "TOTAL_DELAY", "Effect",
+__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_DELAY", "Effect",
            "Instant", "Measured", "Parameter", "find_applicable_effects", "find_confounded_effects", "find_source_file",
            "get_effect", "load_file", "load_folder", "register", "unload_folder"]
 

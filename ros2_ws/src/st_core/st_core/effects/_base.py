@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import chain
 from numbers import Real
 from types import FunctionType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 from ..channels import CHANNELS
 from ..errors import ConfigurationError
@@ -95,35 +95,14 @@ class Parameter:
         return float(value)
 
 
-class Instant(NamedTuple):
-    """State at the CG, and inputs after the steering effects, at one instant; SI units. w, p: inputs and parameters of
-    the whole model, for `forces`."""
-
-    x: Any
-    y: Any
-    velocity_x: Any
-    velocity_y: Any
-    yaw: Any
-    yaw_rate: Any
-    road_wheel_angle: Any
-    velocity_x_dot: Any
-    w: tuple
-    p: Any
-
-
-class Measured(NamedTuple):
-    """Readings of the INS: position in the map frame [m], yaw [rad], velocity [m/s] and acceleration [m/s^2] of the INS
-    point in body axes, yaw rate [rad/s] and its derivative yaw_acceleration [rad/s^2], which is 0 if unknown."""
-
-    x: Any
-    y: Any
-    yaw: Any
-    velocity_x: Any
-    velocity_y: Any
-    yaw_rate: Any
-    acceleration_x: Any
-    acceleration_y: Any
-    yaw_acceleration: Any = 0.0
+Instant = namedtuple("Instant", ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate", "road_wheel_angle",
+                                 "velocity_x_dot", "w", "p"))
+Instant.__doc__ = """State at the CG, and inputs after the steering effects, at one instant; SI units. w, p: inputs and
+parameters of the whole model, for `forces`."""
+Measured = namedtuple("Measured", ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x",
+                                   "acceleration_y", "yaw_acceleration"), defaults=(0.0,))
+Measured.__doc__ = """Readings of the INS: position in the map frame [m], yaw [rad], velocity [m/s] and acceleration
+[m/s^2] of the INS point in body axes, yaw rate [rad/s] and its derivative yaw_acceleration [rad/s^2]; 0 if unknown."""
 
 
 class Effect:

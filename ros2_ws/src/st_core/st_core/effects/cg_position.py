@@ -8,7 +8,7 @@ from ._base import ANY, Effect, Parameter, register
 @register
 class CgPosition(Effect):
     name = "cg_position"
-    physics = "l_f = l_f - shift, l_r = l_r + shift"
+    physics = "l_f = l_f of the file - shift, l_r = l_r of the file + shift"
     excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")

@@ -14,7 +14,7 @@ from ._base import Effect, Parameter, register
 @register
 class Load(Effect):
     name = "load"
-    physics = "m + load, CG and yaw inertia of a mass over the rear axle"
+    physics = "m = m of the file + a load over the rear axle, which also changes CG and yaw inertia"
     excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
