@@ -107,6 +107,10 @@ def test_decreasing_and_duplicate_time_stamps_are_counted(log):
     assert findings["time_order"].value == pytest.approx(1 / len(stamps))
     assert {finding.severity for finding in findings.values()} == {Severity.NOTE}
     assert findings["time_order"].where == (pytest.approx((9.99, 9.99)),)  # the newest earlier stamp
+    steering = log.steering_time_ns[500:].copy()  # starts after the INS
+    steering[100], time = steering[90], (steering[99] - log.ins_time_ns[0]) * 1e-9
+    findings = findings_by_name(log, auxiliary=AuxiliaryData(stamps={"steering": steering}))
+    assert findings["time_order"].where == (pytest.approx((time, time)),)
     healthy = AuxiliaryData(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})
     assert findings_by_name(log, auxiliary=healthy) == {}
 

@@ -79,6 +79,7 @@ def test_complete_effect_is_registered():
     ({"members": ("friction",)}, "effect trial: members must name two or more other effects"),
     ({"members": ("trial", "friction")}, "effect trial: members must name two or more other effects"),
     ({"inputs": None, "fold": staticmethod(lambda vehicle, theta: vehicle)}, "it has no hook"),
+    ({"parameters": GAIN}, "effect trial: parameters must be a tuple, even of one parameter"),
     ({"parameters": ()}, "effect trial: it has no parameter that can be fitted"),
     ({"parameters": (GAIN, GAIN)}, "a name is used twice"),
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name one or more of kinematic, linear, nonlinear"),

@@ -60,7 +60,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
     driven = long_enough and is_driven(motion)
     motion, time_unit = check_time_unit(motion) if driven else (motion, None)
-    results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible)])
+    results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
     if long_enough:
         results.findings += sampling.check_quality(auxiliary.quality, start_ns)
     broken = find_broken_channels(implausible)

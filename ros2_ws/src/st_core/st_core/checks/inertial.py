@@ -222,7 +222,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
         tolerances = Tolerances(
             name, reference, "m/s^2", lag, ACCELERATION_SCALE_ERROR, LIMITS.acceleration_bias,
             severe_bias=SEVERE_ACCELERATION_BIAS, unit_questions=ACCELERATION_UNITS,
-            bias_question=": is it mounted at an angle, or is the road not level?")
+            bias_question=": is the sensor mounted at an angle, or is the road not level?")
         results.append(judge_agreement(agreement, tolerances, f"{axis} acceleration: sensor versus velocity"))
     return results
 

@@ -77,11 +77,12 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
 
 
-def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding] = ()) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which are no gap."""
+def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding], start_ns: int) -> list[Finding]:
+    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which are no gap.
+    start_ns: zero of the times in the findings."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
-        findings += _check_stamps(signal, np.asarray(stamps, np.int64))
+        findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
         findings += _check_gaps(signal, time, [stretch for finding in left_out for stretch in finding.where])
     missing = [_make_missing_values_finding(channel, count, motion, auxiliary)
@@ -129,7 +130,7 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
                    where=find_stretches(time, MAX_GAP), advice=advice)
 
 
-def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
+def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Finding]:
     if len(stamps) < 2:
         return []
     step = np.diff(stamps)
@@ -143,7 +144,7 @@ def _check_stamps(signal: str, stamps: np.ndarray) -> list[Finding]:
         count, share = int(lost.sum()), float(lost.sum()) / len(stamps)
         largest = -float(step.min()) * NANOSECOND
         was_reset = name == "time_order" and largest > MAX_GAP
-        where = tuple((float(t), float(t)) for t in (newest[faulty] - stamps[0])[:MAX_LISTED] * NANOSECOND)
+        where = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED] * NANOSECOND)
         if was_reset:
             text = (f"the stamps of the {signal} go back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
                     f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")

@@ -216,7 +216,9 @@ def _check_missing(effect: type[Effect]) -> Iterator[str]:
             yield f"{key} is missing; choose one of {', '.join(choices)}"
         elif getattr(effect, key) not in choices:
             yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(choices)}"
-    if not any(p.fit for p in getattr(effect, "parameters", ())):
+    if isinstance(getattr(effect, "parameters", None), Parameter):
+        yield "parameters must be a tuple, even of one parameter: (Parameter(...),)"
+    elif not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "it has no parameter that can be fitted"
     if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
         yield "it has no hook, so it changes nothing"
