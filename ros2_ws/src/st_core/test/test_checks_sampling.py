@@ -10,6 +10,7 @@ from exact_faults import findings_by_name
 from st_core.checks import AuxiliaryData, Severity, check
 from st_core.checks.sampling import estimate_resolution
 from st_core.corrections import apply_corrections
+from st_core.timeseries import NANOSECOND
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +26,16 @@ def test_resolution_of_rounded_values(step):
     assert estimate_resolution(time, values) == 0.0
 
 
-@pytest.mark.parametrize(("rate", "expected"), [(1.0, True), (5.0, True), (10.0, False), (20.0, False)])
-def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, expected):
-    texts = [finding.text for finding in check(exact_drive(leaf, seconds=120.0, rate=rate), leaf).findings
+@pytest.mark.parametrize(("rate", "jitter", "expected"), [
+    (1.0, 0.0, True), (5.0, 0.0, True), (10.0, 0.0, False), (10.0, 0.005, True), (20.0, 0.005, False)])
+def test_sampling_rate_too_low_for_predictions_is_reported(leaf, rate, jitter, expected):
+    """jitter: largest error of a time stamp [s]."""
+    log = exact_drive(leaf, seconds=120.0, rate=rate)
+    late = (jitter * np.random.default_rng(0).uniform(-1.0, 1.0, len(log.x)) / NANOSECOND).astype(np.int64)
+    texts = [finding.text for finding in check(replace(log, ins_time_ns=log.ins_time_ns + late), leaf).findings
              if finding.name == "time_gaps"]
-    assert bool(texts) == expected and all("predictions need one in 0.1 s: nothing is scored" in t for t in texts)
+    assert bool(texts) == expected
+    assert all("longer than 0.1 s, across which nothing is predicted" in text for text in texts)
 
 
 def test_unrounded_values_have_no_resolution():

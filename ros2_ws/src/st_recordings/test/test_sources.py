@@ -282,7 +282,7 @@ def test_warnings_that_differ_only_in_file_and_numbers_are_grouped(caplog):
     lines = [record.getMessage() for record in caplog.records]
     assert len(lines) == errors.MAX_SIMILAR_WARNINGS + 2
     assert lines[0] == "warning: grouped/0.csv: 0 of 3000 rows are not used"
-    assert "37 more warnings such as" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
+    assert "37 more such as" in lines[-1] and "grouped/3.csv" in lines[-1] and "and 27 more" in lines[-1]
 
 
 def test_errors_that_differ_only_in_the_file_are_joined():

@@ -163,8 +163,8 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
         raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, less "
                        f"than the horizon of {length:g} s")
     skipped = {**evaluation.skipped, **evaluation.incomplete}
-    raise RunError(source.where, "nothing to score: " + ", ".join(
-        f"{reason} ({count} starts)" for reason, count in skipped.items()))
+    reasons = ", ".join(f"{reason} ({count} start{'s' * (count > 1)})" for reason, count in skipped.items())
+    raise RunError(source.where, f"nothing to score: {reasons}", "`st check` reports gaps and invalid samples")
 
 
 def _check_run(source: RunSource, run: LoadedRun, task: Task,

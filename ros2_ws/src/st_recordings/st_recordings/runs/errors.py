@@ -71,7 +71,7 @@ def group_similar_warnings() -> Iterator[None]:
             if others := [warning.partition(": ")[0] for warning in similar[MAX_SIMILAR_WARNINGS:]]:
                 files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
                 _LOGGER.warning("warning: %s", escape_unprintable(
-                    f"{len(others)} more warnings such as {similar[0][:100]}...: {files} (all are in the report)"))
+                    f"{len(others)} more such as {similar[0][:100]}...: {files} (all are in the report)"))
 
 
 def join_problems(problems: Iterable[str]) -> str:
