@@ -8,13 +8,14 @@ from typing import TypeVar
 from st_core import errors as core_errors
 from st_core.effects import load_folder
 from st_core.model_file import ModelFile
+from st_core.models import MODELS as MODELS_BY_NAME
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_ros.parameters import ConfigurationError, Parameter
 
 T = TypeVar("T")
 
-MODELS = ["kinematic", "linear", "nonlinear"]
+MODELS = list(MODELS_BY_NAME)
 _DEFAULTS = PredictionSettings()
 
 _VEHICLE_FILE = Parameter("vehicle_file", "", "vehicle parameters, a file of config/vehicle/; required")

@@ -49,19 +49,10 @@ VehicleFile = Annotated[Path | None, typer.Option(
     help="Vehicle file; default: that of --car, else that of the Leaf.", **FILE)]
 VehicleOfBag = Annotated[Path | None, typer.Option(
     help="Vehicle file; default: that of --car, else the one in the recording, else that of the Leaf.", **FILE)]
-Models = Annotated[list[str], typer.Option(
-    help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")]
 EffectsOfFile = Annotated[Path | None, typer.Option(
     help="Folder of your own effects that a model file uses.", **FOLDER)]
 EffectsOfModel = Annotated[Path | None, typer.Option(
     help="Folder of your own effects that --model uses.", **FOLDER)]
-Filtering = Annotated[Literal["causal", "zero-phase"], typer.Option(
-    help="Filter of the forward speed before it is differentiated; live, only causal is possible.")]
-Inputs = Annotated[Literal["interpolate", "hold"], typer.Option(
-    help="Measured inputs within an integration step: interpolated, or held over it.")]
-Horizon = Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")]
-Step = Annotated[float, typer.Option(help="Integration step, s.")]
-MinimumSpeed = Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")]
 
 
 @contextmanager

@@ -6,27 +6,22 @@ from typing import Literal
 import typer
 
 from . import _options as shared
-from .evaluate import MODELS, make_task
+from .evaluate import PredictionOptions
 
 
 @shared.expand_options(shared.ReadOptions)
+@shared.expand_options(PredictionOptions)
 def calibrate(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of one car: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False),
-    model: shared.Models = MODELS,
-    effects: shared.EffectsOfFile = None,
+    prediction_options: PredictionOptions = PredictionOptions(),
     output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
     level: list[float] = typer.Option(
         [0.5, 0.9], "--level", help="Fraction of paths entirely inside the band; repeatable. n runs allow at most "
         "n/(n + 1): 9 runs for 0.9."),
     together: bool = typer.Option(
         False, "--together", help="Recordings of one argument (one day or site) are dependent and count as one run."),
-    acceleration: shared.Filtering = "causal",
-    inputs: shared.Inputs = "interpolate",
-    horizon: shared.Horizon = 5.0,
-    step: shared.Step = 0.05,
-    minimum_speed: shared.MinimumSpeed = 0.5,
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
@@ -35,12 +30,10 @@ def calibrate(
     For every model, with measured inputs (hindsight) and with held inputs (forecast). Test them on other drives with
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
-    from st_core.prediction import PredictionSettings
     from st_offline.bands.calibration_command import run_command
 
     with shared.report_errors("calibrate"):
-        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
-        task, vehicle = make_task(read_options, model, effects, prediction, acceleration, inputs, force=force)
+        task, vehicle = prediction_options.make_task(read_options, force=force)
         status = run_command(runs, task, output, sorted(set(level)), together, shared.console)
     shared.report_default_car("calibrate", vehicle, task.vehicle_file)
     raise typer.Exit(status)

@@ -1,36 +1,64 @@
 """The command `st evaluate`: makes the table and figures of the paper from recordings."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from . import _options as shared
 
 if TYPE_CHECKING:
-    from st_core.prediction import PredictionSettings
     from st_core.vehicle import VehicleParameters
     from st_offline.evaluation.work import Task
 
-MODELS = ["kinematic", "linear", "nonlinear"]
+MODELS: Any = ("kinematic", "linear", "nonlinear")
+
+
+@dataclass(frozen=True)
+class PredictionOptions:
+    """Options for predictions from recordings, as given by the user; one field per option."""
+
+    model: Annotated[list[str], typer.Option(
+        help="kinematic, linear, nonlinear, or a model file (augmented); repeatable.")] = MODELS
+    effects: shared.EffectsOfFile = None
+    acceleration: Annotated[Literal["causal", "zero-phase"], typer.Option(
+        help="Filter of the forward speed before it is differentiated; live, only causal is possible.")] = "causal"
+    inputs: Annotated[Literal["interpolate", "hold"], typer.Option(
+        help="Measured inputs within an integration step: interpolated, or held over it.")] = "interpolate"
+    horizon: Annotated[float, typer.Option(help="Length of a prediction, s; a whole number of steps.")] = 5.0
+    step: Annotated[float, typer.Option(help="Integration step, s.")] = 0.05
+    minimum_speed: Annotated[float, typer.Option(help="No prediction starts below this speed, m/s.")] = 0.5
+
+    def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
+                  **others: Any) -> "tuple[Task, Path | None]":
+        """(task, vehicle file that the user named or None). interval: between starts [s]. others: fields of Task."""
+        from st_core.log_evaluation import EvaluationSettings
+        from st_core.prediction import PredictionSettings
+        from st_offline.evaluation.work import Task
+
+        prediction = PredictionSettings(horizon=self.horizon, step=self.step, minimum_speed=self.minimum_speed)
+        filtering: Literal["causal", "zero_phase"] = "zero_phase" if self.acceleration == "zero-phase" else "causal"
+        settings = EvaluationSettings(prediction, interval, filtering, self.inputs)
+        models = tuple(read_model(name) for name in dict.fromkeys(self.model))
+        vehicle, read_settings = read_options.resolve()
+        parameters, vehicle_file = resolve_vehicle(vehicle, models, self.effects)
+        task = Task(parameters, models, settings, read_settings, vehicle_file=vehicle_file, effects=self.effects,
+                    **others)
+        return task, vehicle
 
 
 @shared.expand_options(shared.ReadOptions)
+@shared.expand_options(PredictionOptions)
 def evaluate(
     runs: shared.Runs,
-    model: shared.Models = MODELS,
-    effects: shared.EffectsOfFile = None,
+    prediction_options: PredictionOptions = PredictionOptions(),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
     at: str = typer.Option("", help="Starts of the predictions drawn in detail, s: 1,10,19,28; default: four."),
-    acceleration: shared.Filtering = "causal",
-    inputs: shared.Inputs = "interpolate",
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Error statistics: of the means over each horizon, as in the paper, or of all samples."),
-    horizon: shared.Horizon = 5.0,
-    step: shared.Step = 0.05,
     interval: float = typer.Option(0.1, help="Time between starts, s."),
-    minimum_speed: shared.MinimumSpeed = 0.5,
     figures: str = typer.Option("png,pdf", help="Formats of the figure files; empty: none."),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate` to test on these runs: coverage, scores, reliability.", **shared.FILE),
@@ -54,38 +82,19 @@ def evaluate(
     """
     from st_core.bands import Bands
     from st_core.course import Course
-    from st_core.prediction import PredictionSettings
     from st_offline.evaluation.evaluation_command import run_command
     from st_offline.evaluation.work import check_bands, load_models
 
     with shared.report_errors("evaluate"):
-        prediction = PredictionSettings(horizon=horizon, step=step, minimum_speed=minimum_speed)
         parsed_bands, parsed_course = (file and (str(file), kind.from_yaml(file.read_text(encoding="utf-8"), str(file)))
                                        for file, kind in ((bands, Bands), (course, Course)))
-        task, vehicle = make_task(
-            read_options, model, effects, prediction, acceleration, inputs, interval, over=table, force=force,
-            starts=_parse_seconds(at), formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive,
-            course=parsed_course)
+        task, vehicle = prediction_options.make_task(
+            read_options, interval, over=table, force=force, starts=_parse_seconds(at),
+            formats=shared.split_names(figures), bands=parsed_bands, adaptive=adaptive, course=parsed_course)
         check_bands(task, load_models(task))
         status = run_command(runs, task, output, workers, scheduler, shared.console, advise)
     shared.report_default_car("evaluate", vehicle, task.vehicle_file)
     raise typer.Exit(status)
-
-
-def make_task(read_options: shared.ReadOptions, model: Sequence[str], effects: Path | None,
-              prediction: "PredictionSettings", acceleration: str, inputs: Literal["interpolate", "hold"],
-              interval: float = 0.1, **others: Any) -> "tuple[Task, Path | None]":
-    """(task, vehicle file that the user named or None). interval: between the starts [s]. others: fields of Task."""
-    from st_core.log_evaluation import EvaluationSettings
-    from st_offline.evaluation.work import Task
-
-    filtering: Literal["causal", "zero_phase"] = "zero_phase" if acceleration == "zero-phase" else "causal"
-    models = tuple(read_model(name) for name in dict.fromkeys(model))
-    vehicle, read_settings = read_options.resolve()
-    parameters, vehicle_origin = resolve_vehicle(vehicle, models, effects)
-    settings = EvaluationSettings(prediction, interval, filtering, inputs)
-    task = Task(parameters, models, settings, read_settings, vehicle_file=vehicle_origin, effects=effects, **others)
-    return task, vehicle
 
 
 def read_model(name: str) -> str | tuple[str, str]:
