@@ -68,10 +68,10 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
 
 
 def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
-    """p-value of each candidate, corrected for the number of candidates: the smaller of the p-values of two tests. Sign
-    flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood ratio (F
-    test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees of
-    freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
+    """p-value of each candidate, corrected for the number of candidates and of tests: twice the smaller p-value of two
+    tests. Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood
+    ratio (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees
+    of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
     found = {}
@@ -79,7 +79,7 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
         p_score = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
         ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
         p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
-        found[s.candidate.name] = min(p_score, p_ratio)
+        found[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
     return found
 
 
