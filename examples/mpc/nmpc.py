@@ -19,7 +19,7 @@ from controller import SOLVERS, Controller, Tuning
 from drawing import draw_paths, draw_trade_off
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
-from st_offline.model_export import load_model
+from st_recordings.car import read_model
 from st_recordings.paths import config, new_folder
 from st_sim.car import read_car
 from st_sim.path import lane_shift, straight
@@ -53,7 +53,7 @@ def main() -> int:
         models = {}
         for name in options.model:
             # --vehicle is the plant; a model file may contain an identified vehicle for its model.
-            model, model_vehicle = load_model(name, vehicle, str(options.vehicle), requested=False)
+            model, model_vehicle = read_model(name, vehicle, str(options.vehicle), vehicle_is_given=False)
             models[model.name] = model, model_vehicle
     except (OSError, StCoreError, SimulationError) as error:
         print(f"nmpc.py: {error}", file=sys.stderr)

@@ -14,28 +14,13 @@ from st_core.bands import LEVELS, Band, Bands
 from st_core.bands.conditions import compute_magnitudes
 from st_core.bands.scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
 from st_core.errors import ConfigurationError
-from st_core.model_file import ModelFile
-from st_core.models import MODELS, Model, get_model
+from st_core.models import Model
 from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 
 Format = Literal["casadi", "c"]
 STEPS = (0.01, 0.02, 0.05, 0.1)  # s; the description states the lowest stable speed for each
-
-
-def load_model(name: str, vehicle: VehicleParameters, origin: str, requested: bool) -> tuple[Model, VehicleParameters]:
-    """The model with this name or from this model file, and its car: the car embedded in the file, else `vehicle`.
-    origin: source of `vehicle`, for error messages. requested: whether the user named `vehicle`. Raises
-    ConfigurationError for an unknown or invalid model or one of another car, OSError for an unreadable file."""
-    if not name.endswith((".yaml", ".yml")):
-        if name not in MODELS:
-            raise ConfigurationError(f"{name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
-        return get_model(name), vehicle
-    file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
-    if requested or file.vehicle is None:
-        file.check_vehicle(vehicle, origin)
-    return file.model(), file.vehicle or vehicle
 
 
 def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: Format, substeps: int = 1,

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
+from st_core.model_file import ModelFile
+from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
@@ -77,6 +79,29 @@ def read_vehicle(file: Path) -> VehicleParameters:
         return VehicleParameters.from_yaml(file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(file, f"cannot be read: {error}") from None
+
+
+def read_model(name: str, vehicle: VehicleParameters, origin: str,
+               vehicle_is_given: bool = True) -> tuple[Model, VehicleParameters]:
+    """The model with this name or from this model file, and its car: the car embedded in the file, else `vehicle`.
+
+    origin: source of `vehicle`, for error messages. vehicle_is_given: whether the user named `vehicle`. Raises
+    ConfigurationError for an unknown or invalid model, one of another car, or an unreadable file.
+    """
+    if not name.endswith((".yaml", ".yml")):
+        if name not in MODELS:
+            raise ConfigurationError(f"{name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
+        return get_model(name), vehicle
+    try:
+        file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if vehicle_is_given or file.vehicle is None:
+        try:
+            file.check_vehicle(vehicle, origin)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{name}: {error}") from None
+    return file.model(), file.vehicle or vehicle
 
 
 def read_yaml_mapping(file: Path) -> dict:

@@ -34,14 +34,15 @@ def export(
     if importlib.util.find_spec("casadi") is None:
         typer.echo("st export: CasADi is not installed: run pip install '.[mpc]' or pip install casadi", err=True)
         raise typer.Exit(2)
-    from st_offline.model_export import export_model, load_model
+    from st_offline.model_export import export_model
+    from st_recordings.car import read_model
 
     with shared.report_errors("export", OSError):
         named = shared.ReadOptions(car, vehicle).resolve_car().vehicle
         parameters, file = shared.load_vehicle_or_default(named)
         if effects is not None:
             load_folder(str(effects.absolute()))
-        exported, model_vehicle = load_model(model, parameters, str(file), named is not None)
+        exported, model_vehicle = read_model(model, parameters, str(file), named is not None)
         parsed_bands = None if bands is None else Bands.from_yaml(bands.read_text(encoding="utf-8"), str(bands))
         folder = new_folder(output, "export")
         paths = export_model(exported, model_vehicle, folder, kind, substeps, free, parsed_bands)

@@ -139,13 +139,13 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Squared contributions to the errors of one run by cause, summed over its starts."""
+    """Squared errors of one run, total and by cause, summed over its starts: arrays (seconds, axes) [m^2, m^2, rad^2].
+    """
     shares: Sums = {}
     for model in models:
         starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
-        by_kind = {kind: {name: _name_seconds(squares) for (group, name), squares in parts.items() if group == kind}
-                   for kind in (PARAMETERS, SENSORS)}
-        shares[model.name] = {"starts": starts, "total": _name_seconds(total), "parts": by_kind}
+        causes = {f"{kind}: {name}": squares for (kind, name), squares in parts.items()}
+        shares[model.name] = {"starts": starts, "total": total, "causes": causes}
     return {"shares": shares}
 
 
@@ -157,20 +157,17 @@ def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
     The fractions of the kinds of causes (parameters, sensors) and of the residual add up to 1."""
     summary = {}
-    for model, squares_of_model in sums.get("shares", {}).items():
-        if not squares_of_model["starts"]:
+    for model, sums_of_model in sums.get("shares", {}).items():
+        count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]
+        if not count:
             continue
-        total, count = _as_array(squares_of_model["total"]), squares_of_model["starts"]
-        causes = {f"{kind}: {name}": _as_array(squares) for kind, parts in squares_of_model["parts"].items()
-                  for name, squares in parts.items()}
-        kinds = {kind: sum((v for k, v in causes.items() if k.startswith(f"{kind}: ")), np.zeros_like(total))
-                 for kind in (PARAMETERS, SENSORS)}
-        shares = {kind: squares / total for kind, squares in kinds.items()}
+        shares = {kind: sum((squares for name, squares in causes.items() if name.startswith(f"{kind}: ")),
+                            np.zeros_like(total)) / total for kind in (PARAMETERS, SENSORS)}
         shares[RESIDUAL] = 1.0 - sum(shares.values())
         summary[model] = {
             "starts": count, "rms": _name_seconds(np.sqrt(total / count)),
             "rms_of_cause": {name: _name_seconds(np.sqrt(squares / count)) for name, squares in causes.items()},
-            "stated": list(squares_of_model["parts"][PARAMETERS]),
+            "stated": [name.split(": ", 1)[1] for name in causes if name.startswith(f"{PARAMETERS}: ")],
             "share": {kind: _name_seconds(values) for kind, values in shares.items()}}
     return summary
 
@@ -189,8 +186,3 @@ def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
                              else "not stated")
             rows.append(row)
     return rows
-
-
-def _as_array(by_second: Mapping[str, Mapping[str, float]]) -> np.ndarray:
-    """Array (seconds, axes) of the values by second and axis."""
-    return np.array([[second[axis] for axis in AXES] for second in by_second.values()])

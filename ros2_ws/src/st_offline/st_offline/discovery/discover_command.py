@@ -17,10 +17,9 @@ from st_core.discovery.error_regions import Samples, window_errors
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog
-from st_core.model_file import ModelFile
-from st_core.models import MODELS, Model, get_model
+from st_core.models import Model
 from st_core.relations import RelationSearch, find_relation, needs_search
-from st_core.vehicle import VehicleParameters
+from st_recordings.car import read_model
 from st_recordings.paths import json_ready, json_text, new_folder
 from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
@@ -44,7 +43,10 @@ def run_command(request: Request, console: Console) -> int:
         load_folder(str(request.effects.absolute()))
         effect_hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                          for file in sorted(request.effects.glob("*.py"))}
-    base = load_base_model(request.base, request.vehicle, request.vehicle_file)
+    try:
+        base, _ = read_model(request.base, request.vehicle, request.vehicle_file)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--base {error}") from None
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
     with make_progress_bars(console) as progress:
@@ -77,26 +79,6 @@ def run_command(request: Request, console: Console) -> int:
         files = write_results(discovery, request, update, folder, drawn, seconds, relations, report)
     print_result(discovery, update, request.all_drives, files, from_cache, console, report)
     return 1 if any(d.problem for d in request.all_drives) else 0
-
-
-def load_base_model(name: str, vehicle: VehicleParameters, vehicle_file: str) -> Model:
-    """The base model with this name or from this model file. Raises ConfigurationError for an unknown model, an
-    unreadable file, or a file for another vehicle."""
-    if not name.endswith((".yaml", ".yml")):
-        if name not in MODELS:
-            raise ConfigurationError(f"--base {name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
-        return get_model(name)
-    try:
-        text = Path(name).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        cause = getattr(error, "strerror", None) or error
-        raise ConfigurationError(f"--base {name}: cannot be read: {cause}") from None
-    file = ModelFile.from_yaml(text, name)
-    try:
-        file.check_vehicle(vehicle, vehicle_file)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"--base {name}: {error}") from None
-    return file.model()
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:

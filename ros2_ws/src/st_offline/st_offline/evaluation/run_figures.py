@@ -21,7 +21,6 @@ from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
-AXLES = ("front", "rear")
 NOTICEABLE_ERROR = 0.5  # m, the lateral clearance of a car in the middle of its lane
 
 
@@ -99,7 +98,7 @@ def draw_segments(drawing: Drawing) -> PageFigure | None:
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
         axes.set(xlabel="east, m", ylabel="" if column else "north, m")
-        for k, axis in ((0, "longitudinal"), (1, "lateral")):
+        for k, axis in enumerate(POSITIVE_SIDE):
             axes = figure.add_subplot(layout[1 + k, column], sharey=first[k])
             first[k] = first[k] or axes
             axes.axhline(0, color=TEXT, lw=0.6)
@@ -146,7 +145,7 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
     evaluation = drawing.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
-    for axes, k, axis in ((upper, 0, "longitudinal"), (lower, 1, "lateral")):
+    for k, (axes, axis) in enumerate(((upper, "longitudinal"), (lower, "lateral"))):
         axes.axhline(0, color=TEXT, lw=0.6)
         for model in drawing.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
@@ -179,7 +178,7 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
     evaluation = drawing.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
-    for axes, k, axis in zip(panels, (0, 1), ("longitudinal", "lateral"), strict=True):
+    for k, (axes, axis) in enumerate(zip(panels, POSITIVE_SIDE, strict=True)):
         for model in drawing.models:
             for mode, width, alpha in lines:
                 line = get_line_style(model.name) | ({"ls": ":"} if mode == "forecast" else {})
@@ -224,36 +223,35 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     row = int(rows[0] if len(drawing.starts) == 1 else lateral.argmax())
     start = evaluation.starts_ns[row : row + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
-    times = start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
+    horizon, times = evaluation.horizon, start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
     angle, acceleration = signals.road_wheel_angle_at(times), signals.ins_at(times, "velocity_x_dot")[0]
-    measured = signals.states_at(times, vehicle)
     figure, grid = plt.subplots(2, 2, figsize=(WIDTH, 4.6), sharex=True, sharey="row")
-    measured_slip = _compute_slip_and_forces(get_model("linear"), drawing.vehicle, measured, angle, acceleration)[0]
-    for column in (0, 1):
-        grid[0, column].plot(evaluation.horizon, np.degrees(measured_slip[column]), color=MEASURED_COLOUR, lw=1.0)
-    ends = []
+    measured_slips, _ = _compute_slip_and_forces(get_model("linear"), vehicle, signals.states_at(times, vehicle), angle,
+                                                 acceleration)
+    largest = {"measured": np.nanmax(np.abs(measured_slips))}
+    for axes, slip in zip(grid[0], measured_slips, strict=True):
+        axes.plot(horizon, np.degrees(slip), color=MEASURED_COLOUR, lw=1.0)
     for model in models:
         states = block.trajectories[model.name, "hindsight"][0]
-        slips, forces = _compute_slip_and_forces(model, drawing.vehicle, states, angle, acceleration)
-        for column in (0, 1):
-            grid[0, column].plot(evaluation.horizon, np.degrees(slips[column]), **get_line_style(model.name))
-            grid[1, column].plot(evaluation.horizon, forces[column] / 1000.0, **get_line_style(model.name))
-        front, rear = (f"{np.degrees(s[-1]):.2f}°" for s in slips)
-        ends.append(f"{model.name} {front} front and {rear} rear slip, force {sum(f[-1] for f in forces) / 1e3:.1f} kN")
-    for column, axle in enumerate(AXLES):
-        for axes in grid[:, column]:
-            axes.axhline(0, color=TEXT, lw=0.6)
-        grid[0, column].set_title(f"{axle} axle", fontsize=9)
-        grid[1, column].set_xlabel("horizon, s")
-    grid[1, 0].set_xlim(0, evaluation.horizon[-1])
+        slips, forces = _compute_slip_and_forces(model, vehicle, states, angle, acceleration)
+        for (upper, lower), slip, force in zip(grid.T, slips, forces, strict=True):
+            upper.plot(horizon, np.degrees(slip), **get_line_style(model.name))
+            lower.plot(horizon, force / 1000.0, **get_line_style(model.name))
+        largest[model.name] = np.abs(slips).max()
+    for (upper, lower), axle in zip(grid.T, ("front", "rear"), strict=True):
+        upper.axhline(0, color=TEXT, lw=0.6)
+        lower.axhline(0, color=TEXT, lw=0.6)
+        upper.set_title(f"{axle} axle", fontsize=9)
+        lower.set_xlabel("horizon, s")
+    grid[1, 0].set_xlim(0, horizon[-1])
     grid[0, 0].set_ylabel("slip angle, °\n(+ = slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     add_legend(figure, drawing, [measured_line], models=models)
-    title = f"{evaluation.name} from {evaluation.time[row]:.1f} s: at the end {'; '.join(ends)}"
+    title = (f"{evaluation.name}: largest slip angle in {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
+             f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest.items())}")
     choice = "as requested" if len(drawing.starts) == 1 else "with the largest lateral acceleration"
-    caption = (f"Slip angles and forces that the models predict with the measured inputs, from the start {choice}; "
-               f"measured slip angles reach {np.degrees(np.nanmax(np.abs(measured_slip))):.1f}°.")
+    caption = f"Slip angles and forces that the models predict with the measured inputs, from the start {choice}."
     return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
 
 

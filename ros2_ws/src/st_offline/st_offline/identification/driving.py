@@ -74,7 +74,8 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
         right.axhline(0.0, color=TEXT, lw=0.8)
         right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
         lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
-        title = f"INS {_format_estimate(lever)} ahead of the CG, misaligned by {_format_estimate(angle)}"
+        distance, side = replace(lever, value=abs(lever.value)), "behind" if lever.value < 0.0 else "ahead of"
+        title = f"INS {_format_estimate(distance)} {side} the CG, misaligned by {_format_estimate(angle)}"
         caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
                    "curvature is the misalignment with the opposite sign.")
         return save_figure(figure, output, "ins", title, caption)

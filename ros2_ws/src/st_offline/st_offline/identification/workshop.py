@@ -213,26 +213,20 @@ def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification
 
 def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
     """One table for each tyre, from the rows of all files; the column `tyre` contains front or rear."""
-    rows: dict[str, list[tuple[np.ndarray, ...]]] = {}
-    names: dict[str, list[str]] = {}
+    parts = []
     for file in files:
         table = read_columns(file, TYRE_COLUMNS, texts=("tyre",))
         if table.units["load"] == "kg":
             raise RunError(file, "column load_kg: the load must be in newtons", "convert it and name it load_n")
         if "tyre" not in table.texts:
             raise RunError(file, "has no column tyre", "add it, with front or rear in each row")
-        axle = np.array([word.lower().removeprefix("tyre_") for word in table.texts["tyre"]])
-        for word in dict.fromkeys(axle.tolist()):
-            if word not in ("front", "rear"):
-                raise RunError(file, f"tyre is {word[:40]!r} in a row", "write front or rear")
-            columns = (table.numbers[name][axle == word] for name in TYRE_COLUMNS)
-            rows.setdefault(f"tyre_{word}", []).append(tuple(columns))
-            names.setdefault(f"tyre_{word}", []).append(file.name)
-    tables = []
-    for tyre in (tyre for tyre in TYRES if tyre in rows):
-        load, slip, force = (np.concatenate(column) for column in zip(*rows[tyre], strict=True))
-        tables.append(FlatPlank(tyre, load, slip, force, ", ".join(names[tyre])))
-    return tables
+        tyre = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
+        if unknown := set(tyre.tolist()).difference(TYRES):
+            raise RunError(file, f"tyre is {min(unknown).removeprefix('tyre_')[:40]!r} in a row", "write front or rear")
+        parts.append((tyre, *(table.numbers[name] for name in TYRE_COLUMNS), np.full(len(tyre), file.name)))
+    tyres, load, slip, force, names = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return [FlatPlank(tyre, load[rows], slip[rows], force[rows], ", ".join(dict.fromkeys(names[rows].tolist())))
+            for tyre in TYRES if (rows := tyres == tyre).any()]
 
 
 def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
