@@ -8,12 +8,13 @@ from oxts_bridge.geometry import compute_origin_offset
 from rich.console import Console
 from rich.markup import escape
 from st_core.course import SPACING, Course, Pass, split_into_passes
-from st_core.errors import ConfigurationError, StCoreError
+from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
-from st_recordings.runs import ReadSettings, RunError, find_runs, read
+from st_recordings.runs import ReadSettings, find_runs, read
 
-from .terminal import print_line
+from .checking.gate import RUN_ERRORS, describe_problem
+from .terminal import format_count, print_line, report_problem
 
 
 def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
@@ -38,13 +39,13 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
                     run_passes = Course(tuple(run_passes)).shift(*offset).passes
                 else:
                     without_origin.append(source.name)
-        except (RunError, StCoreError) as error:
+        except RUN_ERRORS as error:
             failed += 1
-            print_line(f"[red]{escape(source.name)}: {escape(' '.join(str(error).split()))}[/red]", console)
+            report_problem(source.name, describe_problem(error, source), console)
             continue
         passes += run_passes
         length = SPACING * sum(len(part.points) for part in run_passes)
-        parts = f"{len(run_passes)} part{'s' * (len(run_passes) != 1)}"
+        parts = format_count(len(run_passes), "part")
         print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {parts}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
@@ -56,6 +57,6 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
-    drives = len({part.recording for part in passes})
-    print_line(f"{escape(str(output))}: course of {drives} drive{'s' * (drives != 1)}", console)
+    drives = format_count(len({part.recording for part in passes}), "drive")
+    print_line(f"{escape(str(output))}: course of {drives}", console)
     return 1 if failed else 0

@@ -25,6 +25,11 @@ def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
     return table
 
 
+def format_count(number: int, noun: str) -> str:
+    """A number of things, such as "1 run" or "2 runs"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def print_line(text: str, console: Console) -> None:
     """Print one line without wrapping; `text` may contain rich markup, so escape user text."""
     console.print(text, highlight=False, soft_wrap=True)

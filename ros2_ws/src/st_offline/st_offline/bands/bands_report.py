@@ -27,6 +27,7 @@ RESIDUAL = "what remains"  # key in evaluation.json
 REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
+@apply_style()
 def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFigure]:
     """Draw a reliability diagram from the result of `summarise_bands`; an empty list if no start had a band."""
     models = {model: modes for model, modes in content.get("models", {}).items()
@@ -37,21 +38,20 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
     deviations = [(abs(scores["coverage"][top] - float(top)), f"{100 * scores['coverage'][top]:.0f} %, {model}, {mode}")
                   for model, modes in models.items() for mode, scores in modes.items() if scores["coverage"].get(top)]
     worst = max(deviations)[1] if deviations else "unknown"
-    with apply_style():
-        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
-        for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
-            axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
-            for model, modes in models.items():
-                points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
-                axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
-                          ms=3, **get_line_style(model))
-            axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
-        panels[0].set_ylabel("paths entirely inside, %")
-        handles = [Line2D([], [], **get_line_style(model), label=model) for model in models]
-        figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        return [save_figure(figure, output, "bands_reliability",
-                            f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
-                            "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
+    for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
+        axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
+        for model, modes in models.items():
+            points = {float(level): s for level, s in modes[mode]["reliability"].items() if s is not None}
+            axes.plot([100 * level for level in points], [100 * share for share in points.values()], marker="o",
+                      ms=3, **get_line_style(model))
+        axes.set(title=title, xlabel="nominal coverage, %", xlim=(0, 100), ylim=(0, 100))
+    panels[0].set_ylabel("paths entirely inside, %")
+    handles = [Line2D([], [], **get_line_style(model), label=model) for model in models]
+    figure.legend(handles=handles, loc="outside lower left", ncols=6)
+    return [save_figure(figure, output, "bands_reliability",
+                        f"Reliability of the bands; largest deviation from {_format_level(top)}: {worst}",
+                        "Grey line: coverage equal to the nominal coverage. Below it, the band is too narrow.")]
 
 
 def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -9,7 +9,6 @@ from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrat
 from st_core.bands.calibration import check_levels, compute_highest_level
 from st_core.bands.file import hash_configuration, make_times
 from st_core.bands.samples import compute_error_samples
-from st_core.errors import StCoreError
 from st_core.log_evaluation import MODES
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
@@ -17,9 +16,9 @@ from st_recordings.paths import OutputError
 from st_recordings.recorded_results import recorded_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
-from ..checking.gate import check_for_use
+from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem
 from ..evaluation.work import Task, collect_model_hashes, load_models
-from ..terminal import print_line
+from ..terminal import print_line, report_problem
 
 
 def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence[float], together: bool,
@@ -65,9 +64,9 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                 check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 signals = task.settings.signals(run.log)
                 samples.append(compute_error_samples(models, task.vehicle, signals, task.settings))
-        except (RunError, StCoreError) as error:
-            problems.append(f"{source.name}: {' '.join(str(error).split())}")
-            print_line(f"[red]{escape(problems[-1])}[/red]", console)
+        except RUN_ERRORS as error:
+            problems.append(describe_problem(error, source))
+            report_problem(source.name, problems[-1], console)
             continue
         recordings.update({Path(file).name: digest for file, digest in run.provenance["files"].items()})
     return samples

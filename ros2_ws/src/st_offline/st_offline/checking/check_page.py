@@ -24,38 +24,38 @@ SHADE = {Severity.ERROR: drawing.BAD, Severity.WARNING: drawing.WARN, Severity.N
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
+@drawing.apply_style()
 def draw_panel(pair: Comparison, checked: DriveCheck, output: drawing.FigureOutput) -> drawing.PageFigure:
     """Draw one comparison, with the stretches of its findings shaded."""
     findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
-    with drawing.apply_style():
-        figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
-        time = np.asarray(pair.time, float)
-        measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
-        for axes, values, colour, width, label in (
-                (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
-                (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
-                (lower, measured - derived, drawing.TEXT, 0.9, None)):
-            line = drawing.reduce_points(*drawing.cut_at_gaps(time, values, MAX_LINE_GAP))
-            axes.plot(*line, color=colour, lw=width, label=label)
-        shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
-        for finding in findings:
-            for start, end in finding.where:
-                for axes in (upper, lower):
-                    axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
-        lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
-        lower.set_xlabel("time after the first INS measurement, s")
-        unit = check_report.unit_symbol(pair.unit) or "1"
-        upper.set_ylabel(unit)
-        lower.set_ylabel(f"difference\n{unit}")
-        figure.align_ylabels()
-        figure.legend(loc="outside lower left", ncols=2)
-        key = f"comparison-{pair.name}"
-        shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
-        caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
-        size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
-        found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-        return drawing.save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
+    figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
+    time = np.asarray(pair.time, float)
+    measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
+    for axes, values, colour, width, label in (
+            (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
+            (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
+            (lower, measured - derived, drawing.TEXT, 0.9, None)):
+        line = drawing.reduce_points(*drawing.cut_at_gaps(time, values, MAX_LINE_GAP))
+        axes.plot(*line, color=colour, lw=width, label=label)
+    shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
+    for finding in findings:
+        for start, end in finding.where:
+            for axes in (upper, lower):
+                axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
+    lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
+    lower.set_xlabel("time after the first INS measurement, s")
+    unit = check_report.unit_symbol(pair.unit) or "1"
+    upper.set_ylabel(unit)
+    lower.set_ylabel(f"difference\n{unit}")
+    figure.align_ylabels()
+    figure.legend(loc="outside lower left", ncols=2)
+    key = f"comparison-{pair.name}"
+    shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
+    caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
+    size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
+    found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
+    return drawing.save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:

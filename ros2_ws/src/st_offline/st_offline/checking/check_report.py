@@ -18,7 +18,7 @@ from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 from st_recordings.runs.raw import summarise_alignment
 
-from ..terminal import print_line
+from ..terminal import format_count, print_line
 
 MAX_ZONE_DEVIATION = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
 MAX_STRETCHES = 4  # time intervals of a finding that are listed
@@ -43,15 +43,14 @@ def severity_rank(finding: Finding) -> int:
 def count_by_severity(findings: Sequence[Finding]) -> str:
     """Number of findings of each severity, such as "2 errors, 1 warning"; empty without findings."""
     counts = ((kind.value, sum(finding.severity is kind for finding in findings)) for kind in SEVERITY_ORDER)
-    return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts if count)
+    return ", ".join(format_count(count, name) for name, count in counts if count)
 
 
 def verdict(checked: DriveCheck) -> str:
     """Number of findings of a run by severity, and their meaning for an evaluation, in one line."""
     if not checked.findings:
-        count = len(checked.comparisons)
-        compared = f"in {count} comparison{'' if count == 1 else 's'}" if count else "but nothing could be compared"
-        return f"nothing found, {compared}"
+        compared = format_count(len(checked.comparisons), "comparison")
+        return f"nothing found, in {compared}" if checked.comparisons else "nothing could be compared"
     worst = min(checked.findings, key=severity_rank).severity
     if worst is Severity.WARNING and all(
             finding.concerns_only_acceleration for finding in checked.with_severity(worst)):
@@ -286,5 +285,5 @@ def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, deta
         print_line(f"{escape(', '.join(dict.fromkeys(names)))}: [{SEVERITY_STYLE[severity]}]{severity.value}: "
                    f"{escape(' | '.join(filter(None, parts)))}[/]", console)
     if notes:
-        print_line(f"[dim]{notes} note{'' if notes == 1 else 's'} of the checks, negligible here; see {details}[/dim]",
+        print_line(f"[dim]{format_count(notes, 'note')} of the checks, negligible here; see {details}[/dim]",
                    console)

@@ -149,9 +149,8 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 
 def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
-    models = {name: getattr(discovery, name) for name in MODELS}
-    content = discovery.document() | {name: model and [_base_name(model), plain_data(model.values)]
-                                  for name, model in models.items()}
+    content = discovery.document() | {name: (model := getattr(discovery, name)) and [
+        _base_name(model), plain_data(model.values)] for name in MODELS}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")

@@ -54,47 +54,47 @@ class FigureData:
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
 
 
+@apply_style()
 def draw_waterfall(data: FigureData) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
     steps = data.discovery.steps
     if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
         return None
     floor = data.discovery.errors["position_5s"].floor if "position_5s" in data.discovery.errors else 0.0
-    with apply_style():
-        figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
-        axes.set_axisbelow(True)
-        first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
-        rows = [f"{data.discovery.base.base.name} model, {data.discovery.start}"]
-        axes.barh(0, first, color=data.colour, height=0.62)
-        _annotate(axes, first, 0, quantities.format_metres(first))
-        for row, step in enumerate(steps, 1):
-            before, after = step.position_5s.base, step.position_5s.augmented
-            axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
-            colour = AFTER_COLOUR if after <= before else BAD
-            axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
-            ends = [before - end for end in step.position_5s.interval]
-            axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-            label, text = _step_texts(data.discovery, step)
-            _annotate(axes, max(before, after, *ends), row, text)
-            rows.append(label)
-        end = "model without effective corrections" if data.discovery.effective else "complete model"
-        axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
-        axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
-        _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
-        axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
-        axes.set_yticks(range(len(steps) + 2), [*rows, end])
-        axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
-                 xlabel="mean position error after 5 s on held-out driving, m")
-        rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
-        handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
-                   Patch(color=AFTER_COLOUR, label=end),
-                   Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
-                   *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
-                   Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
-        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-        caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
-                   "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
-        return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
+    figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
+    axes.set_axisbelow(True)
+    first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
+    rows = [f"{data.discovery.base.base.name} model, {data.discovery.start}"]
+    axes.barh(0, first, color=data.colour, height=0.62)
+    _annotate(axes, first, 0, quantities.format_metres(first))
+    for row, step in enumerate(steps, 1):
+        before, after = step.position_5s.base, step.position_5s.augmented
+        axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
+        colour = AFTER_COLOUR if after <= before else BAD
+        axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
+        ends = [before - end for end in step.position_5s.interval]
+        axes.plot(ends, [row, row], color=TEXT, lw=1.0)
+        label, text = _step_texts(data.discovery, step)
+        _annotate(axes, max(before, after, *ends), row, text)
+        rows.append(label)
+    end = "model without effective corrections" if data.discovery.effective else "complete model"
+    axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
+    axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
+    _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
+    axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
+    axes.set_yticks(range(len(steps) + 2), [*rows, end])
+    axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
+             xlabel="mean position error after 5 s on held-out driving, m")
+    rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
+    handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
+               Patch(color=AFTER_COLOUR, label=end),
+               Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
+               *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
+               Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
+    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+    caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
+               "95 % interval of the change. Effects in parentheses are part of the fit, but not named.")
+    return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
 
 
 def _step_texts(discovery: Discovery, step: Step) -> tuple[str, str]:
@@ -114,36 +114,37 @@ def _annotate(axes: plt.Axes, x: float, row: int, text: str) -> None:
     axes.annotate(text, (x, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
 
 
+@apply_style()
 def draw_axle_curves(data: FigureData) -> PageFigure | None:
     """Draw the force of each axle versus slip angle with its 90 % interval, and the distribution of slip angles."""
     curves = data.discovery.axle_curves
     if not curves or not data.discovery.model:
         return None
-    with apply_style():
-        figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
-                                      height_ratios=(3.0, 1.0))
-        for (axes, below), curve in zip(panels.T, curves, strict=True):
-            slip = np.rad2deg(curve.slip)
-            force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
-            axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0)
-            axes.plot(slip, force, color=AFTER_COLOUR)
-            axes.plot(slip, at_start, color=data.colour, ls="--")
-            ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
-            axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
-                           f"{data.discovery.start} at {slip[-1]:.1f}°", fontsize=7)
-            below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
-            below.set_xlabel("slip angle, °")
-        panels[0][0].set_ylabel("lateral force, kN")
-        panels[1][0].set_ylabel("samples, %")
-        handles = [Line2D([], [], color=data.colour, ls="--", label=data.discovery.start),
-                   Line2D([], [], color=AFTER_COLOUR, label="complete model"),
-                   Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
-        figure.legend(handles=handles, loc="outside lower left", ncols=3)
-        title = "Axle force versus slip angle, in the range of the drives"
-        return save_figure(figure, data.output, "axle_curves", title,
-                           "The band includes the uncertainty of the other vehicle parameters.")
+    figure, panels = plt.subplots(2, len(curves), figsize=(HALF_WIDTH, 3.3), sharex="col", squeeze=False,
+                                  height_ratios=(3.0, 1.0))
+    for (axes, below), curve in zip(panels.T, curves, strict=True):
+        slip = np.rad2deg(curve.slip)
+        force, low, high, at_start = (1e-3 * np.array(v) for v in (curve.force, curve.low, curve.high, curve.file))
+        axes.fill_between(slip, low, high, color=AFTER_COLOUR, alpha=0.25, lw=0)
+        axes.plot(slip, force, color=AFTER_COLOUR)
+        axes.plot(slip, at_start, color=data.colour, ls="--")
+        ratio, lowest, highest = (v[-1] / curve.file[-1] for v in (curve.force, curve.low, curve.high))
+        axes.set_title(f"{curve.axle} axle\n{ratio:.2f} (90 %: {lowest:.2f} to {highest:.2f}) times the "
+                       f"{data.discovery.start} at {slip[-1]:.1f}°", fontsize=7)
+        below.stairs(100.0 * np.array(curve.density), slip, color=MEASURED_COLOUR, fill=True)
+        below.set_xlabel("slip angle, °")
+    panels[0][0].set_ylabel("lateral force, kN")
+    panels[1][0].set_ylabel("samples, %")
+    handles = [Line2D([], [], color=data.colour, ls="--", label=data.discovery.start),
+               Line2D([], [], color=AFTER_COLOUR, label="complete model"),
+               Patch(color=AFTER_COLOUR, alpha=0.25, label="90 % interval")]
+    figure.legend(handles=handles, loc="outside lower left", ncols=3)
+    title = "Axle force versus slip angle, in the range of the drives"
+    return save_figure(figure, data.output, "axle_curves", title,
+                       "The band includes the uncertainty of the other vehicle parameters.")
 
 
+@apply_style()
 def draw_maps(data: FigureData) -> PageFigure | None:
     """Draw the track of the run with the largest errors, and its predictions with base and complete model, coloured by
     their error."""
@@ -154,31 +155,30 @@ def draw_maps(data: FigureData) -> PageFigure | None:
     factor, unit = quantities.display_unit(UNITS[data.channel])
     largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[data.channel][samples.run == run]), initial=1e-12))
                            for _, samples in models)
-    with apply_style():
-        log = data.runs[run]
-        is_wide = _aspect_ratio(log) > MIN_ASPECT
-        shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
-        size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
-        figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
-        stride = max(1, len(log.x) // 600)
-        for axes, (name, samples) in zip(panels[0], models, strict=True):
-            rows = np.flatnonzero(samples.run == run)
-            rows = rows[:: max(1, len(rows) // 500)]
-            x, y = samples.x[rows], samples.y[rows]
-            error = factor * np.sqrt(samples.squares[data.channel][rows])
-            axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
-            points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
-                                  vmin=0.0, vmax=largest)
-            if is_wide:
-                axes.set_aspect("equal", adjustable="box")
-            axes.set_title(name, fontsize=9)
-            axes.set_xlabel("east, m")
-        panels[0][0].set_ylabel("north, m")
-        bar = figure.colorbar(points, ax=list(panels[0]))
-        bar.set_label(f"{quantities.channel_label(data.channel)} error, {unit}")
-        title = f"{log.name}: {quantities.channel_label(data.channel)} error on the map"
-        caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
-        return save_figure(figure, data.output, "map", title, caption)
+    log = data.runs[run]
+    is_wide = _aspect_ratio(log) > MIN_ASPECT
+    shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
+    size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
+    figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
+    stride = max(1, len(log.x) // 600)
+    for axes, (name, samples) in zip(panels[0], models, strict=True):
+        rows = np.flatnonzero(samples.run == run)
+        rows = rows[:: max(1, len(rows) // 500)]
+        x, y = samples.x[rows], samples.y[rows]
+        error = factor * np.sqrt(samples.squares[data.channel][rows])
+        axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
+        points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
+                              vmin=0.0, vmax=largest)
+        if is_wide:
+            axes.set_aspect("equal", adjustable="box")
+        axes.set_title(name, fontsize=9)
+        axes.set_xlabel("east, m")
+    panels[0][0].set_ylabel("north, m")
+    bar = figure.colorbar(points, ax=list(panels[0]))
+    bar.set_label(f"{quantities.channel_label(data.channel)} error, {unit}")
+    title = f"{log.name}: {quantities.channel_label(data.channel)} error on the map"
+    caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
+    return save_figure(figure, data.output, "map", title, caption)
 
 
 def _find_worst_run(data: FigureData) -> int | None:
@@ -200,6 +200,7 @@ def _aspect_ratio(log: DriveLog) -> float:
     return float(min(width, height) / max(width, height, 1e-9))
 
 
+@apply_style()
 def draw_agreement(data: FigureData) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
     effects = [e for e in data.discovery.effects if any(e.agreement.values())]
@@ -215,26 +216,25 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
              else (partition, where) for partition, where in parts}
     labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
     rows = {key: labels.index(label) for key, label in names.items()}
-    with apply_style():
-        figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
-                                      squeeze=False)
-        for axes, effect in zip(panels[0], effects, strict=True):
-            ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
-            _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
-            for row, v in ((row, v) for partition, row, v in ratios if partition in crowded):
-                axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
-            title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
-            axes.set_title(title, fontsize=8)
-        for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
-            for axes in panels[0]:
-                axes.axhline(row - 0.5, color=TEXT, lw=0.5)
-        figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
-        panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
-        panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
-        caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
-                   "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
-                   "estimate; dotted line: zero. A property of the car is the same everywhere.")
-        return save_figure(figure, data.output, "agreement", "Local estimates of each effect", caption)
+    figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
+                                  squeeze=False)
+    for axes, effect in zip(panels[0], effects, strict=True):
+        ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
+        _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
+        for row, v in ((row, v) for partition, row, v in ratios if partition in crowded):
+            axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
+        title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
+        axes.set_title(title, fontsize=8)
+    for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
+        for axes in panels[0]:
+            axes.axhline(row - 0.5, color=TEXT, lw=0.5)
+    figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
+    panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
+    panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
+    caption = ("Point: the effect refitted to one part of the driving, with the other effects fixed, divided by "
+               "the overall estimate; filled if the 95 % interval (bar) excludes zero. Solid line: the overall "
+               "estimate; dotted line: zero. A property of the car is the same everywhere.")
+    return save_figure(figure, data.output, "agreement", "Local estimates of each effect", caption)
 
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
@@ -252,40 +252,40 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.set_xlim(max(min([-0.2, *ends]), -AXIS_LIMIT) - 0.05, min(max([1.2, *ends]), AXIS_LIMIT) + 0.05)
 
 
+@apply_style()
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
     (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value
     half_width = y_scale * report_text.Z95 * relation.deviation
-    with apply_style():
-        figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
-        curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
-        curve.fill_between(at, value - half_width, value + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
-                           label="95 % interval")
-        curve.plot(at, value, color=AFTER_COLOUR, label="proposed relation")
-        for k, (low, high) in enumerate(relation.next_drives.sparse):
-            for axes in (curve, distribution):
-                axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
-                             label="sparsely driven" if axes is curve and not k else None)
-        curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
-        curve.legend(loc="best")
-        distribution.set_axisbelow(True)
-        distribution.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
-        # Most driving is straight at constant speed; a linear scale would hide the other bins.
-        distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
-        distribution.yaxis.set_major_formatter("{x:g}")
-        distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
-        before, after = relation.position_5s
-        title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
-                 f"{before:.3f} m without it, {after:.3f} m with it")
-        units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
-        formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
-        caption = (f"{formula}The dotted line at zero is the model without the relation. The curve is fitted by "
-                   "simulation together with all identified effects; it is constant beyond the driven range. In the "
-                   "grey, sparsely driven ranges it is interpolated, and the interval assumes the same smoothness. The "
-                   "other figures do not contain the relation.")
-        return save_figure(figure, output, "relation", title, caption)
+    figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
+    curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
+    curve.fill_between(at, value - half_width, value + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
+                       label="95 % interval")
+    curve.plot(at, value, color=AFTER_COLOUR, label="proposed relation")
+    for k, (low, high) in enumerate(relation.next_drives.sparse):
+        for axes in (curve, distribution):
+            axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
+                         label="sparsely driven" if axes is curve and not k else None)
+    curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
+    curve.legend(loc="best")
+    distribution.set_axisbelow(True)
+    distribution.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+    # Most driving is straight at constant speed; a linear scale would hide the other bins.
+    distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
+    distribution.yaxis.set_major_formatter("{x:g}")
+    distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
+    before, after = relation.position_5s
+    title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
+             f"{before:.3f} m without it, {after:.3f} m with it")
+    units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
+    formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
+    caption = (f"{formula}The dotted line at zero is the model without the relation. The curve is fitted by "
+               "simulation together with all identified effects; it is constant beyond the driven range. In the "
+               "grey, sparsely driven ranges it is interpolated, and the interval assumes the same smoothness. The "
+               "other figures do not contain the relation.")
+    return save_figure(figure, output, "relation", title, caption)
 
 
 def curve_unit(unit: str) -> tuple[float, str]:

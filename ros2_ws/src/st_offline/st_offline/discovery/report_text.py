@@ -14,6 +14,7 @@ from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
 
 from ..checking.check_report import describe_effect, format_estimate, group_by_name
+from ..terminal import format_count
 from .quantities import (
     channel_label,
     format_briefly,
@@ -151,7 +152,7 @@ def describe_drives(discovery: Discovery) -> list[tuple[str, str]]:
         names = ", ".join(f"{run.name} {run.seconds:.0f} s" for run in runs)
         sites = len({run.site for run in runs})
         where = f" at {sites} sites (overlapping tracks are one site)" if sites > 1 else ""
-        lines.append((role, f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(r.seconds for r in runs):.0f} s"
+        lines.append((role, f"{format_count(len(runs), 'run')}, {sum(r.seconds for r in runs):.0f} s"
                       f"{where}: {names}" if runs else "none; the search starts from the vehicle file"))
     return lines
 

@@ -26,6 +26,7 @@ from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleP
 from st_core.yaml_text import format_number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 
+from ..terminal import format_count
 from .drives import Request
 
 HORIZON, STEP = 5.0, 0.05  # s, of the predictions that are compared
@@ -208,9 +209,7 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
     road-wheel angles with `vehicle`."""
     errors = []
     for drive in drives:
-        log = drive
-        if drive.steering_wheel_angle is not None:
-            log = replace(drive, road_wheel_angle=vehicle.road_wheel_angle(drive.steering_wheel_angle))
+        log = drive if drive.steering_wheel_angle is None else drive.with_steering(vehicle)
         signals = LogSignals(log, maximum_gap=0.1, filter_cutoff=5.0)
         starts, _ = usable_starts(signals, vehicle, regular_starts(log, START_INTERVAL), MIN_SPEED)
         batch = LogBatch(signals, starts, HORIZON, STEP, points=(HORIZON,), substeps="auto")
@@ -245,8 +244,8 @@ def update_vehicle_text(request: Request, car: VehicleParameters, changes: Mappi
     sources of the values. A derived lambda_ky is written only if the edited file would otherwise yield another value.
     If the edited file does not load as `car`, the result is a new file."""
     date = f"{datetime.now(UTC):%Y-%m-%d}"
-    source = (f"st discover, {date}, {len(runs)} run{'' if len(runs) == 1 else 's'}, "
-              f"{sum(run.seconds for run in runs):.0f} s: {effects}")
+    seconds = sum(run.seconds for run in runs)
+    source = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
     provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
     original = yaml.safe_load(request.vehicle_text)
     derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]

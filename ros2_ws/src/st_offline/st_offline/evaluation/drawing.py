@@ -4,7 +4,8 @@ import io
 import itertools
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,9 +64,11 @@ def check_formats(formats: Sequence[str]) -> None:
         raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
 
 
-def apply_style():
-    """Matplotlib settings of all figures, as a context manager."""
-    return plt.rc_context(RC_SETTINGS)
+@contextmanager
+def apply_style() -> Iterator[None]:
+    """Matplotlib settings of all figures, as a context manager or as a decorator of functions that draw."""
+    with plt.rc_context(RC_SETTINGS):
+        yield
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:

@@ -15,7 +15,7 @@ from st_recordings.runs.errors import join_problems
 
 from ..bands.bands_report import print_tables
 from ..checking.check_report import describe_clock, print_findings
-from ..terminal import list_files, make_progress_bars, print_line, report_problem
+from ..terminal import format_count, list_files, make_progress_bars, print_line, report_problem
 from .drawing import check_formats
 from .evaluation_report import describe_settings, make_headline, make_summary, write_results
 from .tables import make_terminal_table
@@ -25,8 +25,7 @@ FILE_DESCRIPTIONS = {
     "page": "the whole report, one file", "json": "all numbers; keys in docs/manual/evaluation.md",
     "table": "the table above", "latex": "the table above, in the form of the paper",
     "seconds": "errors by second of the horizon", "bins": "errors by driving condition",
-    "manoeuvres": "errors by part of the drive",
-}
+    "manoeuvres": "errors by part of the drive"}
 MEMORY_PER_WORKER = "1500MB"  # a worker that needs more is restarted, and its run fails
 
 
@@ -65,7 +64,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
     times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
                       for part in ("read", "predict", "draw"))
     hours = sum(r.about["duration"] for r in good) / 3600.0
-    console.print(f"[dim]{len(good)} run{'' if len(good) == 1 else 's'}, {hours:.2f} h of driving in "
+    console.print(f"[dim]{format_count(len(good), 'run')}, {hours:.2f} h of driving in "
                   f"{time.perf_counter() - began:.1f} s ({times})[/dim]", highlight=False)
     return 1 if failed else 0
 

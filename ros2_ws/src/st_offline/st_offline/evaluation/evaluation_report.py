@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
+import numpy as np
 from st_core.checks import Severity
 from st_core.palette import MODEL_COLOUR
 from st_recordings.results import collect_versions
@@ -150,42 +149,34 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     file.write_text(text, encoding="utf-8")
 
 
+@apply_style()
 def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
     """Draw the hindsight RMSE of each model for at most MAX_RUNS runs, the worst laterally; None without runs."""
     if not reports:
         return None
-    models = list(dict.fromkeys(m for r in reports for m in r.models))
-
-    def get_rmse(report: RunReport, model: str, axis: str) -> float:
-        known = model in report.models
-        return (known and get_axis_statistics(report.models, model, "hindsight", axis, over)["rmse"]) or 0.0
-
-    chosen = list(reports)
-    if len(chosen) > MAX_RUNS:
-        worst = sorted(chosen, key=lambda r: -max(get_rmse(r, m, "lateral") for m in models))[:MAX_RUNS]
-        chosen = [r for r in chosen if r in worst]
-    with apply_style():
-        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(chosen)), sharey=True)
-        layout = figure.get_layout_engine()
-        assert isinstance(layout, ConstrainedLayoutEngine)  # set by `apply_style`
-        layout.set(w_pad=0.12)  # inch, between the last label of one axis and the first of the next
-        for axes, axis in zip(panels, REPORTED_AXES, strict=True):
-            for row, report in enumerate(chosen):
-                sizes = [get_rmse(report, model, axis) for model in models if model in report.models]
-                axes.plot([min(sizes), max(sizes)], [row, row], color=TEXT, lw=0.6, alpha=0.5, zorder=1)
-                for k, model in enumerate(m for m in models if m in report.models):
-                    # The marker size decreases from model to model, so that equal values remain visible.
-                    axes.plot(sizes[k], row, "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0, zorder=2)
-            axes.set_xlim(left=0)
-            axes.set_xlabel(f"{axis} RMSE, m")
-        panels[0].set_yticks(range(len(chosen)), [r.name for r in chosen])
-        panels[0].set_ylim(len(chosen) - 0.5, -0.5)
-        handles = [Line2D([], [], color=MODEL_COLOUR.get(m, TEXT), marker="o", ls="", label=m) for m in models]
-        figure.legend(handles=handles, loc="outside lower left", ncols=6)
-        caption = "Hindsight: measured inputs over the horizon."
-        if len(chosen) < len(reports):
-            caption += f" Shown are the {MAX_RUNS} of {len(reports)} runs with the largest lateral errors."
-        return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
+    models = list(reports[0].models)
+    rmse = {axis: np.array([[get_axis_statistics(r.models, m, "hindsight", axis, over)["rmse"] for m in models]
+                            for r in reports], float) for axis in REPORTED_AXES}  # NaN: not scored
+    worst = np.argsort(-np.fmax.reduce(rmse["lateral"], axis=1), kind="stable")
+    drawn = np.sort(worst[:MAX_RUNS])
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(drawn)), sharey=True)
+    figure.set_layout_engine("constrained", w_pad=0.12)  # inch, between the labels of both axes
+    for axes, (axis, sizes) in zip(panels, rmse.items(), strict=True):
+        for row, run in enumerate(drawn):
+            axes.plot(sizes[run], np.full(len(models), row), color=TEXT, lw=0.6, alpha=0.5, zorder=1)
+        for k, model in enumerate(models):
+            # The marker size decreases from model to model, so that equal values remain visible.
+            axes.plot(sizes[drawn, k], range(len(drawn)), "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0,
+                      zorder=2, label=model)
+        axes.set_xlim(left=0)
+        axes.set_xlabel(f"{axis} RMSE, m")
+    panels[0].set_yticks(range(len(drawn)), [reports[run].name for run in drawn])
+    panels[0].set_ylim(len(drawn) - 0.5, -0.5)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
+    caption = "Hindsight: measured inputs over the horizon."
+    if len(drawn) < len(reports):
+        caption += f" Shown are the {MAX_RUNS} of {len(reports)} runs with the largest lateral errors."
+    return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def make_headline(reports: Sequence[RunReport], over: str) -> str:

@@ -115,11 +115,15 @@ def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: 
     return entry[axis] if over == "means" else entry["samples"][axis]
 
 
-def is_best(models: Models, model: str, mode: str, axis: str, kind: str, over: str) -> bool:
-    """Whether no model has a smaller printed magnitude; several models may be best, as in the paper."""
-    sizes = {m: round(abs(size), DECIMALS) for m in models
-             if (size := get_axis_statistics(models, m, mode, axis, over)[kind]) is not None}
-    return model in sizes and sizes[model] == min(sizes.values())
+def list_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> list[tuple[str, bool]]:
+    """(text, whether no model has a smaller printed magnitude) of each of STATISTICS; several models may be best."""
+    entries = [(name, get_axis_statistics(models, name, mode, axis, over)) for name in models]
+    result = []
+    for kind in STATISTICS:
+        sizes = {name: round(abs(size), DECIMALS) for name, entry in entries if (size := entry[kind]) is not None}
+        is_best = model in sizes and sizes[model] == min(sizes.values())
+        result.append((format_metres(get_axis_statistics(models, model, mode, axis, over)[kind]), is_best))
+    return result
 
 
 def format_metres(value: float | None) -> str:
@@ -142,10 +146,9 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
         table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
-            cells = [Text(" | ").join(
-                Text(f"{format_metres(get_axis_statistics(report.models, model, 'hindsight', axis, over)[kind]):>5}",
-                     style="bold" if is_best(report.models, model, "hindsight", axis, kind, over) else "")
-                for kind in STATISTICS) for axis in REPORTED_AXES]
+            cells = [Text(" | ").join(Text(f"{text:>5}", style="bold" if is_best else "") for text, is_best in
+                                      list_statistics(report.models, model, "hindsight", axis, over))
+                     for axis in REPORTED_AXES]
             forecasts = [" | ".join(
                 f"{format_metres(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
                 for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in ahead]
@@ -170,12 +173,10 @@ def make_latex_table(reports: Sequence[Any], over: str, note: str) -> str:
     ]
 
     def format_triple(report: Any, model: str, axis: str) -> str:
-        parts = []
-        for kind in STATISTICS:
-            text = format_metres(get_axis_statistics(report.models, model, "hindsight", axis, over)[kind])
-            bold = rf"\mathbf{{{text}}}" if is_best(report.models, model, "hindsight", axis, kind, over) else text
-            parts.append(rf"\phantom{{-}}{bold}" if kind == "mean" and not text.startswith("-") else bold)
-        return "$" + r" \mid ".join(parts) + "$"
+        statistics = list_statistics(report.models, model, "hindsight", axis, over)
+        parts = [rf"\mathbf{{{text}}}" if is_best else text for text, is_best in statistics]
+        sign = "" if statistics[0][0].startswith("-") else r"\phantom{-}"  # only a mean may be negative
+        return "$" + sign + r" \mid ".join(parts) + "$"
 
     for report in reports:
         lines.append(r"\midrule")

@@ -35,119 +35,119 @@ STIFFNESS_ADVICE = "Steering ratio or lever arm may be wrong: run `st identify s
 RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom with CAN logs, bags, CSV"
 
 
+@apply_style()
 def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the steering offset in each straight window, both its estimates, and the residuals of the yaw rate."""
     data = outcome.figure
-    with apply_style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
-        position = _concatenate_times(data["run"], data["time"])
-        left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
-        for estimate, colour, label in ((outcome.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
-                                        (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
-            left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
-            left.axhline(estimate.value * DEG, color=colour, label=label)
-        left.set(xlabel="driving, s (straights of all runs, one after the other)", ylabel="straight-ahead reading, deg")
-        left.legend(loc="best")
-        right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
-        right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
-        first, second = (e.value * DEG for e in outcome.estimates[:2])
-        return save_figure(figure, output, "steering-offset",
-                           f"Steering offset {first:.2f} deg from the yaw rate, {second:.2f} deg from the mean reading",
-                           "Bands: 95 % intervals. Right: residuals of the yaw rate.")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
+    position = _concatenate_times(data["run"], data["time"])
+    left.plot(position, data["offset"] * DEG, ".", color=MEASURED_COLOUR, ms=4, label="steady straight window")
+    for estimate, colour, label in ((outcome.estimates[0], PAPER_COLOUR, "yaw rate (paper)"),
+                                    (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
+        left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
+        left.axhline(estimate.value * DEG, color=colour, label=label)
+    left.set(xlabel="driving, s (straights of all runs, one after the other)", ylabel="straight-ahead reading, deg")
+    left.legend(loc="best")
+    right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
+    right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
+    first, second = (e.value * DEG for e in outcome.estimates[:2])
+    return save_figure(figure, output, "steering-offset",
+                       f"Steering offset {first:.2f} deg from the yaw rate, {second:.2f} deg from the mean reading",
+                       "Bands: 95 % intervals. Right: residuals of the yaw rate.")
 
 
+@apply_style()
 def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
     data = outcome.figure
-    with apply_style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-        drawn = _thin_rows(len(data["curvature"]))
-        for index, name in enumerate(data["names"]):
-            rows = drawn[data["run"][drawn] == index]
-            left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
-        ends = np.array([data["curvature"].min(), data["curvature"].max()])
-        left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
-        left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity without slip")
-        if len(data["names"]) <= 8:
-            left.legend(markerscale=3, fontsize=7)
-        right.plot(data["speed"][drawn], data["residual"][drawn] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
-        right.axhline(0.0, color=TEXT, lw=0.8)
-        right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
-        lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
-        distance, side = replace(lever, value=abs(lever.value)), "behind" if lever.value < 0.0 else "ahead of"
-        title = f"INS {_format_estimate(distance)} {side} the CG, misaligned by {_format_estimate(angle)}"
-        caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
-                   "curvature is the misalignment with the opposite sign.")
-        return save_figure(figure, output, "ins", title, caption)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+    drawn = _thin_rows(len(data["curvature"]))
+    for index, name in enumerate(data["names"]):
+        rows = drawn[data["run"][drawn] == index]
+        left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
+    ends = np.array([data["curvature"].min(), data["curvature"].max()])
+    left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
+    left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity without slip")
+    if len(data["names"]) <= 8:
+        left.legend(markerscale=3, fontsize=7)
+    right.plot(data["speed"][drawn], data["residual"][drawn] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
+    right.axhline(0.0, color=TEXT, lw=0.8)
+    right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
+    lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
+    distance, side = replace(lever, value=abs(lever.value)), "behind" if lever.value < 0.0 else "ahead of"
+    title = f"INS {_format_estimate(distance)} {side} the CG, misaligned by {_format_estimate(angle)}"
+    caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
+               "curvature is the misalignment with the opposite sign.")
+    return save_figure(figure, output, "ins", title, caption)
 
 
+@apply_style()
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = outcome.figure.get("paper")
     both = ", ".join(f"{axle} {_format_estimate(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
-    with apply_style():
-        if outcome.experiment == "stiffness-paper":
-            figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-            _draw_force_and_slip(panels, outcome, (outcome,))
-            return save_figure(figure, output, outcome.experiment, f"Slopes {both}", f"Dots: {points}")
-        figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
-        if paper is not None:
-            _draw_force_and_slip(panels[:2], paper, (paper, outcome))
-        else:
-            for axes in panels[:2]:
-                axes.set_axis_off()
-        pair = panels[2]
-        _draw_region(pair, outcome, outcome.estimates[:2])
-        for result, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
-            if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
-                front, rear = result.estimates[:2]
-                pair.errorbar(
-                    front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
-                    **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
-                       for axis, e in (("x", front), ("y", rear))})
-        pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
-        pair.legend(fontsize=8)
-        caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
-                   "the joint region of the prediction.")
-        return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
+    if outcome.experiment == "stiffness-paper":
+        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
+        _draw_force_and_slip(panels, outcome, (outcome,))
+        return save_figure(figure, output, outcome.experiment, f"Slopes {both}", f"Dots: {points}")
+    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
+    if paper is not None:
+        _draw_force_and_slip(panels[:2], paper, (paper, outcome))
+    else:
+        for axes in panels[:2]:
+            axes.set_axis_off()
+    pair = panels[2]
+    _draw_region(pair, outcome, outcome.estimates[:2])
+    for result, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
+        if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
+            front, rear = result.estimates[:2]
+            pair.errorbar(
+                front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
+                **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
+                   for axis, e in (("x", front), ("y", rear))})
+    pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
+    pair.legend(fontsize=8)
+    caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
+               "the joint region of the prediction.")
+    return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
 
 
+@apply_style()
 def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
-    with apply_style():
-        figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
-                                            width_ratios=(1.5, 1))
-        position = _concatenate_times(data["residual_run"], data["residual_time"])
-        drawn = _thin_rows(len(position))
-        begins = position[np.unique(data["residual_run"], return_index=True)[1]]
-        for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
-                                                       ("across", "lateral velocity, mm/s", 1e3))):
-            axes = panels[key]
-            for begin in begins[1:]:
-                axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
-            axes.plot(position[drawn], data["residuals"][drawn, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
-            axes.axhline(0.0, color=TEXT, lw=0.8)
-            axes.set_ylabel(label)
-        panels["rate"].tick_params(labelbottom=False)
-        panels["across"].set_xlabel("driving, s (runs one after the other)")
-        second = outcome.estimates[1]
-        if outcome.correlation is not None:
-            second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
-        pair = panels["pair"]
-        _draw_region(pair, outcome, (first, second))
-        bars: dict[str, Any] = {}
-        for axis, e in (("x", first), ("y", second)):
-            factor, unit = _get_display_unit(e.parameter)
-            bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
-            pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
-        pair.errorbar(**bars, fmt="o", ms=4, color=TEXT, label="95 % interval")
-        pair.legend(loc="lower left", fontsize=8)
-        title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
-        caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
-                   "and the one most correlated with it; the intervals include systematic uncertainty.")
-        return save_figure(figure, output, outcome.experiment, title, caption)
+    figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
+                                        width_ratios=(1.5, 1))
+    position = _concatenate_times(data["residual_run"], data["residual_time"])
+    drawn = _thin_rows(len(position))
+    begins = position[np.unique(data["residual_run"], return_index=True)[1]]
+    for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
+                                                   ("across", "lateral velocity, mm/s", 1e3))):
+        axes = panels[key]
+        for begin in begins[1:]:
+            axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
+        axes.plot(position[drawn], data["residuals"][drawn, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+        axes.axhline(0.0, color=TEXT, lw=0.8)
+        axes.set_ylabel(label)
+    panels["rate"].tick_params(labelbottom=False)
+    panels["across"].set_xlabel("driving, s (runs one after the other)")
+    second = outcome.estimates[1]
+    if outcome.correlation is not None:
+        second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
+    pair = panels["pair"]
+    _draw_region(pair, outcome, (first, second))
+    bars: dict[str, Any] = {}
+    for axis, e in (("x", first), ("y", second)):
+        factor, unit = _get_display_unit(e.parameter)
+        bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
+        pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
+    pair.errorbar(**bars, fmt="o", ms=4, color=TEXT, label="95 % interval")
+    pair.legend(loc="lower left", fontsize=8)
+    title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
+    caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
+               "and the one most correlated with it; the intervals include systematic uncertainty.")
+    return save_figure(figure, output, outcome.experiment, title, caption)
 
 
 def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lines: Sequence[Identification]) -> None:

@@ -104,11 +104,9 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     data = list(job.files)
     if job.experiment.drives:  # the recordings instead of their folders
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
-    return {
-        "created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
-        "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
-        "files": hash_files(data), "versions": collect_versions(),
-    }
+    return {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
+            "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
+            "files": hash_files(data), "versions": collect_versions()}
 
 
 def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], car: VehicleParameters,

@@ -49,32 +49,32 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
     return (replace(outcome, warnings=(*outcome.warnings, *([swapped] if swapped else []))),)
 
 
+@apply_style()
 def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw mass and CG position of each weighing, with the estimates and their 95 % intervals."""
     data = outcome.figure
     rows = np.arange(len(data["names"]))
-    with apply_style():
-        figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.3 * len(rows)), sharey=True)
-        for axes, key, values, label in ((panels[0], "mass", data["masses"], "mass, kg"),
-                                         (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
-            estimate = outcome[key]
-            axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
-            axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
-            used = data["kept"]
-            axes.plot(values[used], rows[used], "o", color=TEXT, ms=5, label="weighing")
-            axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
-            axes.set_xlabel(label)
-            axes.ticklabel_format(useOffset=False)
-        panels[0].set_yticks(rows, data["names"])
-        panels[0].set_ylim(len(rows) - 0.5, -0.5)
-        for axes in panels:
-            axes.grid(axis="y", visible=False)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower left", ncols=4)
-        caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
-                   "scales.")
-        title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
-        return save_figure(figure, output, "scales", title, caption)
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.6 + 0.3 * len(rows)), sharey=True)
+    for axes, key, values, label in ((panels[0], "mass", data["masses"], "mass, kg"),
+                                     (panels[1], "cg_to_front_axle", data["distances"], "CG behind front axle, m")):
+        estimate = outcome[key]
+        axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
+        axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
+        used = data["kept"]
+        axes.plot(values[used], rows[used], "o", color=TEXT, ms=5, label="weighing")
+        axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
+        axes.set_xlabel(label)
+        axes.ticklabel_format(useOffset=False)
+    panels[0].set_yticks(rows, data["names"])
+    panels[0].set_ylim(len(rows) - 0.5, -0.5)
+    for axes in panels:
+        axes.grid(axis="y", visible=False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=4)
+    caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
+               "scales.")
+    title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
+    return save_figure(figure, output, "scales", title, caption)
 
 
 SCALES = Experiment("scales", "mass and CG position from four wheel scales",
@@ -93,38 +93,38 @@ def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification,
     return (identify_steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
 
 
+@apply_style()
 def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw road-wheel angles versus steering-wheel angle, with the fitted line and its residuals."""
     data, estimate = outcome.figure, outcome.estimates[0]
     steering, sweeps = np.degrees(data["steering"]), np.asarray(data["sweeps"])
-    with apply_style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
-        for side, marker in (("left", "<"), ("right", ">")):
-            left.plot(steering, np.degrees(data[side]), marker, color=MEASURED_COLOUR, ms=4, mfc="none",
-                      label=f"{side} wheel")
-        left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
-        ends = np.array([steering.min(), steering.max()])
-        level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
-        left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
-                  label=f"steering wheel / {estimate.value:.2f}")
-        left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
-        for k, name in enumerate(dict.fromkeys(data["sweeps"])):
-            row = sweeps == name
-            right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5,
-                       mfc="none", label=name)
-        if data["significant"]:
-            first, last = np.radians(ends)
-            grid = np.linspace(first, last, 101)
-            curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
-            right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
-        right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-        right.set(xlabel="steering wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
-        handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-        figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
-        low, high = estimate.interval95
-        title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
-        return save_figure(figure, output, "steering-ratio", title,
-                           "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+    for side, marker in (("left", "<"), ("right", ">")):
+        left.plot(steering, np.degrees(data[side]), marker, color=MEASURED_COLOUR, ms=4, mfc="none",
+                  label=f"{side} wheel")
+    left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
+    ends = np.array([steering.min(), steering.max()])
+    level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
+    left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
+              label=f"steering wheel / {estimate.value:.2f}")
+    left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
+    for k, name in enumerate(dict.fromkeys(data["sweeps"])):
+        row = sweeps == name
+        right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5,
+                   mfc="none", label=name)
+    if data["significant"]:
+        first, last = np.radians(ends)
+        grid = np.linspace(first, last, 101)
+        curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
+        right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
+    right.axhline(0.0, color=MODEL_COLOUR["augmented"])
+    right.set(xlabel="steering wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
+    handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+    figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
+    low, high = estimate.interval95
+    title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
+    return save_figure(figure, output, "steering-ratio", title,
+                       "Left: both front wheels, their mean, and the line. Right: residuals of the line.")
 
 
 STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
@@ -167,32 +167,32 @@ def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
     return compute_pitch(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
 
 
+@apply_style()
 def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw rear load versus pitch with the fitted curve, and the CG height computed from each row alone."""
     data, estimate = outcome.figure, outcome.estimates[0]
     pitch, lifts = np.degrees(data["pitch"]), np.asarray(data["lifts"])
-    with apply_style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
-        grid = np.linspace(0.0, data["pitch"].max(), 60)
-        for k, (name, level) in enumerate(data["intercepts"].items()):
-            row = lifts == name
-            marker = "os^Dv<>P"[k % 8]
-            left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)
-            left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-            use = row & data["usable"]
-            right.plot(pitch[use], data["single"][use], marker, color=TEXT, ms=4.5, mfc="none")
-        left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
-        left.legend(title="lift", fontsize=8)
-        right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
-        right.axhline(estimate.value, color=MODEL_COLOUR["augmented"], label="fit through all rows")
-        right.axhline(data["average"], color=MEASURED_COLOUR, ls="--", label="average over pitch angles")
-        right.set(xlim=(0.0, None), xlabel="pitch, deg", ylabel="CG height, m")
-        right.legend(fontsize=8)
-        low, high = estimate.interval95
-        title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
-        caption = ("Left: rear load, and the fit with the slope m (h - r) / l versus tan(pitch). Right: the height "
-                   "from each row with a lifted axle.")
-        return save_figure(figure, output, "cg-height", title, caption)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.2))
+    grid = np.linspace(0.0, data["pitch"].max(), 60)
+    for k, (name, level) in enumerate(data["intercepts"].items()):
+        row = lifts == name
+        marker = "os^Dv<>P"[k % 8]
+        left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)
+        left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
+        use = row & data["usable"]
+        right.plot(pitch[use], data["single"][use], marker, color=TEXT, ms=4.5, mfc="none")
+    left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
+    left.legend(title="lift", fontsize=8)
+    right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
+    right.axhline(estimate.value, color=MODEL_COLOUR["augmented"], label="fit through all rows")
+    right.axhline(data["average"], color=MEASURED_COLOUR, ls="--", label="average over pitch angles")
+    right.set(xlim=(0.0, None), xlabel="pitch, deg", ylabel="CG height, m")
+    right.legend(fontsize=8)
+    low, high = estimate.interval95
+    title = f"CG {estimate.value:.3f} m above the ground, 95 % interval {low:.3f} to {high:.3f} m"
+    caption = ("Left: rear load, and the fit with the slope m (h - r) / l versus tan(pitch). Right: the height "
+               "from each row with a lifted axle.")
+    return save_figure(figure, output, "cg-height", title, caption)
 
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
@@ -229,30 +229,30 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
             for tyre in TYRES if (rows := tyres == tyre).any()]
 
 
+@apply_style()
 def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw lateral force and its residuals versus slip angle, and cornering stiffness versus load."""
     data = outcome.figure
     slip = np.degrees(data["slip"])
-    with apply_style():
-        figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
-        for k, load in enumerate(data["levels"]):
-            row, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
-            left.plot(slip[row], data["force"][row], "o", color=colour, ms=3)
-            left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
-            middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
-            value, deviation = np.abs(data["stiffness"][k])
-            right.errorbar(load, value / 1e3, 1.96 * deviation / 1e3, fmt="o", color=colour, ms=4)
-        left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
-        left.legend(title="load", fontsize=8)
-        middle.axhline(0.0, color=TEXT, lw=0.8)
-        middle.set(xlabel="slip angle, deg", ylabel="fit minus measured, N")
-        right.plot(data["levels"], np.abs(data["stiffness"][:, 0]) / 1e3, color=MODEL_COLOUR["nonlinear"], lw=0.8)
-        right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
-        share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
-        axle = data["tyre"].removeprefix("tyre_")
-        title = f"Magic Formula of the {axle} tyre: RMS residual {share:.2f} % of the largest force"
-        return save_figure(figure, output, data["tyre"].replace("_", "-"), title,
-                           "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(WIDTH, 3.2), width_ratios=(1.4, 1.0, 1.0))
+    for k, load in enumerate(data["levels"]):
+        row, colour = data["level"] == k, LOAD_COLOURS[k % len(LOAD_COLOURS)]
+        left.plot(slip[row], data["force"][row], "o", color=colour, ms=3)
+        left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
+        middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
+        value, deviation = np.abs(data["stiffness"][k])
+        right.errorbar(load, value / 1e3, 1.96 * deviation / 1e3, fmt="o", color=colour, ms=4)
+    left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
+    left.legend(title="load", fontsize=8)
+    middle.axhline(0.0, color=TEXT, lw=0.8)
+    middle.set(xlabel="slip angle, deg", ylabel="fit minus measured, N")
+    right.plot(data["levels"], np.abs(data["stiffness"][:, 0]) / 1e3, color=MODEL_COLOUR["nonlinear"], lw=0.8)
+    right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
+    share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
+    axle = data["tyre"].removeprefix("tyre_")
+    title = f"Magic Formula of the {axle} tyre: RMS residual {share:.2f} % of the largest force"
+    return save_figure(figure, output, data["tyre"].replace("_", "-"), title,
+                       "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
 
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
