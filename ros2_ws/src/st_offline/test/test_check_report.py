@@ -19,7 +19,7 @@ from st_offline.checking.check_report import (
     describe_effect,
     describe_stretches,
     document,
-    group_by_name,
+    group_findings,
     print_findings,
     print_run,
     print_runs,
@@ -297,12 +297,12 @@ def test_correction_is_offered_only_if_one_exists():
 def test_equal_findings_in_two_channels_are_not_merged():
     steering = Finding("sentinel_values", Severity.WARNING, ("road_wheel_angle",), "road_wheel_angle is -9999", -9999.0)
     speed = replace(steering, channels=("velocity_x",), text="velocity_x is -9999")
-    assert [names for _, names in group_by_name({"a": [steering, speed], "b": [speed]})] == [["a"], ["a", "b"]]
+    assert [names for _, names in group_findings({"a": [steering, speed], "b": [speed]})] == [["a"], ["a", "b"]]
 
 
 def test_lag_and_lead_are_not_merged():
     late = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw", 0.08, "s", effect=0.1)
     early = replace(late, text="yaw_rate leads yaw", value=-0.05, effect=0.2)
-    grouped = group_by_name({"a": [late], "b": [early], "c": [late]})
+    grouped = group_findings({"a": [late], "b": [early], "c": [late]})
     assert [(one.text, names) for one, names in grouped] == [("yaw_rate leads yaw", ["b"]),
                                                              ("yaw_rate lags yaw", ["a", "c"])]

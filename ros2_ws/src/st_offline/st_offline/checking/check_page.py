@@ -101,7 +101,7 @@ def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str]
     """Write the page. content: of check.json."""
     text = load_template("checking/check.html.jinja").render(
         title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_draw_figures(good),
-        problems=failed, groups=check_report.group_by_name({run.name: run.checked.findings for run in good}))
+        problems=failed, groups=check_report.group_findings({run.name: run.checked.findings for run in good}))
     file.write_text(text, encoding="utf-8")
 
 

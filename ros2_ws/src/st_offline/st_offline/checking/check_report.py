@@ -254,7 +254,7 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
         print_line(f"[bold red]{escape(hint)}[/]", console)
 
 
-def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
+def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
     """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first. The
     findings of a group have the same name, channels and sign of the value, because the text states the sign."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
@@ -275,7 +275,7 @@ def group_by_name(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, 
 def print_findings(runs: Mapping[str, Sequence[Finding]], console: Console, details: str = "st check") -> None:
     """Print each error and warning once, and the number of notes. details: command or file that lists everything."""
     notes = 0
-    for finding, names in group_by_name(runs):
+    for finding, names in group_findings(runs):
         if finding.severity is Severity.NOTE:
             notes += len(names)
             continue

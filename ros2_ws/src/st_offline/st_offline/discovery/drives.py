@@ -163,18 +163,16 @@ def write_result(file: Path, discovery: Discovery) -> None:
 def read_result(file: Path) -> Discovery | None:
     """The result that `write_result` wrote to a file; None if the file is missing or damaged."""
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        hints = get_type_hints(Discovery)
-        values = {f.name: _restore(hints[f.name], content[f.name]) for f in fields(Discovery) if f.name not in MODELS}
-        values |= {name: content[name] and augment(*content[name]) for name in MODELS}
-        return Discovery(**values)
+        return _restore(Discovery, json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StCoreError):
         return None
 
 
 def _restore(kind: Any, value: Any) -> Any:
-    """A value of type `kind` from its JSON form: dicts become dataclasses, lists become tuples."""
+    """A value of type `kind` from its JSON form: dicts become dataclasses, lists become tuples or models."""
     origin, inner = get_origin(kind), get_args(kind)
+    if kind is AugmentedModel:
+        return augment(*value)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{f.name: _restore(hints[f.name], value[f.name]) for f in fields(kind)})

@@ -13,7 +13,7 @@ from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.vehicle import VEHICLE_QUANTITIES
 
-from ..checking.check_report import describe_effect, format_estimate, group_by_name
+from ..checking.check_report import describe_effect, format_estimate, group_findings
 from ..terminal import format_count
 from .quantities import (
     channel_label,
@@ -134,7 +134,7 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
 
 def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
     """Sentences on the most serious error or warning of the recordings; "" without any."""
-    serious = [(finding, names) for finding, names in group_by_name(findings) if finding.severity is not Severity.NOTE]
+    serious = [(finding, names) for finding, names in group_findings(findings) if finding.severity is not Severity.NOTE]
     if not serious:
         return ""
     finding, names = serious[0]
@@ -225,15 +225,11 @@ def format_combination(combination: result.Combination) -> str:
 
 
 def list_inseparable(discovery: Discovery) -> str:
-    """Effects that explain the drives equally well or compensate for each other, with the limits of the test."""
+    """Effects that explain the drives equally well or compensate for each other."""
     names = [" or ".join(map(to_words, (e.name, *e.alternatives))) for e in discovery.effects if e.alternatives]
     pairs = [f"{to_words(e.name)} with {', '.join(map(to_words, e.joint))} (they compensate for each other)"
              for e in discovery.effects if e.joint]
-    limits = (f" (each has at least {100 * LIMITS.min_rival_gain:g} % of the first one's gain, without what it gains "
-              f"in addition, and is not significantly worse, p >= {LIMITS.undecided_p:g}, or worse by less than "
-              f"{100 * LIMITS.unexplained_share:g} % of a residual above {LIMITS.max_noise_ratio:g} times the noise)"
-              ) if names else ""
-    return f"not separable: {'; '.join((*names, *pairs))}{limits}" if names or pairs else ""
+    return f"not separable: {'; '.join((*names, *pairs))}" if names or pairs else ""
 
 
 def list_pair_rows(discovery: Discovery) -> list[tuple[str, ...]]:

@@ -16,7 +16,7 @@ from st_recordings.results import collect_versions
 
 from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
 from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
-from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_by_name
+from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_findings
 from ..pages import load_template
 from . import tables
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
@@ -195,7 +195,7 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     errors = ", ".join(f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
                        for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
-    groups = group_by_name({r.name: r.findings for r in reports})
+    groups = group_findings({r.name: r.findings for r in reports})
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
                        for finding, names in groups if finding.severity is not Severity.NOTE)
     steering = describe_clocks({report.name: report.about["alignment"] for report in reports})

@@ -25,7 +25,7 @@ NOTICEABLE_ERROR = 0.5  # m, the lateral clearance of a car in the middle of its
 
 
 @dataclass(frozen=True)
-class Drawing:
+class FigureData:
     """Data and output of the figures of a run. starts: times [s] of the predictions drawn in detail."""
 
     evaluation: LogEvaluation
@@ -59,41 +59,41 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
     return np.unique(rows)
 
 
-def add_legend(figure: plt.Figure, drawing: Drawing, extra: Sequence[Line2D], solid: bool = False,
+def add_legend(figure: plt.Figure, data: FigureData, extra: Sequence[Line2D], solid: bool = False,
                models: Sequence[Model] | None = None) -> None:
     """Add a legend of the models and extra lines below the figure. solid: whether all models have solid lines."""
     handles = [Line2D([], [], **get_line_style(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
-               for m in (drawing.models if models is None else models)]
+               for m in (data.models if models is None else models)]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
-def draw_run(drawing: Drawing) -> list[PageFigure]:
+def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
-    if not any(e.n_starts for e in drawing.evaluation.errors.values()):
+    if not any(e.n_starts for e in data.evaluation.errors.values()):
         return []
     first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
-    with apply_style(), in_background(lambda: [draw(drawing) for draw in others]) as get_others:
-        drawn = [draw(drawing) for draw in first] + get_others()
+    with apply_style(), in_background(lambda: [draw(data) for draw in others]) as get_others:
+        drawn = [draw(data) for draw in first] + get_others()
     return [figure for figure in drawn if figure is not None]
 
 
-def draw_segments(drawing: Drawing) -> PageFigure | None:
+def draw_segments(data: FigureData) -> PageFigure | None:
     """Draw measured and predicted paths from a few starts, with the errors over the horizon: figure 1 of the paper."""
-    evaluation = drawing.evaluation
-    rows = choose_starts(evaluation, drawing.starts)
+    evaluation = data.evaluation
+    rows = choose_starts(evaluation, data.starts)
     if not len(rows):
         return None
     starts, length = evaluation.starts_ns[rows], float(evaluation.horizon[-1])
-    _, block = next(evaluate_blocks(drawing.models, drawing.vehicle, drawing.signals, starts, evaluation.settings))
+    _, block = next(evaluate_blocks(data.models, data.vehicle, data.signals, starts, evaluation.settings))
     figure = plt.figure(figsize=(WIDTH, 5.9))
     layout = figure.add_gridspec(3, len(rows), height_ratios=(1.75, 1, 1))
     first: list[plt.Axes | None] = [None, None]
     for column, (row, start_ns) in enumerate(zip(rows, starts, strict=True)):
         axes = figure.add_subplot(layout[0, column])
-        _draw_measured_path(axes, drawing, start_ns, length)
-        for model in drawing.models:
+        _draw_measured_path(axes, data, start_ns, length)
+        for model in data.models:
             states = tuple(block.trajectories[model.name, "hindsight"][column].T)
-            predicted = predict_readings(model, drawing.vehicle, states)
+            predicted = predict_readings(model, data.vehicle, states)
             axes.plot(predicted.x, predicted.y, **get_line_style(model.name))
         axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
                        fontsize=9)
@@ -102,26 +102,26 @@ def draw_segments(drawing: Drawing) -> PageFigure | None:
             axes = figure.add_subplot(layout[1 + k, column], sharey=first[k])
             first[k] = first[k] or axes
             axes.axhline(0, color=TEXT, lw=0.6)
-            for model in drawing.models:
+            for model in data.models:
                 errors = block.errors[model.name, "hindsight"][column]
                 axes.plot(evaluation.horizon, errors[:, k], **get_line_style(model.name))
             axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {POSITIVE_SIDE[axis]})",
                      xlabel="horizon, s" if k else "")
             axes.tick_params(labelleft=not column)
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
-    add_legend(figure, drawing, [measured_line])
+    add_legend(figure, data, [measured_line])
     ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
-            for m in drawing.models}
+            for m in data.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
     starts_text = "these starts" if len(rows) > 1 else "this start"
     title = f"{evaluation.name}: largest position error {length:g} s after {starts_text}: {largest}"
     caption = ("Predictions with the measured inputs (hindsight) from selected starts, and their errors over the "
                "horizon, along and across the measured heading.")
-    return save_figure(figure, drawing.output, "segments", title, caption)
+    return save_figure(figure, data.output, "segments", title, caption)
 
 
-def _draw_measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length: float) -> None:
-    log, span = drawing.signals.log, round(length * 1e9)
+def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length: float) -> None:
+    log, span = data.signals.log, round(length * 1e9)
     inside = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
     around = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
     x, y = log.x[inside], log.y[inside]
@@ -140,14 +140,14 @@ def _draw_measured_path(axes: plt.Axes, drawing: Drawing, start_ns: int, length:
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
 
 
-def draw_horizon_means(drawing: Drawing) -> PageFigure:
+def draw_horizon_means(data: FigureData) -> PageFigure:
     """Draw the mean errors over the horizon, speed and acceleration versus start time: figure 2 of the paper."""
-    evaluation = drawing.evaluation
+    evaluation = data.evaluation
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
     for k, (axes, axis) in enumerate(((upper, "longitudinal"), (lower, "lateral"))):
         axes.axhline(0, color=TEXT, lw=0.6)
-        for model in drawing.models:
+        for model in data.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
             # The linear and nonlinear models often coincide; the wider line of the linear model remains visible.
             width = 2.4 if model.name == "linear" else 1.0
@@ -160,11 +160,11 @@ def draw_horizon_means(drawing: Drawing) -> PageFigure:
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
-    add_legend(figure, drawing, extra, solid=True)
+    add_legend(figure, data, extra, solid=True)
     length = evaluation.horizon[-1]
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), versus its start time."
-    return save_figure(figure, drawing.output, "horizon_means", title, caption)
+    return save_figure(figure, data.output, "horizon_means", title, caption)
 
 
 def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -173,13 +173,13 @@ def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np
     return cut_at_gaps(*reduce_points(evaluation.time, values), gap)
 
 
-def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
+def draw_error_against_horizon(data: FigureData) -> PageFigure:
     """Draw the root mean square error at each point of the horizon, in hindsight and as a forecast."""
-    evaluation = drawing.evaluation
+    evaluation = data.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
     for k, (axes, axis) in enumerate(zip(panels, POSITIVE_SIDE, strict=True)):
-        for model in drawing.models:
+        for model in data.models:
             for mode, width, alpha in lines:
                 line = get_line_style(model.name) | ({"ls": ":"} if mode == "forecast" else {})
                 profile = evaluation.errors[model.name, mode].profile_rmse[:, k]
@@ -189,16 +189,16 @@ def draw_error_against_horizon(drawing: Drawing) -> PageFigure:
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
-    add_legend(figure, drawing, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
+    add_legend(figure, data, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
     parts = []
-    for model in drawing.models:
+    for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
         beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
     title = f"{evaluation.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
                "error of the model; the forecast holds the inputs constant at their values at the start.")
-    return save_figure(figure, drawing.output, "error_against_horizon", title, caption)
+    return save_figure(figure, data.output, "error_against_horizon", title, caption)
 
 
 def describe_ranking(evaluation: LogEvaluation) -> str:
@@ -212,15 +212,15 @@ def describe_ranking(evaluation: LogEvaluation) -> str:
     return text + (f" (ratio {ratio:.1f})" if len(values) > 1 and ratio > 1.15 else "")
 
 
-def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
+def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     """Draw the predicted slip angles and lateral forces of both axles, and slip angles from the measured motion."""
-    models = [m for m in drawing.models if m.axle_forces and not m.extra_states and not m.signals]
-    evaluation, signals, vehicle = drawing.evaluation, drawing.signals, drawing.vehicle
-    rows = choose_starts(evaluation, drawing.starts)
+    models = [m for m in data.models if m.axle_forces and not m.extra_states and not m.signals]
+    evaluation, signals, vehicle = data.evaluation, data.signals, data.vehicle
+    rows = choose_starts(evaluation, data.starts)
     if not models or not len(rows):
         return None
     lateral = np.where(find_complete_starts(evaluation), np.abs(evaluation.conditions["lateral_acceleration"]), -1.0)
-    row = int(rows[0] if len(drawing.starts) == 1 else lateral.argmax())
+    row = int(rows[0] if len(data.starts) == 1 else lateral.argmax())
     start = evaluation.starts_ns[row : row + 1]
     _, block = next(evaluate_blocks(models, vehicle, signals, start, evaluation.settings))
     horizon, times = evaluation.horizon, start[0] + np.round(evaluation.horizon * 1e9).astype(np.int64)
@@ -247,12 +247,12 @@ def draw_slip_and_forces(drawing: Drawing) -> PageFigure | None:
     grid[0, 0].set_ylabel("slip angle, °\n(+ = slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
-    add_legend(figure, drawing, [measured_line], models=models)
+    add_legend(figure, data, [measured_line], models=models)
     title = (f"{evaluation.name}: largest slip angle in {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest.items())}")
-    choice = "as requested" if len(drawing.starts) == 1 else "with the largest lateral acceleration"
+    choice = "as requested" if len(data.starts) == 1 else "with the largest lateral acceleration"
     caption = f"Slip angles and forces that the models predict with the measured inputs, from the start {choice}."
-    return save_figure(figure, drawing.output, "slip_and_forces", title, caption)
+    return save_figure(figure, data.output, "slip_and_forces", title, caption)
 
 
 def _compute_slip_and_forces(model: Model, vehicle: VehicleParameters, states: np.ndarray, angle: np.ndarray,

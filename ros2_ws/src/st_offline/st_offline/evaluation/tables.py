@@ -133,6 +133,37 @@ def format_metres(value: float | None) -> str:
     return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
 
 
+def list_rmse(models: Models, over: str) -> tuple[list[str], list[list[str]]]:
+    """(head, rows): number of starts and RMSE [m] of each model, by mode."""
+    rows = []
+    for model, modes in models.items():
+        for k, (mode, entry) in enumerate(modes.items()):
+            sizes = (get_axis_statistics(models, model, mode, axis, over)["rmse"] for axis in REPORTED_AXES)
+            rows.append(["" if k else model, mode, str(entry["n_starts"]), *map(format_metres, sizes)])
+    return ["model", "inputs", "starts", *(f"{axis} RMSE, m" for axis in REPORTED_AXES)], rows
+
+
+def compare_modes(reports: Sequence[Any], modes: Sequence[str], over: str) -> tuple[list[str], list[list[str]]]:
+    """(head, rows): RMSE [m] of each run and model, by axis and mode."""
+    columns, rows = [(axis, mode) for axis in REPORTED_AXES for mode in modes], []
+    for report in reports:
+        for k, (model, known) in enumerate(report.models.items()):
+            sizes = [get_axis_statistics(report.models, model, mode, axis, over)["rmse"] if mode in known else None
+                     for axis, mode in columns]
+            rows.append(["" if k else report.name, model, *map(format_metres, sizes)])
+    return ["run", "model", *map(", ".join, columns)], rows
+
+
+def list_rmse_by_second(reports: Sequence[Any]) -> tuple[list[str], list[list[str]]]:
+    """(head, rows): longitudinal and lateral RMSE [m] of each run and model in hindsight, by second ahead."""
+    errors = [("" if k else report.name, model, modes["hindsight"]) for report in reports
+              for k, (model, modes) in enumerate(report.seconds_ahead.items())]
+    seconds = list(dict.fromkeys(second for *_, by_second in errors for second in by_second))
+    return ["run", "model", *(f"{second} s" for second in seconds)], [
+        [name, model, *(" | ".join(format_metres(by_second[second][axis]["rmse"]) for axis in REPORTED_AXES)
+                        if second in by_second else "-" for second in seconds)] for name, model, by_second in errors]
+
+
 def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
     """The table of the paper (hindsight); in a wide terminal, with the RMSE of the forecasts."""
     wide = width >= MIN_FORECAST_WIDTH

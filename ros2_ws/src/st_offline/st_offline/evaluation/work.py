@@ -36,7 +36,7 @@ from . import tables
 from .background import in_background
 from .drawing import FigureOutput, PageFigure
 from .drive_parts import segment_drive
-from .run_figures import Drawing, describe_ranking, draw_run
+from .run_figures import FigureData, describe_ranking, draw_run
 
 PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
 """Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row, as planned before the prediction started."""
@@ -127,8 +127,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                 raise findings
     marks.append(time.perf_counter())
     _require_scores(source, run, evaluation)
-    figures = draw_run(Drawing(evaluation, models, task.vehicle, signals, task.starts,
-                               _make_figure_output(task, source.name, evaluation)))
+    figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
+                                  _make_figure_output(task, source.name, evaluation)))
     marks.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
