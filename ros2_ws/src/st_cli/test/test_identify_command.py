@@ -131,7 +131,7 @@ INVALID_TABLES = {
     "empty cell": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,,350\n",
                    "row 1 has no rear_left"),
     "no unit": ("scales", "front_left,front_right_kg,rear_left_kg,rear_right_kg\n1,2,3,4\n",
-                "column front_left has no known unit; name it front_left_kg"),
+                "column front_left has no permitted unit; name it front_left_kg"),
     "a word": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,heavy,350\n",
                "row 1: rear_left_kg is 'heavy', not a number"),
     "infinite": ("scales", "front_left_kg,front_right_kg,rear_left_kg,rear_right_kg\n450,450,inf,350\n",

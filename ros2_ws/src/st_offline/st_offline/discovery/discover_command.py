@@ -38,15 +38,7 @@ def run_command(request: Request, console: Console) -> int:
     """Run the command. Returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
     wrong options and unusable recordings, StCoreError if a search is not possible."""
     check_formats(request.formats)
-    effect_hashes: dict[str, str] = {}  # sha256 of each file of user-defined effects
-    if request.effects is not None:
-        load_folder(str(request.effects.absolute()))
-        effect_hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
-                         for file in sorted(request.effects.glob("*.py"))}
-    try:
-        base, _ = read_model(request.base, request.vehicle, request.vehicle_file)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"--base {error}") from None
+    base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")
     times = [time.perf_counter()]
     with make_progress_bars(console) as progress:
@@ -79,6 +71,19 @@ def run_command(request: Request, console: Console) -> int:
         files = write_results(discovery, request, update, folder, drawn, seconds, relations, report)
     print_result(discovery, update, request.all_drives, files, from_cache, console, report)
     return 1 if any(d.problem for d in request.all_drives) else 0
+
+
+def _load_base_and_effects(request: Request) -> tuple[Model, dict[str, str]]:
+    """(base model, sha256 of each file of user-defined effects, which are loaded)."""
+    hashes: dict[str, str] = {}
+    if request.effects is not None:
+        load_folder(str(request.effects.absolute()))
+        hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
+                  for file in sorted(request.effects.glob("*.py"))}
+    try:
+        return read_model(request.base, request.vehicle, request.vehicle_file)[0], hashes
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--base {error}") from None
 
 
 def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[Drive]]:

@@ -74,11 +74,10 @@ def format_rounded(value: float, uncertainty: float) -> str:
 
 @dataclass(frozen=True)
 class MeasurementTable:
-    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell. units: of the header, in lower case."""
+    """Columns of a table by name. numbers: (n,) SI, NaN for an empty cell."""
 
     file: Path
     numbers: Mapping[str, np.ndarray]
-    units: Mapping[str, str]
     texts: Mapping[str, tuple[str, ...]]
 
     def __len__(self) -> int:
@@ -108,25 +107,22 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     for row_number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise RunError(file, f"row {row_number} has {len(row)} cells, the header {len(header)}", "correct that row")
-    numbers, units, text_cells = {}, {}, {}
-    for name, (column, unit) in columns.items():
-        if name in known:
-            cells = [_parse_number(file, header[column], row_number, row[column])
-                     for row_number, row in enumerate(rows, 1)]
-            numbers[name], units[name] = np.array(cells) * SI_FACTORS[unit], unit
-        else:
-            text_cells[name] = tuple(row[column] for row in rows)
+    cells = {title: column for title, *column in zip(header, *rows, strict=True)}
+    numbers = {name: np.array([_parse_number(file, title, row_number, cell)
+                               for row_number, cell in enumerate(cells[title], 1)]) * SI_FACTORS[unit]
+               for name, (title, unit) in columns.items() if name in known}
     for name in required:
         if not np.isfinite(numbers[name]).all():
-            first = int(np.flatnonzero(~np.isfinite(numbers[name]))[0]) + 1
-            raise RunError(file, f"row {first} has no {name}", "fill that cell, or leave the row out")
-    return MeasurementTable(file, numbers, units, text_cells)
+            raise RunError(file, f"row {int(np.isfinite(numbers[name]).argmin()) + 1} has no {name}",
+                           "fill that cell, or leave the row out")
+    return MeasurementTable(file, numbers, {name: tuple(cells[name]) for name in texts if name in columns})
 
 
 def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
-                  texts: Sequence[str]) -> dict[str, tuple[int, str]]:
-    columns: dict[str, tuple[int, str]] = {}
-    for column, title in enumerate(header):
+                  texts: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """(title, unit in lower case) of each column by its name; the unit of a text is ""."""
+    columns: dict[str, tuple[str, str]] = {}
+    for title in header:
         name, _, unit = title.rpartition("_")
         if name in known and unit.lower() in known[name]:
             key, unit = name, unit.lower()
@@ -135,12 +131,12 @@ def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequenc
         elif title in known or name in known:
             name = title if title in known else name
             units = " or ".join(f"{name}_{unit}" for unit in known[name])
-            raise RunError(file, f"column {title} has no known unit", f"name it {units}")
+            raise RunError(file, f"column {title} has no permitted unit", f"name it {units}")
         else:
             continue
         if key in columns:
             raise RunError(file, f"column {key} occurs twice", "remove one")
-        columns[key] = column, unit
+        columns[key] = title, unit
     return columns
 
 

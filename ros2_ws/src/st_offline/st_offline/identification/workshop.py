@@ -24,7 +24,7 @@ ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right
 LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
 RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
 OTHER_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
-TYRE_COLUMNS = {"load": ("n", "kn", "kg"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
+TYRE_COLUMNS = {"load": ("n", "kn"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
 # The first three colours are those of the paper, darkened for a white background.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
@@ -216,8 +216,6 @@ def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
     parts = []
     for file in files:
         table = read_columns(file, TYRE_COLUMNS, texts=("tyre",))
-        if table.units["load"] == "kg":
-            raise RunError(file, "column load_kg: the load must be in newtons", "convert it and name it load_n")
         if "tyre" not in table.texts:
             raise RunError(file, "has no column tyre", "add it, with front or rear in each row")
         tyre = np.array([f"tyre_{word.lower().removeprefix('tyre_')}" for word in table.texts["tyre"]])
