@@ -210,7 +210,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
         for with_offset in offsets:
             shape_gain, offset = _simulate_shape(fits, fit, without, shape, with_offset)
             if shape_gain >= MIN_RETAINED_GAIN * gain:
-                text = shape.text.format(*shape.parameters)
+                text = shape.text.format(*shape.parameters).replace("+ -", "- ")
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
                 is_constant = shape.name == "constant" and not candidate.factor
                 causes = CONSTANT_CAUSES.get(candidate.term, "") if is_constant else CAUSES.get(key, "")
