@@ -75,9 +75,11 @@ def _read_matlab(file: Path) -> Any:
     except Exception as error:  # any, from scipy
         raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None
     signals = list(_find_signals({name: value for name, value in content.items() if not name.startswith("__")}))
+    if "__function_workspace__" in content and len(signals) < 2:  # none, or only the vector tout of Simulink
+        raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
+                       "save their samples as vectors or fields of a struct")
     if not signals:
-        objects = " but objects such as timeseries or tables" if "__function_workspace__" in content else ""
-        raise RunError(file, f"it contains no vectors{objects}", "save the samples as vectors or fields of a struct")
+        raise RunError(file, "it contains no vectors", "save the samples as vectors or fields of a struct")
     return _join_signals(signals)
 
 
