@@ -18,7 +18,7 @@ from oxts_bridge.channels import FIELDS, encode_channel
 from oxts_bridge.file_decoder import decode_file
 from oxts_bridge.motion import FIRST_FIX, UNIT, Accuracy, Origin, extract_motion
 from oxts_bridge.ncom import PACKET_SIZE, SYNC, NcomError
-from oxts_bridge.status import EventLog, StatusTracker
+from oxts_bridge.status import StatusTracker
 from oxts_bridge.stream import NcomParser, StreamStatistics
 from support import ROOT
 
@@ -32,7 +32,7 @@ class Pipeline:
     """Processes the bytes of a port as the node does, up to its messages; checks invariants at every packet."""
 
     def __init__(self) -> None:
-        self.parser, self.status, self.events = NcomParser(), StatusTracker(), EventLog()
+        self.parser, self.status = NcomParser(), StatusTracker()
         self.origins, self.statistics = (Origin(FIRST_FIX), Origin(UNIT)), StreamStatistics()
         self.fed = 0
 
@@ -54,8 +54,7 @@ class Pipeline:
             seconds = None if received.gps_ns is None else received.gps_ns * 1e-9
             place = (packet.latitude, packet.longitude, packet.altitude) if packet.channel == 25 else None
             self.status.update(packet.channel, packet.batch_s, seconds, place)
-        event_ns = self.events.detect(received)
-        assert event_ns is None or 0 < event_ns < LAST_STAMP_NS
+        assert received.event_ns is None or 0 < received.event_ns < LAST_STAMP_NS
         motion = extract_motion(received)
         if motion is not None:
             for origin in self.origins:

@@ -52,12 +52,11 @@ class Health:
                 self._check_completeness(), self._check_time()]
 
     def _check_source(self, source: SourceStatus) -> Check:
-        values: dict[str, Any] = {"datagrams": source.datagrams}
-        if source.sender:
-            values["sender"] = source.sender
-        values.update({f"ignored from {address}": count for address, count in source.ignored.items()})
-        if source.name.startswith("file"):
-            values = {"packets": source.datagrams, "progress %": 100.0 * source.progress, "loops": source.loops}
+        values: dict[str, Any] = {"packets": source.datagrams, "progress %": 100.0 * source.progress,
+                                  "loops": source.loops}
+        if self._live:
+            values = {"datagrams": source.datagrams, **({"sender": source.sender} if source.sender else {}),
+                      **{f"ignored from {address}": count for address, count in source.ignored.items()}}
         if self.failures:
             values["failed packets"] = self.failures
             return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)

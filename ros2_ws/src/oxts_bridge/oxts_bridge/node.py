@@ -19,7 +19,7 @@ from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_mo
 from .ncom import NcomError, Packet
 from .packet_time import DUPLICATE, NEW, SAME, to_unix_nanoseconds
 from .sources import ReplaySource, Source, UdpSource, continues_stream
-from .status import EventLog, StatusTracker
+from .status import StatusTracker
 from .stream import NcomParser, ReceivedPacket, StreamStatistics
 
 NCOM, RECEIVE = "ncom", "receive"
@@ -85,7 +85,7 @@ class OxtsBridge(LifecycleNode):
     def _reset(self) -> None:
         s = self._settings
         given = (s.origin_latitude, s.origin_longitude, s.origin_altitude) if s.origin_source == GIVEN else None
-        self._parser, self._status, self._events = NcomParser(), StatusTracker(), EventLog()
+        self._parser, self._status = NcomParser(), StatusTracker()
         self._origin, self._statistics = Origin(s.origin_source, given), StreamStatistics()
         self._accuracy = Accuracy.from_status(self._status)
         self._health = Health(
@@ -179,10 +179,10 @@ class OxtsBridge(LifecycleNode):
         motion = extract_motion(received)
         self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
         position = self._locate(publishers, received_ns, motion)
-        if (event_ns := self._events.detect(received)) is not None:
+        if received.event_ns is not None:
             # An event that is only repeated in a regular packet has no pose.
             pose = (position, motion) if received.kind == "trigger" else (None, None)
-            utc_ns = to_unix_nanoseconds(event_ns, self._parser.utc_offset)
+            utc_ns = to_unix_nanoseconds(received.event_ns, self._parser.utc_offset)
             publishers.publish_trigger(utc_ns, received.packet.channel, received.packet.batch_s[7], *pose)
         if in_series:
             self._newest_packet = received.packet

@@ -65,6 +65,7 @@ class SourceStatus:
     """State of a source for the diagnostics.
 
     problem: why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
+    datagrams: received datagrams, or packets of a replay.
     ignored: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
     ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed repetitions of a replay.

@@ -1,4 +1,4 @@
-"""Tracks the state of the unit from its status channels: newest, unwrapped and derived values, and events."""
+"""Tracks the state of the unit from its status channels: newest, unwrapped and derived values."""
 
 from math import cos, degrees, isfinite, radians, sin, sqrt
 
@@ -153,26 +153,3 @@ def decode_up_time(code: int) -> int:
     if code <= 10_800:
         return code
     return (code - 10_620) * 60 if code <= 20_700 else (code - 20_532) * 3600
-
-
-class EventLog:
-    """Detects each edge of an event input or output once, although units repeat it in regular packets.
-
-    The status channel identifies the input or output and its edge; byte 7 of batch S counts the events and wraps after
-    255. The first count in a regular packet belongs to an old event and only initialises the counter.
-    """
-
-    def __init__(self) -> None:
-        self._last: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
-
-    def detect(self, received: ReceivedPacket) -> int | None:
-        """GPS time [ns since 1980-01-06] of the event that this packet is the first to report; else None."""
-        channel, data = received.packet.channel, received.packet.batch_s
-        gps_ns = decode_event_time(channel, data) if received.rule.has_status else None
-        if gps_ns is None:
-            return None
-        previous = self._last.get(channel)
-        self._last[channel] = data[7], gps_ns
-        is_trigger = received.kind == "trigger"
-        is_new = is_trigger if previous is None else data[7] != previous[0] and (is_trigger or gps_ns > previous[1])
-        return gps_ns if is_new else None

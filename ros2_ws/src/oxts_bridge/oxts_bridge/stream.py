@@ -25,6 +25,8 @@ class ReceivedPacket:
     gps_ns: GPS time of the measurement or event [ns since 1980-01-06], None while unknown.  utc_ns: this time as UTC
     [ns since 1970].
     order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
+    event_ns: GPS time of an edge of an event input or output that this packet is the first to report, else None; the
+    status channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
     received_ns: host time of receipt [ns since 1970], as given to feed().
     """
 
@@ -36,6 +38,7 @@ class ReceivedPacket:
     gps_ns: int | None
     utc_ns: int | None
     order: int
+    event_ns: int | None
     received_ns: int | None
 
 
@@ -57,6 +60,7 @@ class NcomParser:
         self._in_sync = True  # a packet is expected at the beginning of the tail
         self._last_raw = b""
         self._last_trigger = b""
+        self._events: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def restart(self) -> None:
         """Prepare for another stream: discard the time and an incomplete packet, but keep the counters."""
@@ -108,7 +112,10 @@ class NcomParser:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
         utc_ns = None if gps_ns is None else packet_time.to_unix_nanoseconds(gps_ns, self.utc_offset)
-        return ReceivedPacket(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, received_ns)
+        event_ns = None
+        if packet.channel in channels.TRIGGER_CHANNELS and rule.has_status and order in (NEW, SAME):
+            event_ns = self._detect_event(packet.channel, packet.batch_s, kind == "trigger")
+        return ReceivedPacket(packet, raw, offset, kind, rule, gps_ns, utc_ns, order, event_ns, received_ns)
 
     def _compute_time(self, packet: Packet, raw: bytes, minute: int | None,
                       received_ns: int | None) -> tuple[int | None, int]:
@@ -141,6 +148,21 @@ class NcomParser:
             return gps_ns, NEW
         self.counters.duplicates += 1
         return gps_ns, DUPLICATE
+
+    def _detect_event(self, channel: int, data: bytes, is_trigger: bool) -> int | None:
+        """GPS time [ns] of an event that no earlier packet reported, else None.
+
+        Units repeat events in regular packets; the first count in a regular packet belongs to an old event.
+        """
+        gps_ns = channels.decode_event_time(channel, data)
+        if gps_ns is None:
+            return None
+        previous = self._events.get(channel)
+        self._events[channel] = data[7], gps_ns
+        if previous is None:
+            return gps_ns if is_trigger else None
+        count, last_ns = previous
+        return gps_ns if data[7] != count and (is_trigger or gps_ns > last_ns) else None
 
     def _read_status(self, packet: Packet) -> int | None:
         """Count an unknown status channel; set the UTC offset, or return the GPS minute, if the channel sends it."""

@@ -15,7 +15,7 @@ from oxts_bridge.motion import (
     extract_motion,
 )
 from oxts_bridge.ncom import describe_mode, get_fix_status
-from oxts_bridge.status import EventLog, StatusTracker
+from oxts_bridge.status import StatusTracker
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
 
@@ -93,12 +93,12 @@ def receive(parser, data):
 
 
 def test_repeated_event_is_detected_once(packet):
-    parser, log = NcomParser(), EventLog()
+    parser = NcomParser()
     first, second = encode_trigger(24, (START + 5) * 1_000_000, 7), encode_trigger(24, (START + 900) * 1_000_000, 8)
     no_event = (-10080).to_bytes(4, "little", signed=True) + bytes(4)
 
     def event(status, data, channel=24):
-        return log.detect(receive(parser, packet(START, channel, batch_s=data, navigation_status=status)))
+        return receive(parser, packet(START, channel, batch_s=data, navigation_status=status)).event_ns
 
     assert event(4, no_event) is None
     assert event(22, first) == (START + 5) * 1_000_000
@@ -110,19 +110,20 @@ def test_repeated_event_is_detected_once(packet):
 
 
 def test_event_before_the_start_is_not_detected(packet):
-    parser, log = NcomParser(), EventLog()
+    parser = NcomParser()
     old = encode_trigger(43, START * 1_000_000, 200)
-    assert log.detect(receive(parser, packet(START, 43, batch_s=old))) is None
+    assert receive(parser, packet(START, 43, batch_s=old)).event_ns is None
     new = encode_trigger(43, (START + 1) * 1_000_000, 201)
-    assert log.detect(receive(parser, packet(START, 43, batch_s=new, navigation_status=22))) == (START + 1) * 1_000_000
+    trigger = receive(parser, packet(START, 43, batch_s=new, navigation_status=22))
+    assert trigger.event_ns == (START + 1) * 1_000_000
 
 
 def test_event_counter_wraps(packet):
-    parser, log = NcomParser(), EventLog()
+    parser = NcomParser()
     for i, count in enumerate((254, 255, 1)):
         data = encode_trigger(65, (START + i) * 1_000_000, count)
         trigger = receive(parser, packet(START, 65, batch_s=data, navigation_status=22))
-        assert log.detect(trigger) == (START + i) * 1_000_000
+        assert trigger.event_ns == (START + i) * 1_000_000
 
 
 @pytest.fixture
