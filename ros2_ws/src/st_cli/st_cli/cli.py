@@ -14,14 +14,9 @@ from st_live import suite
 from .verbs import calibrate, check, discover, effects, evaluate, export, identify, live, raw_logs, replay, view
 
 app = typer.Typer(
-    name="st",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="rich",
-    pretty_exceptions_show_locals=False,
+    name="st", no_args_is_help=True, add_completion=False, rich_markup_mode="rich", pretty_exceptions_show_locals=False,
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that prediction?",
-    epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.",
-)
+    epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.")
 COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
     discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
 for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, calibrate.calibrate,

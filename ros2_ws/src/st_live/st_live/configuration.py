@@ -171,7 +171,7 @@ def _check_bands(bands: Path, predictor: Mapping[str, Any]) -> None:
 
 
 def find_bag(path: Path) -> Path:
-    """The bag with the measurements and predictions: `bag` in the folder of a run, for any other path the path."""
+    """`bag` in the folder of a run, which contains measurements and predictions; any other path is unchanged."""
     return path / "bag" if path.is_dir() and not is_bag(path) and is_bag(path / "bag") else path
 
 

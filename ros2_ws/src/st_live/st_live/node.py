@@ -70,10 +70,8 @@ class Monitor:
                                        lambda m: self._update(predictor_status=m), 10)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._predictions = [
-            PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
-            for model in MODEL_COLOUR
-        ]
+        self._predictions = [PolledSubscription(self._node, Prediction, f"predictor/{model}/prediction", newest)
+                             for model in MODEL_COLOUR]
         self._node.create_timer(PREDICTION_PERIOD, self._read_predictions)
         self._aggregate = self._node.create_publisher(DiagnosticArray, "/diagnostics_agg", 10)
         self._node.create_timer(AGGREGATE_PERIOD, self._publish_aggregate)

@@ -71,20 +71,13 @@ def make_blueprint() -> rrb.Blueprint:
         origin="map", name=f"Map (north up, {GRID_SPACING:.0f} m grid)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
     text = rrb.TextDocumentView(origin="text", name="Errors so far, and health")
+    motion = rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration"))
+    errors = rrb.Tabs(plot("lateral"), plot("longitudinal"))
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(ahead, rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration")),
-                         row_shares=[3, 1]),
-            rrb.Vertical(rrb.Horizontal(around, text),
-                         rrb.Tabs(plot("lateral"), plot("longitudinal")),
-                         row_shares=[2, 1]),
-            column_shares=[1, 1.35],
-        ),
+        rrb.Horizontal(rrb.Vertical(ahead, motion, row_shares=[3, 1]),
+                       rrb.Vertical(rrb.Horizontal(around, text), errors, row_shares=[2, 1]), column_shares=[1, 1.35]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-    )
+        rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), auto_views=False)
 
 
 def to_screen(view: Pose, x, y) -> np.ndarray:

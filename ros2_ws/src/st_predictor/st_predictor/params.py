@@ -34,11 +34,7 @@ _FILTER_CUTOFF = Parameter(
 PREDICTOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models to predict with, in this order"),
-    _MODEL_FILE,
-    _EFFECTS_DIRECTORY,
-    _BANDS_FILE,
-    _ADAPTIVE,
-    _COURSE_FILE,
+    _MODEL_FILE, _EFFECTS_DIRECTORY, _BANDS_FILE, _ADAPTIVE, _COURSE_FILE,
     Parameter("horizon", _DEFAULTS.horizon, "duration of a prediction; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
     Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
@@ -47,38 +43,30 @@ PREDICTOR = (
     Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),
     Parameter("minimum_speed", _DEFAULTS.minimum_speed, "no prediction below this speed", "m/s", 0.0, 50.0),
     Parameter("stale_after", _DEFAULTS.stale_after, "no prediction from inputs older than this", "s", 0.001, 10.0),
-    _MAXIMUM_GAP,
-    _FILTER_CUTOFF,
-    _MAP_FRAME,
+    _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
     Parameter("plan_frame", "base_link", "required frame of plans on plan/inputs; plans in another frame are refused"),
 )
 
-_NUMBER = Parameter("number_when_taken", False, "record into NAME_2 if the directory contains files; false: stop")
+_NUMBER_WHEN_TAKEN = Parameter(
+    "number_when_taken", False, "record into NAME_2 if the directory contains files; false: stop")
 
 EVALUATOR = (
     _VEHICLE_FILE,
     Parameter("models", MODELS, "models to score"),
-    _MODEL_FILE,
-    _EFFECTS_DIRECTORY,
-    _MAXIMUM_GAP,
-    _FILTER_CUTOFF,
-    _MAP_FRAME,
+    _MODEL_FILE, _EFFECTS_DIRECTORY, _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
     Parameter("output_directory", "", "directory of the bag of errors, new or empty; empty: no bag"),
-    _NUMBER,
+    _NUMBER_WHEN_TAKEN,
 )
 
 # Raw packets and frames, topics that do not follow from them, and topics that external viewers and tools expect.
-TOPICS = [
-    "ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
-    "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics", "/rosout",
-]
-ALL_TOPICS = [
-    "ins/*", "vehicle/*", "can/*", "plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static",
-    "/diagnostics", "/rosout",
-]
+_COMMON_TOPICS = ["plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
+                  "/rosout"]
+TOPICS = ["ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
+          *_COMMON_TOPICS]
+ALL_TOPICS = ["ins/*", "vehicle/*", "can/*", *_COMMON_TOPICS]
 RECORDER = (
     Parameter("output_directory", "", "directory of the bag, new or empty; required"),
-    _NUMBER,
+    _NUMBER_WHEN_TAKEN,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'further metadata of the bag: {"record": {"key": "text"}}'),

@@ -205,7 +205,7 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator for a command: one option per field replaces its parameter of type `group` (a dataclass).
 
-    names: fields to use, default all. annotations: those that differ from `group`. The command groups similar warnings.
+    names: fields to use, default all. annotations: those that differ from `group`. Similar warnings are grouped.
     """
     used_fields = [f for f in fields(group) if not names or f.name in names]
 

@@ -46,20 +46,17 @@ def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
         [], REFERENCE, help="Drives of the healthy car, all paths up to the next option; the search starts from them "
-        "instead of the vehicle file."
-    ),
+        "instead of the vehicle file."),
     base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     certify: bool = typer.Option(
         False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
-        "known effects and without any; otherwise the power is predicted. Takes minutes."
-    ),
+        "known effects and without any; otherwise the power is predicted. Takes minutes."),
     propose: bool | None = typer.Option(
         None, "--propose/--no-propose", help="Search for a relation beyond the library, and write it as an effect file "
-        "to keep or delete; default: if the unexplained residual is large. Takes a minute."
-    ),
+        "to keep or delete; default: if the unexplained residual is large. Takes a minute."),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; empty: none."),

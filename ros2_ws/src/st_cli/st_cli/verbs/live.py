@@ -9,10 +9,8 @@ import typer
 from . import _options as shared
 
 EXTRA_DRIVING = 2.0  # s of driving after the predictor stops
-SCENARIOS = (
-    "S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
-    "there_and_back, or a .yaml file"
-)
+SCENARIOS = ("S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, slalom, weave, circle, "
+             "there_and_back, or a .yaml file")
 
 
 @shared.expand_options(shared.RunOptions)

@@ -156,10 +156,9 @@ class Inputs:
                     for signal, subscription in self._subscriptions.items()}
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
-        return [
-            Check("publishers", diagnostics.ERROR if text else diagnostics.OK, text or "one of each input", rejected),
-            *(self._make_input_check(signal) for signal in self.received),
-        ]
+        level = diagnostics.ERROR if text else diagnostics.OK
+        return [Check("publishers", level, text or "one of each input", rejected),
+                *(self._make_input_check(signal) for signal in self.received)]
 
     def _make_input_check(self, signal: str) -> Check:
         values = {"received": self.received[signal], "refused": self.refused[signal]}

@@ -141,10 +141,8 @@ class EvaluatorNode(Node):
         message = ErrorSummary(pending=self._core.pending)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._map_frame
-        message.statistics = [
-            add_coverage(convert.make_statistics_message(*key, statistics), self._coverages)
-            for key, statistics in self._statistics.items()
-        ]
+        message.statistics = [add_coverage(convert.make_statistics_message(*key, statistics), self._coverages)
+                              for key, statistics in self._statistics.items()]
         self._summary_publisher.publish(message)
         self._record("summary", message)
 

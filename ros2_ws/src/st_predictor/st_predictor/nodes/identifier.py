@@ -37,7 +37,7 @@ class IdentifierNode(Node):
         self._fit: Future[OnlineFit] | None = None
         self._statuses: dict[str, str] = {}
         self._resets = 0
-        self._received = {"INS": 0, "steering": 0}
+        self._accepted = {"INS samples": 0, "steering samples": 0}
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
@@ -51,10 +51,10 @@ class IdentifierNode(Node):
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
             sample = convert.read_ins_sample(message, self._values.map_frame)
             if not isinstance(sample, str):
-                self._received["INS"] += self._core.add_ins(sample)
+                self._accepted["INS samples"] += self._core.add_ins(sample)
         for message, _, _ in self._steering.take(QUEUE_DEPTH):
             if message.valid and math.isfinite(message.steering_wheel_angle):
-                self._received["steering"] += self._core.add_steering(
+                self._accepted["steering samples"] += self._core.add_steering(
                     to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
         self._fit_in_background()
 
@@ -114,7 +114,7 @@ class IdentifierNode(Node):
     def _make_checks(self) -> list[Check]:
         driving_time = self._core.driving_time
         not_used = {f"not used, {reason} [s]": round(time, 1) for reason, time in driving_time.rejected.items()}
-        values = {"used [s]": round(driving_time.used, 1), **not_used, **self._received}
+        values = {"used [s]": round(driving_time.used, 1), **not_used, **self._accepted}
         checks = [Check("driving", diagnostics.OK, f"{driving_time.used:.0f} s of driving used", values)]
         for estimate in self._core.make_estimates():
             value, deviation, file_value = estimate.value, estimate.deviation, self._find_file_value(estimate)

@@ -132,8 +132,7 @@ class PredictorNode(Node):
         self._outputs: dict[str, tuple[Publisher, Publisher]] = {
             model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
                     self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
-            for model in self._core.models
-        }
+            for model in self._core.models}
         self._planned_outputs = {
             (mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
             for mode in PLANNED_MODES for model in self._core.models}
@@ -264,13 +263,9 @@ class PredictorNode(Node):
             Check("timing", diagnostics.WARN if is_late else diagnostics.OK, timing,
                   {"slowest tick [ms]": slowest * 1e3, "period [ms]": self._period * 1e3,
                    "state age at issue, median [ms]": self._state_age * 1e3}),
-            self._make_position_check(),
-            self._make_steering_check(),
-            self._bands.make_check(),
-            self._plan.make_check(self._skip is None),
-            self._course.make_check(self._skip is None),
-            *self._inputs.make_checks(),
-        ]
+            self._make_position_check(), self._make_steering_check(), self._bands.make_check(),
+            self._plan.make_check(self._skip is None), self._course.make_check(self._skip is None),
+            *self._inputs.make_checks()]
 
     def _make_position_check(self) -> Check:
         history = self._core.history

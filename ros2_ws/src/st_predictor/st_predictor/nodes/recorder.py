@@ -46,7 +46,7 @@ class PublisherWatchdog:
         self._node = node
         self._topic_times: dict[str, float] = {}  # newest message of each topic, steady clock [s]
         self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
-        self._found_times: dict[str, float] = {}  # when each node was discovered [s]
+        self._discovery_times: dict[str, float] = {}  # when each node was discovered [s]
 
     def record_arrival(self, topic: str, data: bytes) -> None:
         now = time.monotonic()
@@ -65,8 +65,8 @@ class PublisherWatchdog:
                      if info.qos_profile.durability == DurabilityPolicy.VOLATILE}  # latched topics are published once
             if len(names) == 1:  # with several publishers it is unknown which of them sent a message
                 node_topics.setdefault(names.pop(), []).append(topic)
-        self._found_times = {name: self._found_times.get(name, now) for name in node_topics}
-        silences = {name: now - max(self._found_times[name], self._node_times.get(name, 0.0),
+        self._discovery_times = {name: self._discovery_times.get(name, now) for name in node_topics}
+        silences = {name: now - max(self._discovery_times[name], self._node_times.get(name, 0.0),
                                     *(self._topic_times.get(topic, 0.0) for topic in published))
                     for name, published in sorted(node_topics.items())}
         return {name: silence for name, silence in silences.items() if silence > SILENCE_TIMEOUT}
