@@ -61,9 +61,13 @@ def test_complete_effect_is_registered():
     assert register(make_effect()) is get_effect("trial")
 
 
+def test_effect_without_a_name_and_a_tuple_has_the_name_of_its_file_and_one_parameter():
+    effect = register(make_effect(name=None, parameters=None, parameter=GAIN))
+    assert effect is get_effect("test_effects_registry") and effect.parameters == (GAIN,)
+
+
 @pytest.mark.parametrize(("attributes", "message"), [
     ({"name": "Trial Effect"}, "must be a subclass of Effect with a name"),
-    ({"name": None}, "must be a subclass of Effect with a name"),
     ({"name": "friction"}, r"effect friction: already registered by .*friction\.py"),
     ({"axle_force": staticmethod(len)}, "effect trial: unknown attribute axle_force, did you mean axle_forces?"),
     ({"twins": ("road_bank",)}, "unknown attribute twins: remove it, or look for its new name in CHANGELOG.md"),
@@ -79,7 +83,7 @@ def test_complete_effect_is_registered():
     ({"members": ("friction",)}, "effect trial: members must name two or more other effects"),
     ({"members": ("trial", "friction")}, "effect trial: members must name two or more other effects"),
     ({"inputs": None, "fold": staticmethod(lambda vehicle, theta: vehicle)}, "it has no hook"),
-    ({"parameters": GAIN}, "effect trial: parameters must be a tuple, even of one parameter"),
+    ({"parameters": GAIN}, "effect trial: parameters must be a tuple; declare one parameter by parameter ="),
     ({"parameters": ()}, "effect trial: it has no parameter that can be fitted"),
     ({"parameters": (GAIN, GAIN)}, "a name is used twice"),
     ({"applies_to": frozenset(("bicycle",))}, "applies_to must name one or more of kinematic, linear, nonlinear"),

@@ -178,15 +178,13 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _
     results.add(inertial.judge_agreement(
         yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed.get("yaw_rate_scale", 1.0),
         removed.get("yaw_scale", removed.get("yaw_convention", 1.0))))
-    if "yaw_offset" in estimates:
-        estimates["yaw_offset"] = estimates["yaw_offset"].shifted(removed.get("yaw_offset", 0.0))
-    for name, source in (("velocity_scale", "velocity_scale"), ("velocity_x_scale", "velocity_scale"),
-                         ("position_scale", "position_scale")):
-        if source in estimates:
-            estimates[name] = estimates[source].scaled(removed.get(name, 1.0))
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
-        scale = yaw_rate.scale.inverse().scaled(removed.get("yaw_scale", 1.0))
-        estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", scale)
+        estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
+    for name in removed.keys() & estimates.keys():  # from corrected to recorded units
+        estimate, value = estimates[name], removed[name]
+        estimates[name] = estimate.shifted(value) if name == "yaw_offset" else estimate.scaled(value)
+    if "velocity_scale" in estimates:
+        estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed.get("velocity_x_scale", 1.0))
     if yaw_rate:
         motion = inertial.correct_yaw_rate(motion, yaw_rate)
     for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):

@@ -58,7 +58,7 @@ class Tolerances:
 
 def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,
                     removed_reference_scale: float = 1.0) -> CheckResult:
-    """Result of a comparison. title: of its panel, which shows both series in the recorded units. removed_scale,
+    """Result of a comparison. title: of its panel, which shows both series as recorded. removed_scale,
     removed_reference_scale: factors already divided out of the channel and of the reference."""
     if agreement is None:
         return [], {}, None
@@ -66,12 +66,11 @@ def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: 
         tolerances.channel, title, tolerances.unit, tolerances.channel, f"from {tolerances.reference}", agreement.time,
         removed_scale * agreement.measured, removed_reference_scale * agreement.derived,
         tuple(f"{tolerances.channel}_{kind}" for kind in ("scale", "bias", "lag")))
-    return (*_judge(agreement, tolerances, removed_scale), panel) if agreement.correlates else ([], {}, panel)
+    return (*_judge(agreement, tolerances), panel) if agreement.correlates else ([], {}, panel)
 
 
-def _judge(agreement: Agreement, tolerances: Tolerances,
-           removed_scale: float) -> tuple[list[Finding], dict[str, Estimate]]:
-    """(findings, estimates by name of the finding) of series that correlate; removed_scale: see `judge_agreement`."""
+def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding], dict[str, Estimate]]:
+    """(findings, estimates by name of the finding) of series that correlate."""
     name = tolerances.channel
     scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(agreement, kind))
                         for kind in ("scale", "lag", "bias"))
@@ -81,8 +80,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances,
     estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
     if abs(agreement.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
         return lag_findings, estimates
-    estimates |= {f"{name}_scale": scale.scaled(removed_scale)}
-    estimates |= {f"{name}_bias": bias} if bias.deviation else {}  # 0: no bias was fitted
+    estimates |= {f"{name}_scale": scale} | ({f"{name}_bias": bias} if bias.deviation else {})  # 0: no bias was fitted
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half > 1.0

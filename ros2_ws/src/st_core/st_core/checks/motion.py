@@ -9,7 +9,6 @@ import numpy as np
 from ..corrections import COMPONENTS
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
 from ..timeseries import NANOSECOND
-from ..types import body_to_map
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
@@ -80,14 +79,24 @@ class Motion:
         return replace(self, **{name: value[mask] for name in names if (value := getattr(self, name)) is not None})
 
     @property
-    def speed(self) -> np.ndarray:
-        """Speed over ground [m/s]."""
-        return np.hypot(self.velocity_x, self.velocity_y)
+    def position(self) -> np.ndarray:
+        """Position in the map frame as a complex number, x + i y = east + i north [m]."""
+        return self.x + 1j * self.y
 
     @property
-    def velocity_map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Velocity in the map frame, (east, north) [m/s]: R(yaw) v."""
-        return body_to_map(self.velocity_x, self.velocity_y, self.yaw)
+    def velocity(self) -> np.ndarray:
+        """Velocity in body axes as a complex number, forward + i left [m/s]."""
+        return self.velocity_x + 1j * self.velocity_y
+
+    @property
+    def velocity_map(self) -> np.ndarray:
+        """Velocity in the map frame, R(yaw) v = v exp(i yaw), as east + i north [m/s]."""
+        return self.velocity * np.exp(1j * self.yaw)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """Speed over ground [m/s]."""
+        return np.abs(self.velocity)
 
     @property
     def moves_sideways(self) -> bool:
@@ -111,9 +120,9 @@ def is_driven(motion: Motion) -> bool:
     windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     if len(windows) < MIN_DRIVEN_WINDOWS:
         return True
-    displacement = windows.change(motion.x) + 1j * windows.change(motion.y)
+    displacement = windows.change(motion.position)
     product = (displacement[1:] * np.conj(displacement[:-1]))[windows.are_adjacent]
-    speed = windows.mean(motion.time, motion.velocity_x)
+    speed = windows.mean(motion.velocity_x)
     noise = float(np.median(np.abs(np.diff(motion.velocity_x)))) / (0.6745 * np.sqrt(2.0))
     larger_speed = np.maximum(np.abs(displacement) / windows.change(motion.time), np.abs(speed))
     if np.sum(larger_speed > MIN_MOVING_SPEED) < MIN_DRIVEN_WINDOWS:
@@ -143,15 +152,24 @@ class Windows:
 
     first: np.ndarray  # index of the first sample
     last: np.ndarray  # index of the last sample
-    time: np.ndarray  # of the first sample [s]
+    sample_times: np.ndarray  # of all samples of the drive [s]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Start of each window [s]."""
+        return self.sample_times[self.first]
 
     def change(self, values: np.ndarray) -> np.ndarray:
         """Change from start to end of each window."""
         return values[self.last] - values[self.first]
 
-    def mean(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def integral(self, values: np.ndarray) -> np.ndarray:
+        """Integral over the time of each window."""
+        return self.change(integrate(self.sample_times, values))
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
         """Time average in each window."""
-        return self.change(integrate(time, values)) / self.change(time)
+        return self.integral(values) / self.change(self.sample_times)
 
     @property
     def are_adjacent(self) -> np.ndarray:
@@ -170,7 +188,7 @@ def make_windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) 
     gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
     complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
     first, last = first[complete], last[complete]
-    return Windows(first, last, time[first])
+    return Windows(first, last, time)
 
 
 def find_groups(is_last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,8 +228,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 def compute_ratios(motion: Motion, length: float = 1.0) -> Ratios:
     """Ratios of channels in windows of `length` [s]."""
     windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
-    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
-    integrated_speed = windows.change(integrate(motion.time, motion.speed))
+    displacement = windows.change(motion.position)
+    distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)
     integrated_rate = integrate(motion.time, motion.yaw_rate)
     moving = (distance > MIN_DISTANCE) | (integrated_speed > MIN_DISTANCE)
     weights, distance_ratio = integrated_speed[moving], np.nan
@@ -222,10 +240,10 @@ def compute_ratios(motion: Motion, length: float = 1.0) -> Ratios:
     if len(windows) < 2:
         return Ratios(distance_ratio, yaw_rate_ratio, np.nan, np.nan)
     # The course changes between the centres of adjacent windows; at standstill it is noise.
-    turn = np.diff(np.unwrap(np.arctan2(windows.change(motion.y), windows.change(motion.x))))
+    turn = np.diff(np.unwrap(np.angle(displacement)))
     both_moving = np.minimum(distance[1:], distance[:-1]) > max(0.3 * float(np.median(distance)), 1e-12)
     usable = windows.are_adjacent & both_moving & (np.abs(turn) < MAX_TURN)
-    yaw, rate = (np.diff(windows.mean(motion.time, values)) for values in (motion.yaw, integrated_rate))
+    yaw, rate = (np.diff(windows.mean(values)) for values in (motion.yaw, integrated_rate))
     return Ratios(distance_ratio, yaw_rate_ratio, _fit_slope(yaw[usable], turn[usable]),
                   _fit_slope(rate[usable], turn[usable]))
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
-from .motion import Motion, has_varying_speed, integrate, make_windows
+from .motion import Motion, has_varying_speed, make_windows
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 
 WINDOW = 1.0  # s
@@ -82,22 +82,17 @@ SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity
 def make_residual_regression(motion: Motion) -> Regression:
     """Regression of the residual of the identity on the effects of all causes, by window."""
     windows = make_windows(motion.time, WINDOW)
-
-    def integral(rate: np.ndarray) -> np.ndarray:
-        return windows.change(integrate(motion.time, rate))
-
     # Vectors in the map frame are complex: east + i north.
-    east, north = motion.velocity_map
-    velocity, heading = east + 1j * north, np.cos(motion.yaw) + 1j * np.sin(motion.yaw)
-    displacement, velocity_change = integral(velocity), windows.change(velocity)
+    velocity, heading = motion.velocity_map, np.exp(1j * motion.yaw)
+    displacement, velocity_change = windows.integral(velocity), windows.change(velocity)
     columns = {
         "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
         "velocity_scale": displacement, "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
-        "velocity_lag": velocity_change - integral(1j * motion.yaw_rate * velocity),
+        "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
         "position_reference": windows.change(heading),
-        "velocity_x_bias": -integral(heading), "velocity_y_bias": -1j * integral(heading),
+        "velocity_x_bias": -windows.integral(heading), "velocity_y_bias": -1j * windows.integral(heading),
     }
-    residual = windows.change(motion.x + 1j * motion.y) - displacement
+    residual = windows.change(motion.position) - displacement
     return Regression(windows.time, np.stack((residual.real, residual.imag), axis=1),
                       {name: np.stack((column.real, column.imag), axis=1) for name, column in columns.items()})
 
@@ -293,8 +288,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
 def make_distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     """Distance per second in the recorded units, for a figure. removed: factors already divided out, by finding."""
     windows = make_windows(motion.time, WINDOW)
-    derived = np.hypot(*(windows.change(integrate(motion.time, v)) for v in motion.velocity_map))
-    measured = np.hypot(windows.change(motion.x), windows.change(motion.y))
+    measured, derived = np.abs(windows.change(motion.position)), np.abs(windows.integral(motion.velocity_map))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
                       "from velocity and yaw", windows.time, measured * removed.get("position_scale", 1.0),
                       derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),

@@ -286,7 +286,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     if inside.sum() < 3:
         return False
     if name in ("x", "y", "yaw"):
-        rate = {"x": motion.velocity_map[0], "y": motion.velocity_map[1], "yaw": motion.yaw_rate}[name][inside]
+        rate = {"x": motion.velocity_map.real, "y": motion.velocity_map.imag, "yaw": motion.yaw_rate}[name][inside]
         bias = MAX_GYRO_BIAS if name == "yaw" else 0.0
         change = max(abs(float(rate.mean())) - bias, 0.0) * (end - begin)
         return change > max(3.0 * step, 0.05 if name == "yaw" else 1.0)

@@ -33,11 +33,9 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
     if len(motion.time) < MIN_STEPS:
         return motion, []
-    east, north = motion.velocity_map
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
-    errors = (np.diff(motion.x) - np.diff(integrate(motion.time, east))
-              + 1j * (np.diff(motion.y) - np.diff(integrate(motion.time, north))))
-    speed, to_track = np.hypot(east, north)[1:], np.exp(-1j * np.arctan2(north, east)[1:])  # rotation into the track
+    errors = np.diff(motion.position) - np.diff(integrate(motion.time, motion.velocity_map))
+    speed, to_track = motion.speed[1:], np.exp(-1j * np.angle(motion.velocity_map[1:]))  # rotation into the track
     along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)
     if jitter:

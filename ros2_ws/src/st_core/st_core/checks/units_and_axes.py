@@ -184,8 +184,7 @@ def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
 def _positions_follow_yaw(motion: Motion) -> bool:
     """Whether positions agree with yaw and velocity, apart from a constant rotation and a scale of velocity."""
     windows = make_windows(motion.time, 1.0)
-    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
-    integrated = windows.change(integrate(motion.time, motion.speed))
+    distance, integrated = np.abs(windows.change(motion.position)), windows.integral(motion.speed)
     if len(windows) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
         return False
     factor = float(np.sum(distance) / max(np.sum(integrated), 1e-12))
@@ -225,7 +224,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
     ratios = compute_ratios(motion)
     if not (_matches(ratios.yaw_course, -1.0) and _matches(ratios.yaw_rate, 1.0)):
         return motion, None
-    measured, derived = _compute_displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
     if motion.geographic and quarter % 2:  # even: a longitude that counts west, or a latitude that counts south
@@ -271,16 +270,15 @@ def _correct_distance(motion: Motion) -> Corrected:
     return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, ratio, both)
 
 
-def _compute_displacements(motion: Motion, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
     windows = make_windows(motion.time, 1.0)
-    return (windows.change(motion.x) + 1j * windows.change(motion.y),
-            windows.change(integrate(motion.time, east)) + 1j * windows.change(integrate(motion.time, north)))
+    return windows.change(motion.position), windows.integral(velocity)
 
 
 def _compute_misfit(motion: Motion) -> float:
     """Median distance [m] between change of position and integrated velocity per second, after the best rotation."""
-    measured, derived = _compute_displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, motion.velocity_map)
     rotation = np.sum(measured * np.conj(derived))
     rotation /= max(abs(rotation), 1e-300)
     return float(np.median(np.abs(measured - derived * rotation))) if len(measured) else 0.0
@@ -288,7 +286,7 @@ def _compute_misfit(motion: Motion) -> float:
 
 def _correct_velocity_axes(motion: Motion) -> Corrected:
     """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
-    measured, unrotated = _compute_displacements(motion, motion.velocity_x, motion.velocity_y)
+    measured, unrotated = _compute_displacements(motion, motion.velocity)
     if len(measured) < MIN_WINDOWS:
         return motion, None
     # In the map frame, velocity_x is the velocity to the east, or to the north.
@@ -300,15 +298,15 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
     max_misfit = MAX_MAP_MISFIT * distance
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (
             misfit < MAX_MAP_MISFIT * _compute_misfit(motion)):
-        velocity = motion.velocity_x + 1j * motion.velocity_y
-        body = (1j * velocity.conj() if is_north_first else velocity) * np.exp(-1j * motion.yaw)
+        velocity = 1j * motion.velocity.conj() if is_north_first else motion.velocity
+        body = velocity * np.exp(-1j * motion.yaw)
         axes = "north and east" if is_north_first else "east and north"
         text = f"velocity_x and velocity_y are in the map frame, {axes}: the body frame is expected"
         advice = Advice("look", "rotate them by yaw: velocity_x = cos(yaw) east + sin(yaw) north, "
                         "velocity_y = cos(yaw) north - sin(yaw) east")
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and motion.moves_sideways and float(
-            np.median(np.abs(measured - _compute_displacements(exchanged, *exchanged.velocity_map)[1]))) <= max_misfit:
+            np.median(np.abs(measured - _compute_displacements(exchanged, exchanged.velocity_map)[1]))) <= max_misfit:
         text, advice = "velocity_x and velocity_y are exchanged (x is forward, y left)", exchange
     else:
         return motion, None
@@ -317,7 +315,7 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
 
 def _correct_yaw_offset(motion: Motion) -> Corrected:
     """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
-    measured, derived = _compute_displacements(motion, *motion.velocity_map)
+    measured, derived = _compute_displacements(motion, motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
     if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or (

@@ -221,7 +221,7 @@ def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Est
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     """Check the alignment of the heading and the position of the INS point against the motion of the rear axle."""
     windows = make_windows(motion.time, WINDOW)
-    means = [windows.mean(motion.time, values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
+    means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
     if usable.sum() < MIN_REAR_AXLE_WINDOWS:
         return [], {}, None
@@ -295,7 +295,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
 def check_tyre_limit(motion: Motion) -> list[Finding]:
     """Finding of a sustained lateral acceleration above the limit of road tyres."""
     windows = make_windows(motion.time, WINDOW)
-    lateral = windows.mean(motion.time, motion.velocity_x * motion.yaw_rate)
+    lateral = windows.mean(motion.velocity_x * motion.yaw_rate)
     impossible = np.abs(lateral) > LIMITS.lateral_acceleration
     if impossible.sum() < 2:
         return []
@@ -310,12 +310,12 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
 def check_standstill(motion: Motion) -> list[Finding]:
     """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
     windows = make_windows(motion.time, STANDSTILL_WINDOW)
-    distance = np.hypot(windows.change(motion.x), windows.change(motion.y))
+    distance = np.abs(windows.change(motion.position))
     still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)
     findings = []
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
                                         ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
-        means = windows.mean(motion.time, values)[still]
+        means = windows.mean(values)[still]
         value = float(np.median(means)) if len(means) >= 2 else 0.0
         if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"

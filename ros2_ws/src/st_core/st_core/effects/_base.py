@@ -131,19 +131,21 @@ class Effect:
             addition to the acceleration of the car
         observe(measured, theta) -> Measured with the readings for true values; correct(measured, theta): the inverse
 
-    name: unique. physics: the equation in one line, with the sign. excited_by: driving that makes it observable. kind:
-    one of EFFECT_KINDS. slot: one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it
-    (one of the two may name the other), by sensitivity vectors of a single-track car on circle, step, sweep and limit.
-    needs: channels required to observe and separate it. members: effects that it combines. combinations: keys of
-    COMBINATIONS that it changes. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one
-    is observable. at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models.
-    converts: (from, to) base model, if it turns one into another. extra_units: units of `extra_states`. costly: whether
-    it evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds it only
-    in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the
-    effects with the same hook, lowest first.
+    name: unique; default: the name of its file. parameters: a tuple, or parameter if there is only one. physics: the
+    equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
+    one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (one of the two may name the
+    other), by sensitivity vectors of a single-track car on circle, step, sweep and limit. needs: channels required to
+    observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS that it changes.
+    ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force:
+    whether it is observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base
+    model, if it turns one into another. extra_units: units of `extra_states`. costly: whether it evaluates the tyres
+    again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
+    since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
+    same hook, lowest first.
     """
 
     name: ClassVar[str]
+    parameter: ClassVar[Parameter]
     physics: ClassVar[str]
     excited_by: ClassVar[str]
     kind: ClassVar[str]
@@ -179,9 +181,13 @@ UNLISTED: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
     """Class decorator: checks an effect and adds it to EFFECTS. Raises ConfigurationError naming effect and problem."""
-    name = effect.__dict__.get("name")
+    name = effect.__dict__.get("name", effect.__module__.rpartition(".")[2])
     if not issubclass(effect, Effect) or not isinstance(name, str) or not re.fullmatch("[a-z][a-z0-9_]*", name):
-        raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _")
+        raise ConfigurationError(f"{effect.__qualname__}: must be a subclass of Effect with a name of a-z, 0-9 and _; "
+                                 "without a name, it has that of its file")
+    effect.name = name
+    if "parameter" in effect.__dict__:
+        effect.parameters = (effect.parameter,)
     if existing := EFFECTS.get(name) or UNLISTED.get(name):
         raise ConfigurationError(f"effect {name}: already registered by {find_source_file(existing)}")
     for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
@@ -217,7 +223,7 @@ def _check_missing(effect: type[Effect]) -> Iterator[str]:
         elif getattr(effect, key) not in choices:
             yield f"{key} {getattr(effect, key)!r} is not one of {', '.join(choices)}"
     if isinstance(getattr(effect, "parameters", None), Parameter):
-        yield "parameters must be a tuple, even of one parameter: (Parameter(...),)"
+        yield "parameters must be a tuple; declare one parameter by parameter = Parameter(...)"
     elif not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "it has no parameter that can be fitted"
     if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):

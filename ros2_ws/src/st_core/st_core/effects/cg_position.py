@@ -7,17 +7,15 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class CgPosition(Effect):
-    name = "cg_position"
     physics = "l_f = l_f of the file - shift, l_r = l_r of the file + shift"
     excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
     combinations = ("rear cornering stiffness over mass", "stability factor K")
     applies_to = ANY
-    parameters = (
-        Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
-                  meaning="CG further forward than in the file", source="a load in the boot moves it by 0.1-0.2 m"),
-    )
+    parameter = Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
+                          meaning="CG further forward than in the file",
+                          source="a load in the boot moves it by 0.1-0.2 m")
 
     @staticmethod
     def vehicle(vehicle, theta):

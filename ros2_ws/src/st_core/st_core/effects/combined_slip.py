@@ -51,17 +51,14 @@ def compute_lateral_factor(force, peak, share):
 
 @register
 class CombinedSlip(Effect):
-    name = "combined_slip"
     physics = "F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2)) per axle, F_x from the forward motion"
     excited_by = "braking or power in turns; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
     confounded_with = ("steered_drive_force", "longitudinal_load_transfer")
     prepared = ("peak_front", "peak_rear")
     order = 80
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the full ellipse",
-                  source="theory", theory=1.0),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: the full ellipse",
+                          source="theory", theory=1.0)
 
     @staticmethod
     def constants(vehicle):

@@ -29,7 +29,6 @@ def compute_flow_term(along, across):
 
 @register
 class Crosswind(Effect):
-    name = "crosswind"
     physics = "side force rho/2 side_area abs(u) u_y at side_force_arm ahead of the CG, u: air relative to the car"
     excited_by = "straight driving in two directions; two speeds separate it from a steering offset"
     kind, slot = "surroundings", "body"

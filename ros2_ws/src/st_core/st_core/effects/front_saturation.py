@@ -8,11 +8,9 @@ for a Magic Formula with C = 1.3, E = -3).
 from ..ops import sqrt
 from ._base import Effect, Parameter, register
 
-PARAMETERS = (
-    Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
-              meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
-              source="mu of 0.25 to infinity; dry asphalt 0.8-1.2, so 0.7-1.6"),
-)
+SATURATION = Parameter("saturation", "1", null=0.0, initial=1.0, bounds=(0.0, 16.0),
+                       meaning="squared ratio of static load to the axle's largest force: 1 / mu^2",
+                       source="mu of 0.25 to infinity; dry asphalt 0.8-1.2, so 0.7-1.6")
 
 
 def saturate(force, load, saturation):
@@ -24,14 +22,13 @@ def saturate(force, load, saturation):
 
 @register
 class FrontSaturation(Effect):
-    name = "front_saturation"
     physics = "F_f = F / (1 + s u^2 + s^2 u^4)^(1/4), F = -C_f alpha, u = F / static load; limit F_z / sqrt(s)"
     excited_by = "cornering above 4 m/s^2"
     kind, slot = "physics", "front axle"
     confounded_with = ("tyre_saturation", "front_stiffness", "steering_compliance")
     applies_to = frozenset(("linear",))
     order = 10
-    parameters = PARAMETERS
+    parameter = SATURATION
 
     @staticmethod
     def constants(vehicle):

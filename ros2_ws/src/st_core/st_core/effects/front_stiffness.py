@@ -21,14 +21,13 @@ def scale_stiffness(vehicle, axle, factor):
 
 @register
 class FrontStiffness(Effect):
-    name = "front_stiffness"
     physics = "C_f = factor C_f of the file, peak force unchanged"
     excited_by = "cornering at two speeds, or transients; at one steady speed not separable from a steering gain"
     kind, slot = "vehicle parameters", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "roll_steer", "mass", "friction", "tyre_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (make_stiffness_parameter(0.9),)
+    parameter = make_stiffness_parameter(0.9)
 
     @staticmethod
     def vehicle(vehicle, theta):

@@ -16,7 +16,6 @@ def rotate(measured, yaw, angle):
 
 @register
 class HeadingMisalignment(Effect):
-    name = "heading_misalignment"
     physics = "measured yaw = yaw + angle, velocity and acceleration in the rotated axes; position unchanged"
     excited_by = "straight driving: v_y of the INS is -angle v_x"
     kind, slot = "sensors", "heading"
@@ -24,11 +23,9 @@ class HeadingMisalignment(Effect):
     needs = ("velocity_y",)  # without it, yaw may be the course, which hides the misalignment
     applies_to = ANY
     order = 10
-    parameters = (
-        Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                  meaning="reported heading too far to the left", source="mounting by eye: 1-2 deg",
-                  identity="heading_misaligned"),
-    )
+    parameter = Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                          meaning="reported heading too far to the left", source="mounting by eye: 1-2 deg",
+                          identity="heading_misaligned")
 
     @staticmethod
     def observe(measured, theta):

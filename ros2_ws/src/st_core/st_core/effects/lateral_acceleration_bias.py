@@ -5,7 +5,6 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class LateralAccelerationBias(Effect):
-    name = "lateral_acceleration_bias"
     physics = "measured a_y = a_y + bias"
     excited_by = ("any driving with the lateral acceleration recorded; to separate it from road bank, the same road "
                   "in both directions")
@@ -14,11 +13,9 @@ class LateralAccelerationBias(Effect):
     confounded_with = ("road_bank", "crosswind")
     applies_to = ANY
     order = 60
-    parameters = (
-        Parameter("bias", "m/s^2", null=0.0, initial=0.1, bounds=(-2.0, 2.0), odd=True,
-                  meaning="bias of the reading, left +",
-                  source="a sensor tilted by 1 deg reads 0.17 m/s^2", identity="acceleration_y_bias"),
-    )
+    parameter = Parameter("bias", "m/s^2", null=0.0, initial=0.1, bounds=(-2.0, 2.0), odd=True,
+                          meaning="bias of the reading, left +", source="a sensor tilted by 1 deg reads 0.17 m/s^2",
+                          identity="acceleration_y_bias")
 
     @staticmethod
     def observe(measured, theta):

@@ -33,7 +33,6 @@ def compute_tyre_forces(slip, load, transfer, tyre):
 
 @register
 class LateralLoadTransfer(Effect):
-    name = "lateral_load_transfer"
     physics = ("F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track; "
                "M_z = -track/2 sin(delta) dF_y of the front")
     excited_by = "cornering to the limit, transients; not observable below 0.4 g"
@@ -43,10 +42,8 @@ class LateralLoadTransfer(Effect):
     prepared = ("load_front", "load_rear")
     costly = True
     order = 20
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="ratio to m a_y h / track",
-                  source="theory: 1"),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 2.0), meaning="ratio to m a_y h / track",
+                          source="theory: 1")
 
     @staticmethod
     def constants(vehicle):

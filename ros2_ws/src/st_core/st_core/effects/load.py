@@ -13,17 +13,14 @@ from ._base import Effect, Parameter, register
 
 @register
 class Load(Effect):
-    name = "load"
     physics = "m = m of the file + a load over the rear axle, which also changes CG and yaw inertia"
     excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass", "stability factor K")
-    parameters = (
-        Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
-                  meaning="mass of a load over the rear axle",
-                  source="payload: passenger cars 400-550 kg (two deviations), vans 800 kg", deviation=250.0),
-    )
+    parameter = Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
+                          meaning="mass of a load over the rear axle",
+                          source="payload: passenger cars 400-550 kg (two deviations), vans 800 kg", deviation=250.0)
 
     @staticmethod
     def vehicle(vehicle, theta):

@@ -21,7 +21,6 @@ def compute_force_change(slip, before, after, tyre):
 
 @register
 class LongitudinalLoadTransfer(Effect):
-    name = "longitudinal_load_transfer"
     physics = "load transfer m height a_x / l from front to rear axle; the Magic Formula gives the change of force"
     excited_by = "braking and power in turns"
     kind, slot = "physics", "both axles"
@@ -30,11 +29,9 @@ class LongitudinalLoadTransfer(Effect):
                      for coefficient in "bde")
     costly = True
     order = 70
-    parameters = (
-        Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
-                  meaning="CG height in excess of the base model's", source="CG of passenger cars 0.4-0.8 m",
-                  quantity="cg_height"),
-    )
+    parameter = Parameter("height", "m", null=0.0, initial=0.4, bounds=(-0.6, 1.2),
+                          meaning="CG height in excess of the base model's", source="CG of passenger cars 0.4-0.8 m",
+                          quantity="cg_height")
 
     constants = staticmethod(tyre_parameters)
 

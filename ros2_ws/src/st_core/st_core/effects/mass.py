@@ -7,16 +7,14 @@ from ._base import Effect, Parameter, register
 
 @register
 class Mass(Effect):
-    name = "mass"
     physics = "m = factor m of the file"
     excited_by = "cornering; observable only relative to yaw_inertia if forces are proportional to load: weigh the car"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("yaw_inertia", "tyre_stiffness", "front_stiffness", "rear_stiffness")
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass")
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0), meaning="ratio of true mass to the file's",
-                  source="empty to fully laden: passenger cars 1.4, vans 2"),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.1, bounds=(0.6, 2.0),
+                          meaning="ratio of true mass to the file's",
+                          source="empty to fully laden: passenger cars 1.4, vans 2")
 
     @staticmethod
     def vehicle(vehicle, theta):

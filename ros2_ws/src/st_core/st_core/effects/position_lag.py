@@ -18,17 +18,15 @@ def extrapolate(measured, time):
 
 @register
 class PositionLag(Effect):
-    name = "position_lag"
     physics = "measured (x, y) = (x, y) - time * ground velocity; yaw and velocity are unaffected"
     excited_by = "any change of velocity over ground with position fixes: turns, braking"
     kind, slot = "sensors", "position"
     needs = ("position",)
     applies_to = ANY
     order = 5
-    parameters = (
-        Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5), meaning="delay of the position, lag +",
-                  source="satellite receivers 0.05-0.2 s", identity="position_lag"),
-    )
+    parameter = Parameter("time", "s", null=0.0, initial=0.05, bounds=(-0.2, 0.5),
+                          meaning="delay of the position, lag +", source="satellite receivers 0.05-0.2 s",
+                          identity="position_lag")
 
     @staticmethod
     def observe(measured, theta):

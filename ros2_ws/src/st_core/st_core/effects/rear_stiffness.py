@@ -6,14 +6,13 @@ from .front_stiffness import make_stiffness_parameter, scale_stiffness
 
 @register
 class RearStiffness(Effect):
-    name = "rear_stiffness"
     physics = "C_r = factor C_r of the file, peak force unchanged"
     excited_by = "cornering with measured sideslip, and steering sweeps (yaw damping)"
     kind, slot = "vehicle parameters", "rear axle"
     confounded_with = ("front_stiffness", "cg_position", "friction", "tyre_stiffness")
     combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     ratio_to = "mass"
-    parameters = (make_stiffness_parameter(0.85),)
+    parameter = make_stiffness_parameter(0.85)
 
     @staticmethod
     def vehicle(vehicle, theta):

@@ -11,16 +11,13 @@ from ._base import Effect, Parameter, register
 
 @register
 class RoadBank(Effect):
-    name = "road_bank"
     physics = "a_y = -g sin(angle) on the car, not measured by an accelerometer"
     excited_by = "straight driving with an accelerometer; the same road in both directions"
     kind, slot = "surroundings", "body"
     confounded_with = ("crosswind", "road_slope", "lateral_acceleration_bias", "steering_offset")
-    parameters = (
-        Parameter("angle", "rad", null=0.0, initial=0.02, bounds=(-0.3, 0.3), odd=True,
-                  meaning="road rises to the left of the car",
-                  source="crossfall 0.025, motorway curves 0.07, tracks 0.3"),
-    )
+    parameter = Parameter("angle", "rad", null=0.0, initial=0.02, bounds=(-0.3, 0.3), odd=True,
+                          meaning="road rises to the left of the car",
+                          source="crossfall 0.025, motorway curves 0.07, tracks 0.3")
 
     @staticmethod
     def acceleration(instant, prepared, theta):

@@ -18,7 +18,6 @@ def compute_slope(instant, theta):
 
 @register
 class RoadSlope(Effect):
-    name = "road_slope"
     physics = "a_y = -g (sin(slope_y) cos(yaw) - sin(slope_x) sin(yaw)) on the car, not measured by an accelerometer"
     excited_by = "the same place in two directions, with an accelerometer: it measures the force of wind, not gravity"
     kind, slot = "surroundings", "body"

@@ -15,7 +15,6 @@ TWO_PI = 6.283185307179586
 
 @register
 class RollSteer(Effect):
-    name = "roll_steer"
     physics = "delta = delta_measured - gradient a_y, delayed by body roll; adds gradient to the understeer gradient"
     excited_by = "sweeps, in which the roll lags; in steady cornering not separable from a softer front axle"
     kind, slot = "physics", "front axle"

@@ -7,7 +7,6 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class SensorLeverArm(Effect):
-    name = "sensor_lever_arm"
     physics = "INS point = point of the file + (x, y) in body axes; its v_y increases by r x, its v_x by -r y"
     excited_by = "tight turns to both sides; v_y of the INS depends on x, v_x on y"
     kind, slot = "sensors", "position"

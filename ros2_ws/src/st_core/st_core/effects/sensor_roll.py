@@ -21,7 +21,6 @@ def displace(measured, shift, speed):
 
 @register
 class SensorRoll(Effect):
-    name = "sensor_roll"
     physics = "INS point moves by shift a_y to the outside of the bend as the body rolls, so v_y by -shift v_x r_dot"
     excited_by = "sweeps and quickly entered bends: v_y of the INS has a step at their beginning"
     kind, slot = "sensors", "position"
@@ -30,11 +29,10 @@ class SensorRoll(Effect):
     applies_to = ANY
     forward_only = True
     order = 5  # the point moves before the errors of its readings are added
-    parameters = (
-        Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
-                  meaning="outward per lateral acceleration: height above the roll axis times roll gradient",
-                  source="roll 0.3-0.8 deg per m/s^2; 0.3 m above the roll axis (seat) to 1.5 m (roof of a van)"),
-    )
+    parameter = Parameter("shift", "m s^2/m", null=0.0, initial=0.005, bounds=(-0.005, 0.04),
+                          meaning="outward per lateral acceleration: height above the roll axis times roll gradient",
+                          source="roll 0.3-0.8 deg per m/s^2; 0.3 m above the roll axis (seat) to 1.5 m (roof of a "
+                                 "van)")
 
     @staticmethod
     def observe(measured, theta):

@@ -5,7 +5,6 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class SpeedScale(Effect):
-    name = "speed_scale"
     physics = "measured v_x, v_y = factor v_x, factor v_y; positions unchanged"
     excited_by = "any driving with position fixes: distance versus speed"
     kind, slot = "sensors", "velocity"
@@ -13,10 +12,9 @@ class SpeedScale(Effect):
     confounded_with = ("steering_ratio", "yaw_rate_scale")
     applies_to = ANY
     order = 40
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",
-                  source="wheel speeds with worn tyres: 2-4 %", identity="velocity_scale"),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25),
+                          meaning="ratio of measured to true", source="wheel speeds with worn tyres: 2-4 %",
+                          identity="velocity_scale")
 
     @staticmethod
     def observe(measured, theta):

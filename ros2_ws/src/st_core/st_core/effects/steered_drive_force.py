@@ -10,15 +10,13 @@ from .combined_slip import compute_drive_forces, select_drive_parameters
 
 @register
 class SteeredDriveForce(Effect):
-    name = "steered_drive_force"
     physics = "F_y of the front axle + share F_x,front sin delta, F_x from the forward motion"
     excited_by = "braking or power with the wheels turned: tight turns"
     kind, slot = "physics", "front axle"
     confounded_with = ("combined_slip", "longitudinal_load_transfer")
     order = 85
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: full force", source="theory: 1"),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.5), meaning="1: full force",
+                          source="theory: 1")
 
     constants = staticmethod(select_drive_parameters)
 

@@ -34,18 +34,16 @@ def compose_clamps(earlier: Maps, later: Maps) -> Maps:
 
 @register
 class SteeringBacklash(Effect):
-    name = "steering_backlash"
     physics = "delta stays until delta_measured leaves delta +- play / 2, then follows it at that distance"
     excited_by = "small steering reversals around straight ahead; not observable at large amplitudes"
     kind, slot = "physics", "steering"
     confounded_with = ("steering_delay", "steering_lag", "steering_ratio")
     applies_to = ANY
     order = 20
-    parameters = (
-        Parameter("play", "rad", null=0.0, initial=0.003, bounds=(0.0, 0.02),
-                  meaning="total play, as an angle of the road wheels",
-                  source="0.02 rad is 20 deg at a steering wheel with ratio 17, twice the limit of vehicle tests"),
-    )
+    parameter = Parameter("play", "rad", null=0.0, initial=0.003, bounds=(0.0, 0.02),
+                          meaning="total play, as an angle of the road wheels",
+                          source="0.02 rad is 20 deg at a steering wheel with ratio 17, twice the limit of vehicle "
+                                 "tests")
 
     @staticmethod
     def steering(time, angle, begins, theta):

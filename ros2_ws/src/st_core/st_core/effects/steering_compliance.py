@@ -9,7 +9,6 @@ from ._base import Effect, Parameter, register
 
 @register
 class SteeringCompliance(Effect):
-    name = "steering_compliance"
     physics = "delta = delta_measured - compliance F_front; increases the understeer gradient by compliance m l_r / l"
     excited_by = "cornering near the limit; identical to a softer front axle below 0.4 g"
     kind, slot = "physics", "front axle"
@@ -17,11 +16,9 @@ class SteeringCompliance(Effect):
     combinations = ("front cornering stiffness over mass",)
     costly = True
     order = 83  # before steered_drive_force, so that only the tyre force deflects the suspension
-    parameters = (
-        Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
-                  meaning="steer angle towards the outside of the turn per lateral force of the front axle",
-                  source="kinematics and compliance tests: 0.05-0.2 deg/kN per axle"),
-    )
+    parameter = Parameter("compliance", "rad/N", null=0.0, initial=1.0e-6, bounds=(0.0, 1.0e-5),
+                          meaning="steer angle towards the outside of the turn per lateral force of the front axle",
+                          source="kinematics and compliance tests: 0.05-0.2 deg/kN per axle")
 
     @staticmethod
     def constants(vehicle):

@@ -8,7 +8,6 @@ from ._base import ANY, TOTAL_DELAY, Effect, Parameter, register
 
 @register
 class SteeringDelay(Effect):
-    name = "steering_delay"
     physics = "delta(t) = delta_measured(t - time): dead time, or stamps of two different clocks"
     excited_by = "sweeps to 2.5 Hz and steps; content above 1 / (2 pi time) separates it from a lag"
     kind, slot = "physics", "steering"
@@ -16,11 +15,10 @@ class SteeringDelay(Effect):
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 10
-    parameters = (
-        Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
-                  meaning="delay of the wheels behind the measured angle",
-                  source="buses and filters cause up to 0.2 s; no steering has a delay of 0.5 s", model_error=0.004),
-    )
+    parameter = Parameter("time", "s", null=0.0, initial=0.04, bounds=(-0.2, 0.5),
+                          meaning="delay of the wheels behind the measured angle",
+                          source="buses and filters cause up to 0.2 s; no steering has a delay of 0.5 s",
+                          model_error=0.004)
 
     @staticmethod
     def steering(time, angle, begins, theta):

@@ -12,7 +12,6 @@ from .steering_backlash import compose_affine, scan
 
 @register
 class SteeringLag(Effect):
-    name = "steering_lag"
     physics = "time_constant delta_dot = delta_measured - delta: column, actuator, or low-pass filter of the sensor"
     excited_by = "sweeps to 2.5 Hz and steps"
     kind, slot = "physics", "steering"
@@ -20,10 +19,10 @@ class SteeringLag(Effect):
     combinations = (TOTAL_DELAY,)
     applies_to = ANY
     order = 30
-    parameters = (
-        Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5), meaning="time to 63 % of a step",
-                  source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s", model_error=0.004),
-    )
+    parameter = Parameter("time_constant", "s", null=0.0, initial=0.06, bounds=(0.0, 0.5),
+                          meaning="time to 63 % of a step",
+                          source="power steering 0.03-0.1 s; the lag estimator of openpilot allows 0.5 s",
+                          model_error=0.004)
 
     @staticmethod
     def steering(time, angle, begins, theta):

@@ -7,18 +7,15 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class SteeringOffset(Effect):
-    name = "steering_offset"
     physics = "delta = delta_measured + angle, due to the sensor or the linkage"
     excited_by = "any driving, also straight; two speeds separate it from wind, since its yaw rate increases with speed"
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("crosswind", "road_bank", "heading_misalignment")
     applies_to = ANY
     order = 60
-    parameters = (
-        Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                  meaning="road wheel angle at a measured angle of zero, left +",
-                  source="0.1 rad is 100 deg at a steering wheel with ratio 17, more than any assembly error"),
-    )
+    parameter = Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                          meaning="road wheel angle at a measured angle of zero, left +",
+                          source="0.1 rad is 100 deg at a steering wheel with ratio 17, more than any assembly error")
 
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):

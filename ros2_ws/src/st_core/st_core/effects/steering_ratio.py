@@ -7,7 +7,6 @@ from ._base import ANY, Effect, Parameter, register
 
 @register
 class SteeringRatio(Effect):
-    name = "steering_ratio"
     physics = "delta = delta_measured / factor: a larger true ratio turns the wheels less"
     excited_by = "transients or two speeds; at one steady speed not separable from front stiffness"
     kind, slot = "vehicle parameters", "steering"
@@ -15,10 +14,9 @@ class SteeringRatio(Effect):
     combinations = ("steady-state yaw gain at 20 m/s",)
     applies_to = ANY
     order = 40
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0), meaning="true steering ratio / the file's",
-                  source="identified ratios of one car type vary by 10-20 % in fleets", model_error=0.009),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0),
+                          meaning="true steering ratio / the file's",
+                          source="identified ratios of one car type vary by 10-20 % in fleets", model_error=0.009)
 
     @staticmethod
     def inputs(road_wheel_angle, velocity_x_dot, signals, theta):

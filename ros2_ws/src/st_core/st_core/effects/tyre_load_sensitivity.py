@@ -23,19 +23,16 @@ def _scale_peak_stiffness_load(tyre, static_load, factor):
 
 @register
 class TyreLoadSensitivity(Effect):
-    name = "tyre_load_sensitivity"
     physics = "K(F_z) with p_ky2 times factor, K at static load unchanged, both axles; > 1: K more proportional to F_z"
     excited_by = "braking and power in turns; a load transfer of at least 10 %"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load
     order = 40  # before mass and cg_position, because the file's stiffness applies at the file's load
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
-                  meaning="ratio of the load at maximum stiffness to the file's",
-                  source="published passenger tyres: p_ky2 1.0 to 2.8; at 5, K is proportional to load within 5 %",
-                  shape=True),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
+                          meaning="ratio of the load at maximum stiffness to the file's",
+                          source="published passenger tyres: p_ky2 1.0 to 2.8; at 5, K is proportional to load within "
+                                 "5 %", shape=True)
 
     @staticmethod
     def vehicle(vehicle, theta):

@@ -14,7 +14,6 @@ MIN_TIME_CONSTANT = 0.025  # s; RK4 with 50 ms steps is stable down to 18 ms
 
 @register
 class TyreRelaxation(Effect):
-    name = "tyre_relaxation"
     physics = "force from alpha', length / v d(alpha')/dt = alpha - alpha', both axles"
     excited_by = "sweeps at two speeds, one half of the other: the delay is length / v"
     kind, slot = "physics", "both axles"
@@ -22,11 +21,9 @@ class TyreRelaxation(Effect):
     extra_states = ("slip_front", "slip_rear")
     extra_units = ("rad", "rad")
     order = 40
-    parameters = (
-        Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
-                  meaning="distance rolled to 63 % of the force after a slip step",
-                  source="passenger tyres 0.2-0.8 m, more at high load", model_error=0.35),
-    )
+    parameter = Parameter("length", "m", null=0.0, initial=0.4, bounds=(0.0, 1.5),
+                          meaning="distance rolled to 63 % of the force after a slip step",
+                          source="passenger tyres 0.2-0.8 m, more at high load", model_error=0.35)
 
     @staticmethod
     def constants(vehicle):

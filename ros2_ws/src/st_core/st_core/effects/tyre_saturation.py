@@ -8,7 +8,6 @@ from ._base import Effect, Parameter, register
 
 @register
 class TyreSaturation(Effect):
-    name = "tyre_saturation"
     physics = "F_y = (1 - share) (-C alpha) + share F_MF(alpha), F_MF: Magic Formula of the vehicle file"
     excited_by = "cornering above 4 m/s^2"
     kind, slot = "physics", "both axles"
@@ -18,10 +17,8 @@ class TyreSaturation(Effect):
     prepared = ("b_front", "d_front", "e_front", "b_rear", "d_rear", "e_rear")
     costly = True
     order = 10
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
-                  source="theory", theory=1.0),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0),
+                          meaning="1: tyres as in the vehicle file", source="theory", theory=1.0)
 
     constants = staticmethod(tyre_parameters)
 

@@ -10,17 +10,14 @@ from ._base import Effect, Parameter, register
 
 @register
 class TyreSlip(Effect):
-    name = "tyre_slip"
     physics = "derivative = (1 - share) kinematic + share dynamic, single-track car with F_y = -C alpha"
     excited_by = "cornering above 2 m/s^2"
     kind, slot = "physics", "both axles"
     applies_to = frozenset(("kinematic",))
     converts = ("kinematic", "linear")
     prepared = ("sine", "cosine", "velocity_x_dot")
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0), meaning="1: tyres as in the vehicle file",
-                  source="theory", theory=1.0),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(0.0, 1.0),
+                          meaning="1: tyres as in the vehicle file", source="theory", theory=1.0)
 
     constants = staticmethod(linear_parameters)
 

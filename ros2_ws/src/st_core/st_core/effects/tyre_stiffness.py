@@ -6,14 +6,13 @@ from .front_stiffness import make_stiffness_parameter, scale_stiffness
 
 @register
 class TyreStiffness(Effect):
-    name = "tyre_stiffness"
     physics = "C_f = factor C_f, C_r = factor C_r of the file, peak forces unchanged"
     excited_by = "cornering with measured sideslip, steering sweeps; observable only relative to mass and yaw_inertia"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("mass", "front_stiffness", "rear_stiffness", "cg_position")
     ratio_to = "mass"
     members = ("front_stiffness", "rear_stiffness")
-    parameters = (make_stiffness_parameter(0.85),)
+    parameter = make_stiffness_parameter(0.85)
 
     @staticmethod
     def vehicle(vehicle, theta):

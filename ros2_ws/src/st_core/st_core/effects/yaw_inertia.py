@@ -7,17 +7,14 @@ from ._base import Effect, Parameter, register
 
 @register
 class YawInertia(Effect):
-    name = "yaw_inertia"
     physics = "I_z = factor I_z of the file"
     excited_by = "sweeps and sine with dwell; not observable in steady cornering"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "steering_lag", "tyre_relaxation")
     ratio_to = "mass"
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
-                  meaning="ratio of true inertia to the file's",
-                  source="estimates from mass and wheelbase are accurate to 20 %", model_error=0.16),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.15, bounds=(0.4, 2.5),
+                          meaning="ratio of true inertia to the file's",
+                          source="estimates from mass and wheelbase are accurate to 20 %", model_error=0.16)
 
     @staticmethod
     def vehicle(vehicle, theta):

@@ -5,18 +5,15 @@ from ._base import Effect, Parameter, register
 
 @register
 class YawRateBias(Effect):
-    name = "yaw_rate_bias"
     physics = "measured r = r + bias; the heading of the INS is unchanged"
     excited_by = "any driving, also straight, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     confounded_with = ("steering_offset", "crosswind")
     order = 60
-    parameters = (
-        Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                  meaning="bias of the reading, left turn +",
-                  source="automotive yaw rate sensors: 0.5-3 deg/s over temperature", identity="yaw_rate_bias"),
-    )
+    parameter = Parameter("bias", "rad/s", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
+                          meaning="bias of the reading, left turn +",
+                          source="automotive yaw rate sensors: 0.5-3 deg/s over temperature", identity="yaw_rate_bias")
 
     @staticmethod
     def observe(measured, theta):

@@ -5,17 +5,14 @@ from ._base import Effect, Parameter, register
 
 @register
 class YawRateScale(Effect):
-    name = "yaw_rate_scale"
     physics = "measured r = factor r; the heading of the INS is unchanged"
     excited_by = "turning, by comparison of r v_x with a_y, or with the heading over a whole lap"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     confounded_with = ("steering_ratio", "speed_scale")
     order = 40
-    parameters = (
-        Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25), meaning="ratio of measured to true",
-                  source="gyroscopes: 2-5 %", identity="yaw_rate_scale"),
-    )
+    parameter = Parameter("factor", "1", null=1.0, initial=1.02, bounds=(0.8, 1.25),
+                          meaning="ratio of measured to true", source="gyroscopes: 2-5 %", identity="yaw_rate_scale")
 
     @staticmethod
     def observe(measured, theta):
