@@ -156,10 +156,9 @@ class BagWriter:
 
     def close(self) -> None:
         """Writes pending messages, index and metadata.yaml; nothing after an error or a previous call."""
+        self.flush()
         if not (self.closed or self.error):
             try:
-                if self._messages:
-                    self._write_chunk()
                 description = {"serialized_metadata": self._build_information().to_yaml()}
                 self._contents.append(self._file, Metadata("rosbag2", description))
                 self._finish(self.directory)

@@ -11,8 +11,9 @@ from datetime import UTC, datetime
 from functools import lru_cache, wraps
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+T = TypeVar("T")
 DISTRIBUTION = "single-track-predictor"
 INSTALLED_FILES = Path(__file__).parent / "share"  # exists in the wheel only
 MIN_FREE_SPACE = 10_000_000  # bytes, enough for the shortest run
@@ -83,16 +84,16 @@ def replace_file(path: Path, text: str) -> None:
         raise
 
 
-def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], Any]], Callable[[Path], Any]]:
+def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[[Path], T]]:
     """Decorator that caches a function of a file until size or modification time of the file change.
 
     maxsize: number of files whose results are kept.
     """
-    def decorate(function: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    def decorate(function: Callable[[Path], T]) -> Callable[[Path], T]:
         cached = lru_cache(maxsize)(lambda file, mtime_ns, size: function(file))
 
         @wraps(function)
-        def call(file: Path) -> Any:
+        def call(file: Path) -> T:
             try:
                 status = file.stat()
             except OSError:

@@ -10,7 +10,6 @@ from drive_kinds import CAR
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, RunError, RunSource, find_runs, read
 from st_recordings.runs.ncom import read_ncom
-from st_recordings.runs.raw import read_raw_run
 from st_recordings.runs.readers import READERS, Reader, register
 from st_recordings.runs.write import import_run
 
@@ -20,7 +19,7 @@ def another_ins() -> Iterator[Reader]:
     def read_ins(source, settings):
         return read_ncom(source.where)
 
-    yield register(Reader("another", "ins", (".other",), read_raw_run, read_ins, lacks_steering=None))
+    yield register(Reader("another", "ins", (".other",), None, read_ins))
     del READERS["another"]
 
 

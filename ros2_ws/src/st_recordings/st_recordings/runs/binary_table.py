@@ -5,12 +5,12 @@ They become text as of a CSV file, so that names, units, times and rates are han
 
 from collections import Counter
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..paths import cached_by_version
 from .columns import Layout, find_columns
 from .errors import RunError, shorten
 
@@ -36,17 +36,9 @@ class Signal(NamedTuple):
     time: tuple[str, np.ndarray] | None
 
 
+@cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
     """(header, rows separated by commas) of a file. Raises RunError if it cannot be read or contains no signals."""
-    try:
-        status = file.stat()
-    except OSError as error:
-        raise RunError(file, f"cannot be read: {error.strerror}") from None
-    return _read_version(file, status.st_mtime_ns, status.st_size)
-
-
-@lru_cache(maxsize=4)
-def _read_version(file: Path, mtime_ns: int, size: int) -> tuple[list[str], str]:
     frame = _read_arrow(file) if file.suffix.lower() in ARROW_EXTENSIONS else _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 

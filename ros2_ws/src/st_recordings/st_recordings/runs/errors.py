@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -68,10 +68,9 @@ def group_similar_warnings() -> Iterator[None]:
     finally:
         _groups.reset(token)
         for similar in groups.values():
-            if others := [warning.partition(": ")[0] for warning in similar[MAX_SIMILAR_WARNINGS:]]:
-                files = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
+            if others := similar[MAX_SIMILAR_WARNINGS:]:
                 _LOGGER.warning("warning: %s", escape_unprintable(
-                    f"{len(others)} more such as {similar[0][:100]}...: {files} (all are in the report)"))
+                    f"{len(others)} more such as {similar[0][:100]}...: {_list_files(others)} (all are in the report)"))
 
 
 def join_problems(problems: Iterable[str]) -> str:
@@ -81,12 +80,14 @@ def join_problems(problems: Iterable[str]) -> str:
         file, _, message = problem.partition(": ")
         stem = Path(file).stem
         groups.setdefault(re.sub(rf"\b{re.escape(stem)}\b", "", message) if stem else message, []).append(problem)
-    texts = []
-    for first, *others in groups.values():
-        files = ", ".join(other.partition(": ")[0] for other in others[:10])
-        more = f" and {len(others) - 10} more" if len(others) > 10 else ""
-        texts.append(f"{first} (the same in {files}{more})" if others else first)
-    return "; ".join(texts)
+    return "; ".join(f"{first} (the same in {_list_files(others)})" if others else first
+                     for first, *others in groups.values())
+
+
+def _list_files(messages: Sequence[str]) -> str:
+    """The files that messages name, at most 10 of them."""
+    more = f" and {len(messages) - 10} more" if len(messages) > 10 else ""
+    return ", ".join(message.partition(": ")[0] for message in messages[:10]) + more
 
 
 def check_readable(path: Path) -> None:

@@ -36,9 +36,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]
-        if source.can and reader.read_ins and not reader.needs_can and not settings.steering:
-            reader = READERS["ncom"]  # it combines an INS recording of any kind with CAN logs
-        loaded = reader.read(source, vehicle, settings)
+        if reader.read is None or (source.can and reader.read_ins and not settings.steering):
+            from .raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
+
+            loaded = read_raw_run(source, vehicle, settings)
+        else:
+            loaded = reader.read(source, vehicle, settings)
     _check_size(source, loaded.log, loaded.warnings)
     start_ns = int(loaded.log.ins_time_ns[0])
     log, implausible = drop_implausible(loaded.log, start_ns)

@@ -6,8 +6,7 @@ The signals become a table as of a CSV file, so that names, units and rates are 
 import mmap
 import re
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,7 @@ import numpy as np
 
 from ..paths import cached_by_version
 from .columns import Layout, find_ambiguous_steering, find_columns
-from .errors import RunError, shorten
-from .mf4 import MDF_OPTIONS, quiet_asammdf
+from .mf4 import MDF_OPTIONS, open_mdf
 
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """Name of a channel of raw frames, after the end of a block head; texts of decoded files may contain it elsewhere."""
@@ -102,19 +100,7 @@ def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
     return [(*signal, occurrences[name]) for name, signal in longest.items()]
 
 
-@contextmanager
-def _open_file(file: Path) -> Iterator[Any]:
+def _open_file(file: Path) -> AbstractContextManager[Any]:
     from asammdf import MDF
 
-    mdf = None
-    try:
-        with quiet_asammdf():
-            mdf = MDF(file, **MDF_OPTIONS)
-            yield mdf
-    except RunError:
-        raise
-    except Exception as error:  # any, from asammdf
-        raise RunError(file, f"asammdf cannot read the file ({shorten(error)})", "copy or export it again") from None
-    finally:
-        if mdf is not None:
-            mdf.close()
+    return open_mdf(file, lambda: MDF(file, **MDF_OPTIONS), "copy or export it again")

@@ -9,7 +9,7 @@ import io
 import logging
 import mmap
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,8 @@ def read_mf4(path: Path) -> frames.CanLog:
     """
     warnings: list[str] = []
     decoded_signals: list[str] = []
-    with _open_log(path, warnings) as log:
+    advice = "copy it again from the card of the logger"
+    with open_mdf(path, lambda: _open_readable_part(path, warnings), advice) as log:
         start_ns = int(log.header.start_time.timestamp()) * 10**9 + int(log.header.abs_time) % 10**9
         if not 0 <= start_ns < LATEST_START * 10**9:
             raise DamageError("the session start time is invalid")
@@ -105,40 +106,32 @@ def read_mf4(path: Path) -> frames.CanLog:
 
 
 @contextmanager
-def quiet_asammdf() -> Iterator[None]:
-    """Suppresses the output of asammdf, because it also prints the errors that it raises."""
+def open_mdf(path: Path, open_file: Callable[[], Any], advice: str) -> Iterator[Any]:
+    """Opens an MDF file with `open_file` and closes it; its errors, and those in the context, become a RunError.
+
+    The output of asammdf is suppressed, because it also prints the errors that it raises.
+    """
     from asammdf.blocks.mdf_v4 import MDF4
 
-    # The destructor would close the file, which the readers do, and complain on stderr after a failed __init__.
+    # The destructor would close the file, too, and complain on stderr after a failed __init__.
     MDF4.__del__ = lambda mdf: None  # type: ignore[method-assign]
     logger = logging.getLogger("asammdf")
-    level = logger.level
+    level, mdf = logger.level, None
     logger.setLevel(logging.CRITICAL + 1)
     try:
         with redirect_stdout(io.StringIO()):
-            yield
-    finally:
-        logger.setLevel(level)
-
-
-@contextmanager
-def _open_log(path: Path, warnings: list[str]) -> Iterator[Any]:
-    log = None
-    try:
-        with quiet_asammdf():
-            log = _open_readable_part(path, warnings)
-            yield log
+            mdf = open_file()
+            yield mdf
     except RunError:
         raise
     except DamageError as error:
-        raise RunError(path, f"the file is truncated or damaged: {error}",
-                       "copy it again from the card of the logger") from None
-    except Exception as error:
-        raise RunError(path, f"asammdf cannot read the file ({shorten(error)})",
-                       "copy it again from the card of the logger") from None
+        raise RunError(path, f"the file is truncated or damaged: {error}", advice) from None
+    except Exception as error:  # any, from asammdf
+        raise RunError(path, f"asammdf cannot read the file ({shorten(error)})", advice) from None
     finally:
-        if log is not None:
-            log.close()
+        logger.setLevel(level)
+        if mdf is not None:
+            mdf.close()
 
 
 def _open_readable_part(path: Path, warnings: list[str]) -> Any:

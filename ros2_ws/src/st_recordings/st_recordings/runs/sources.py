@@ -131,15 +131,15 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
         return False  # probably the same drive
     if path.suffix.lower() in TEXT_EXPORTS and not reader.has_drive(path) and same_stem:
         return False  # probably exported from the other file
-    return (reader.has_drive(path) or reader.is_ins_only(path) or reader.is_incomplete(path)
-            or (path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files)))))
+    return reader.may_contain_drive(path) or (
+        path.suffix.lower() == ".csv" and any(map(is_can_log, find_logs(path, files))))
 
 
 def _is_document(file: Path) -> bool:
     """Whether a file has the extension of a document and is not a table with a recording."""
     reader = find_reader(file)
     return file.suffix.lower() in DOCUMENT_EXTENSIONS and not is_can_log(file) and not (
-        reader and (reader.has_drive(file) or reader.is_ins_only(file) or reader.is_incomplete(file)))
+        reader and reader.may_contain_drive(file))
 
 
 def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:

@@ -19,31 +19,35 @@ from ..run_types import LoadedRun, ReadSettings, RunSource
 class Reader:
     """One kind of recording.
 
-    read: reads the whole drive of a run; raises RunError. read_ins: reads only the INS, for a run with the steering in
-    CAN logs. is_folder: whether a folder is one recording. has_drive: whether a file contains a drive, by a quick test;
-    True if undecided. is_incomplete: whether a file without a drive is probably meant as one, so that it is reported.
-    lacks_steering: whether a recording contains no steering angle, so that CAN logs belong to it; None for a kind that
-    never contains one. scales_yaw: whether `read` applies the correction factor of yaw.
+    read: reads the whole drive of a run; raises RunError. None for a kind that never contains the steering angle, so
+    that a run needs CAN logs. read_ins: reads only the INS, for a run with CAN logs. is_folder: whether a folder is one
+    recording. has_drive: whether a file contains a drive, by a quick test; True if undecided. is_incomplete: whether a
+    file without a drive is probably meant as one, so that it is reported. lacks_steering: whether a recording contains
+    no steering angle, so that CAN logs belong to it. scales_yaw: whether `read` applies the correction factor of yaw.
     """
 
     kind: str
     key: str  # key of its files in a run.yaml
     extensions: tuple[str, ...]  # lower case
-    read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun]
+    read: Callable[[RunSource, VehicleParameters | None, ReadSettings], LoadedRun] | None
     read_ins: Callable[[RunSource, ReadSettings], InsLog] | None = None
     is_folder: Callable[[Path], bool] | None = None
     has_drive: Callable[[Path], bool] = lambda path: True
     is_incomplete: Callable[[Path], bool] = lambda path: False
-    lacks_steering: Callable[[Path], bool] | None = lambda path: False
+    lacks_steering: Callable[[Path], bool] = lambda path: False
     scales_yaw: bool = False
 
     @property
     def needs_can(self) -> bool:
         """Whether a recording of this kind needs CAN logs for a drive."""
-        return self.lacks_steering is None
+        return self.read is None
 
     def is_ins_only(self, path: Path) -> bool:
-        return self.lacks_steering is None or self.lacks_steering(path)
+        return self.needs_can or self.lacks_steering(path)
+
+    def may_contain_drive(self, path: Path) -> bool:
+        """Whether a file contains a drive or the INS measurements of one, or is probably meant to."""
+        return self.has_drive(path) or self.is_ins_only(path) or self.is_incomplete(path)
 
     def accepts(self, path: Path) -> bool:
         """Whether a file or folder is a recording of this kind."""

@@ -15,7 +15,7 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
     if steering is None and any(map(bag.is_own_can_log, source.files)):
-        from ..raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
+        from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
     splits = source.files if len(source.files) > 1 else ()
