@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from st_core import yaml_text
 from st_core.errors import ConfigurationError
 from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model, get_model
 from st_core.vehicle import VehicleParameters
 
 from .paths import config
-from .runs.errors import RunError, shorten
+from .runs.errors import RunError
+from .runs.run_file import read_yaml_mapping
 
 STEERING_DEFAULTS = {"steering_sign": 1, "steering_latency": 0.0}
 """Keys of car.yaml and their defaults; the latency is in seconds."""
@@ -102,16 +102,3 @@ def read_model(name: str, vehicle: VehicleParameters, origin: str,
         except ConfigurationError as error:
             raise ConfigurationError(f"{name}: {error}") from None
     return file.model(), file.vehicle or vehicle
-
-
-def read_yaml_mapping(file: Path) -> dict:
-    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if unreadable, invalid or no mapping."""
-    try:
-        table = yaml_text.load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RunError(file, f"cannot be read: {error.strerror}") from None
-    except (ConfigurationError, UnicodeDecodeError) as error:
-        raise RunError(file, f"invalid YAML: {shorten(error)}") from None
-    if not isinstance(table, dict | None):
-        raise RunError(file, "not a YAML mapping")
-    return table or {}

@@ -21,11 +21,12 @@ from st_core.vehicle import (
     VehicleParameters,
 )
 
-from .car import Car, load_car, read_vehicle, read_yaml_mapping
+from .car import Car, load_car, read_vehicle
 from .paths import config
 from .runs.columns import find_unit
 from .runs.errors import RunError
 from .runs.ins_log import SPEEDS
+from .runs.run_file import read_yaml_mapping
 
 FILL_IN = "FILL_IN"
 """Placeholder for values that only the owner of the car can give; commands reject files that contain it."""

@@ -66,9 +66,9 @@ def _serialise(*records: McapRecord) -> bytes:
     return builder.end()
 
 
-def read_records(stream: BinaryIO, size: int, offset: int = len(MAGIC)) -> Iterator[Record]:
-    """Yields the complete records of a file of `size` bytes from `offset` on; ends silently at a truncated record."""
-    stream.seek(offset)
+def read_records(stream: BinaryIO, size: int) -> Iterator[Record]:
+    """Yields the complete records of a file of `size` bytes; ends silently at a truncated record."""
+    offset = stream.seek(len(MAGIC))
     while offset + _HEAD.size <= size:
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
         if opcode == 0 or offset + _HEAD.size + length > size:

@@ -39,8 +39,8 @@ class BagDrive:
     """The drive in a recording."""
 
     log: DriveLog
-    topics: Mapping[str, str]  # type -> name of the topic that was read
-    records: Mapping[str, Mapping[str, str]]  # metadata records, name -> {key: text}
+    topics: dict[str, str]  # type -> name of the topic that was read
+    records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     warnings: tuple[str, ...]
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
     frame: str = ""  # frame_id of the first odometry message
@@ -95,14 +95,14 @@ def _read_types(path: Path) -> set[str]:
 
 
 def read_bag(path: Path, name: str | None = None, steering: SteeringField | None = None, odometry: str | None = None,
-             splits: Sequence[Path] = ()) -> BagDrive:
+             files: Sequence[Path] = ()) -> BagDrive:
     """Reads odometry and steering of a recording, or reconstructs them from its raw packets and frames.
 
     steering: field with the steering angle, if it is not in st_msgs/Steering. odometry: the topic to read if several
-    have the type nav_msgs/Odometry. splits: files of one recording in order, by default the files of `path`.
+    have the type nav_msgs/Odometry. files: see `open_bag`.
     Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
-    storage, records = open_bag(path, splits), read_metadata_records(path)
+    storage, records = open_bag(path, files), read_metadata_records(path)
     storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.is_of(t.name)})
     reconstruction = Reconstruction(storage, records)
     types = storage.by_type.keys()
@@ -143,9 +143,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
                     frame, unknown, origin)
 
 
-def read_odometry(path: Path, odometry: str | None = None, splits: Sequence[Path] = ()) -> InsLog:
-    """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError."""
-    storage = open_bag(path, splits)
+def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
+    """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError. Arguments: see `read_bag`.
+    """
+    storage = open_bag(path, files)
     storage.use_definitions([ODOMETRY])
     topic = _find_topic(storage, ODOMETRY, odometry)
     columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
@@ -175,16 +176,20 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                      else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{count}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
-        (a, b), names = (columns[kind]["header.stamp"] for kind in topics), list(topics.values())
-        if len(a) > 1 and len(b) > 1 and max(a.min(), b.min()) > min(a.max(), b.max()):
-            received = [storage.read_log_times(topic, columns[kind]["header.stamp"]) for kind, topic in topics.items()]
-            a, b = received
-            if max(a.min(), b.min()) <= min(a.max(), b.max()):
-                for kind, times in zip(topics, received, strict=True):
+        by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
+        if min(map(len, by_kind.values())) > 1 and not _overlap(*by_kind.values()):
+            received = {kind: storage.read_log_times(topic, by_kind[kind]) for kind, topic in topics.items()}
+            if _overlap(*received.values()):
+                for kind, times in received.items():
                     columns[kind]["header.stamp"] = times
-                notes.append(f"the stamps of {names[0]} and {names[1]} do not overlap in time; the times of reception "
-                             "are used for both")
+                notes.append(f"the stamps of {' and '.join(topics.values())} do not overlap in time; the times of "
+                             "reception are used for both")
     return notes
+
+
+def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether the intervals that the times cover have a common instant."""
+    return bool(max(first.min(), second.min()) <= min(first.max(), second.max()))
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:

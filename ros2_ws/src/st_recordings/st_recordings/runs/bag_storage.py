@@ -118,10 +118,11 @@ class Storage(ABC):
         return times if len(times) == len(stamps) else stamps
 
 
-def open_bag(path: Path, splits: Sequence[Path] = ()) -> Storage:
-    """Opens a bag directory, a single storage file, or the files (`splits`) of one recording. Raises RunError for files
-    of another kind and for a file that was not closed or is damaged."""
-    files = splits or ([path] if path.is_file() else storage_files(path))
+def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
+    """Opens a bag directory or a single storage file. Raises RunError for files of another kind and for a file that was
+    not closed or is damaged. files: the parts of a split recording in order, if there are two or more."""
+    if len(files) < 2:
+        files = [path] if path.is_file() else storage_files(path)
     for file in files:
         check_readable(file)
     if path.is_dir() and read_information(path).get("compression_mode"):

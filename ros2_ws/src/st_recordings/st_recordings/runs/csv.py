@@ -300,9 +300,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     if driven[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
         return
     moving = np.diff(driven) > 0.5 * np.median(np.diff(driven))
-    yaws = [columns["yaw"]] if "yaw" in columns else [
-        np.pi / 2 - columns[name] for name in (HEADING, COURSE) if name in columns]
-    yaw = yaws[0][rows[::step]][:-1] if yaws else None
+    yaw = columns["yaw"][rows[::step]][:-1] if "yaw" in columns else None
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad])."""

@@ -13,7 +13,7 @@ from st_core.clock_types import Alignment, SharedSignal, Verdict, alignment_not_
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
-from ..paths import json_ready
+from ..paths import config, json_ready
 from . import csv
 from .bag import is_own_can_log
 from .can_formats import is_can_log
@@ -25,7 +25,7 @@ from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS, find_reader
 from .run_file import TABLE_KEYS
-from .run_types import LoadedRun, ReadSettings, RunSource, find_signal_files, make_drive_log
+from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0
@@ -63,8 +63,9 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     if not source.where.is_dir():  # a folder is a bag, and its reader checks it
         check_readable(source.where)
     can = read_can_logs(source.can or source.files)
-    dbc, signals_file = find_signal_files(source, settings)
-    table = load_signal_table(dbc, signals_file)
+    dbc = settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc")
+    table = load_signal_table(dbc, settings.signals or source.settings.get("signals")
+                              or config("car/leaf/signals.yaml"))
     signals = decode_signals(can.frames, table)
     steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
     parts = _split_log(can)

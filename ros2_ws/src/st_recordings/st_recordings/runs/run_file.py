@@ -44,15 +44,22 @@ def find_run_of_each(file: Path) -> RunSource | None:
     return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
 
 
-def _read_content(path: Path) -> dict[str, Any]:
+def read_yaml_mapping(file: Path) -> dict[str, Any]:
+    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if unreadable, invalid or no mapping."""
     try:
-        content = yaml_text.load(path.read_text(encoding="utf-8"))
-    except (OSError, ConfigurationError, UnicodeDecodeError) as error:
-        raise RunError(path, f"invalid YAML: {shorten(error)}") from None
-    if not isinstance(content, dict):
-        raise RunError(path, "the file is not a YAML mapping", f"known keys are {', '.join(_KEYS)}")
-    unknown = [key for key in content if key not in _KEYS]
-    if unknown:
+        table = yaml_text.load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(file, f"cannot be read: {error.strerror}") from None
+    except (ConfigurationError, UnicodeDecodeError) as error:
+        raise RunError(file, f"invalid YAML: {shorten(error)}") from None
+    if not isinstance(table, dict | None):
+        raise RunError(file, "the file is not a YAML mapping")
+    return table or {}
+
+
+def _read_content(path: Path) -> dict[str, Any]:
+    content = read_yaml_mapping(path)
+    if unknown := [key for key in content if key not in _KEYS]:
         raise RunError(path, f"unknown key {unknown[0]}", f"known keys are {', '.join(_KEYS)}")
     return content
 
@@ -86,9 +93,10 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
     """Reads the other run.yaml, with the stem or in the folder of `file`, that describes a run of it; None if none."""
-    for own in (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE)):
+    own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
+    for own in (own for own in own_files if own.exists() and own != path):
         try:
-            content = _read_content(own) if own.exists() and own != path else {"each": ""}
+            content = _read_content(own)
             if "each" not in content and file in (run := _parse_single_run(own, content)).files:
                 return run
         except RunError as error:

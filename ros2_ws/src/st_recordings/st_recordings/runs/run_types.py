@@ -11,7 +11,6 @@ from st_core.clock_types import Alignment, alignment_not_needed
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
-from ..paths import config
 from .errors import RunError
 
 
@@ -115,9 +114,3 @@ def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
         return DriveLog(name, **columns)
     except StCoreError as error:
         raise RunError(where, str(error)) from None
-
-
-def find_signal_files(source: RunSource, settings: ReadSettings) -> tuple[Path, Path]:
-    """(DBC, signal table) of a run: the files in the settings, or else in its run.yaml, or else of the Leaf."""
-    return (settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc"),
-            settings.signals or source.settings.get("signals") or config("car/leaf/signals.yaml"))

@@ -18,10 +18,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
-    splits = source.files if len(source.files) > 1 else ()
-    drive = bag.read_bag(source.where, source.name, steering, settings.odometry, splits)
-    recorded = {name: dict(record) for name, record in drive.records.items()}
-    provenance: dict[str, Any] = {"reader": "bag", "topics": dict(drive.topics), "recorded": recorded}
+    drive = bag.read_bag(source.where, source.name, steering, settings.odometry, source.files)
+    provenance: dict[str, Any] = {"reader": "bag", "topics": drive.topics, "recorded": drive.records}
     if drive.origin is not None:
         provenance["origin"] = list(drive.origin)
     imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
@@ -30,7 +28,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-    return bag.read_odometry(source.where, settings.odometry, source.files if len(source.files) > 1 else ())
+    return bag.read_odometry(source.where, settings.odometry, source.files)
 
 
 register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, has_drive=bag.has_odometry,
