@@ -90,12 +90,11 @@ COLUMNS: Mapping[str, Channel] = {
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time "
         "unix_time utc_time gps_time gps_tow tow gps_seconds time_of_week itow datetime epoch epoch_time zeit "
         "zeitstempel datum_zeit x_value")),
-    "x": Channel("length", "position of the INS point, east or along the map's x", _words(
-        "x pos_x position_x x_pos x_position px east easting e_pos x_east x_enu x_map local_x utm_x utm_e utm_easting "
-        "pos_local_x car_tx xo x_absolute location_x pose_x pose_position_x pose_pose_position_x")),
-    "y": Channel("length", "position of the INS point, north or along the map's y", _words(
-        "y pos_y position_y y_pos y_position py north northing n_pos y_north y_enu y_map local_y utm_y utm_n "
-        "utm_northing pos_local_y car_ty yo y_absolute location_y pose_y pose_position_y pose_pose_position_y")),
+    **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _words(
+        f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
+        f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
+        f"utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} pose_{axis} "
+        f"pose_position_{axis} pose_pose_position_{axis}")) for axis, direction in (("x", "east"), ("y", "north"))},
     "latitude": Channel("latitude or longitude", "north +; read with longitude if x and y are missing", _words(
         "latitude lat latitude_deg pos_lat breitengrad")),
     "longitude": Channel("latitude or longitude", "east +; the first row is the origin of the map", _words(
@@ -123,10 +122,10 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
-    "velocity_east": Channel("speed", "read with velocity_north and yaw if velocity_y is missing", _words(
-        "velocity_east vel_east v_east east_velocity velocity_e vel_e vel_ned_e ve")),
-    "velocity_north": Channel("speed", "as velocity_east", _words(
-        "velocity_north vel_north v_north north_velocity velocity_n vel_n vel_ned_n vn")),
+    **{f"velocity_{axis}": Channel("speed", meaning, _words(
+        f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity velocity_{axis[0]} vel_{axis[0]} vel_ned_{axis[0]} "
+        f"v{axis[0]}")) for axis, meaning in (("east", "read with velocity_north and yaw if velocity_y is missing"),
+                                              ("north", "as velocity_east"))},
     "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
@@ -147,14 +146,9 @@ COLUMNS: Mapping[str, Channel] = {
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
         "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel")),
-    "wheel_speed_front_left": Channel("speed", "rolling speed of a wheel; for checks", _words(
-        "wheel_speed_front_left wheel_speed_fl ws_fl v_fl front_left_wheel_speed")),
-    "wheel_speed_front_right": Channel("speed", "rolling speed", _words(
-        "wheel_speed_front_right wheel_speed_fr ws_fr v_fr front_right_wheel_speed")),
-    "wheel_speed_rear_left": Channel("speed", "rolling speed", _words(
-        "wheel_speed_rear_left wheel_speed_rl ws_rl v_rl rear_left_wheel_speed")),
-    "wheel_speed_rear_right": Channel("speed", "rolling speed", _words(
-        "wheel_speed_rear_right wheel_speed_rr ws_rr v_rr rear_right_wheel_speed")),
+    **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", _words(
+        f"wheel_speed_{end}_{side} wheel_speed_{end[0]}{side[0]} ws_{end[0]}{side[0]} v_{end[0]}{side[0]} "
+        f"{end}_{side}_wheel_speed")) for end in ("front", "rear") for side in ("left", "right")},
     "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _words(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }

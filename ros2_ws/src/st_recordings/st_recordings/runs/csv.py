@@ -20,10 +20,10 @@ from .columns import (
     find_columns,
     find_rivals,
 )
-from .csv_table import Table, all_finite, differentiate_yaw, join_tables, read_header, read_table
+from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_share
 from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion
-from .run_types import LoadedRun, ReadSettings, RunSource, SteeringField, make_drive_log
+from .run_types import LoadedRun, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
 ROAD_WHEEL, STEERING_WHEEL, HEADING, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
@@ -134,12 +134,6 @@ def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     if "yaw" in values:
         values["yaw"] = np.unwrap(values["yaw"])
     return build_planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
-
-
-def read_motion(source: RunSource, settings: ReadSettings) -> InsLog:
-    """Reads an INS log with at least time, forward velocity and yaw rate. Raises RunError."""
-    layout = source.settings.get("layout") or Layout()
-    return build_ins_log(join_tables([read_table(file, layout) for file in source.files]), MOTION_SIGNALS)
 
 
 def has_drive_columns(file: Path) -> bool:

@@ -20,6 +20,8 @@ from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
 from .clocks import INS_ON_CAN, align_clocks
+from .columns import Layout
+from .csv_table import join_tables, read_table
 from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
@@ -71,9 +73,14 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
-    read_ins = csv.read_motion if source.kind == "csv" and not needs_steering else READERS[source.kind].read_ins
-    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
-    ins, options = read_ins(source, settings), choose_clock_settings(source, settings)
+    if source.kind == "csv" and not needs_steering:
+        tables = [read_table(file, source.settings.get("layout") or Layout()) for file in source.files]
+        ins = csv.build_ins_log(join_tables(tables), csv.MOTION_SIGNALS)
+    else:
+        read_ins = READERS[source.kind].read_ins
+        assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
+        ins = read_ins(source, settings)
+    options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
         # a bag with the frames on the clock of its odometry
         alignment, shared = alignment_not_needed(), list[SharedSignal]()

@@ -126,7 +126,7 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
         if setting in content and key not in TABLE_KEYS:
             raise RunError(path, f"{setting}: only csv and vbo files have columns, and other files have fixed units",
                            "change values of other recordings with `correct:`")
-    settings = {setting: read(path, content[setting]) for setting, read in _SETTINGS.items()
+    settings = {setting: parse(path, setting, content[setting]) for setting, parse in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
     if "columns" in content or "units" in content:
         settings["layout"] = Layout(_parse_columns(path, content.get("columns", {})),
@@ -175,14 +175,14 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
     return found
 
 
-def _parse_latency(path: Path, value: Any) -> tuple[float, float]:
+def _parse_latency(path: Path, key: str, value: Any) -> tuple[float, float]:
     try:
         latency, deviation = map(float, value)
         if 0.0 <= latency <= 1.0 and 0.0 <= deviation <= 1.0:
             return latency, deviation
     except (TypeError, ValueError):
         pass
-    raise RunError(path, f"ins_can_latency: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
+    raise RunError(path, f"{key}: {value!r} is not [latency, standard deviation] in seconds, each 0 to 1")
 
 
 def _parse_number(path: Path, key: str, value: Any) -> float:
@@ -237,26 +237,26 @@ def _parse_units(path: Path, value: Any) -> dict[str, str]:
     return units
 
 
-def _parse_corrections(path: Path, value: Any) -> dict[str, Correction]:
+def _parse_corrections(path: Path, key: str, value: Any) -> dict[str, Correction]:
     corrections = {}
-    for channel, given in _check_mapping(path, "correct", value, CHANNELS).items():
-        entries = _check_mapping(path, f"correct: {channel}", given, CHANNELS[channel])
-        corrections[channel] = Correction(**{key: _parse_number(path, f"correct: {channel}: {key}", number)
-                                             for key, number in entries.items()})
+    for channel, given in _check_mapping(path, key, value, CHANNELS).items():
+        entries = _check_mapping(path, f"{key}: {channel}", given, CHANNELS[channel])
+        corrections[channel] = Correction(**{name: _parse_number(path, f"{key}: {channel}: {name}", number)
+                                             for name, number in entries.items()})
     try:
         check_corrections(corrections)
     except StCoreError as error:
-        raise RunError(path, f"correct: {error}") from None
+        raise RunError(path, f"{key}: {error}") from None
     return corrections
 
 
-def _parse_intervals(path: Path, value: Any) -> tuple[tuple[float, float], ...]:
+def _parse_intervals(path: Path, key: str, value: Any) -> tuple[tuple[float, float], ...]:
     try:
         intervals = tuple((float(start), float(end)) for start, end in value)
     except (TypeError, ValueError):
         intervals = ((np.nan, np.nan),)
     if not all(start < end for start, end in intervals):
-        raise RunError(path, "leave_out: expected a list of [start, end] in seconds after the first INS measurement, "
+        raise RunError(path, f"{key}: expected a list of [start, end] in seconds after the first INS measurement, "
                        "start before end")
     return intervals
 
@@ -270,8 +270,6 @@ def _check_mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, An
     return value
 
 
-_SETTINGS: Mapping[str, Callable[[Path, Any], Any]] = {
-    "dbc": lambda path, value: _find_file(path, "dbc", value),
-    "signals": lambda path, value: _find_file(path, "signals", value),
-    "offset": lambda path, value: _parse_number(path, "offset", value),
-    "ins_can_latency": _parse_latency, "correct": _parse_corrections, "leave_out": _parse_intervals}
+_SETTINGS: Mapping[str, Callable[[Path, str, Any], Any]] = {
+    "dbc": _find_file, "signals": _find_file, "offset": _parse_number, "ins_can_latency": _parse_latency,
+    "correct": _parse_corrections, "leave_out": _parse_intervals}

@@ -1,10 +1,9 @@
 """Reads the times of a table: dates and times of day, seconds of a day or week, and times since 1970 in any unit."""
 
 import re
-from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,8 @@ ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or acros
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
+HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
+MAX_DAMAGED_TIMES = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
 
 def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
@@ -37,22 +38,18 @@ def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
     if parse_stamp(first):
         if "/" in first:
             body = _order_dates(file, body, warnings)
-        body = times_to_seconds(body, delimiter, column, parse_stamp)
+        body = _stamps_to_seconds(body, delimiter, column)
     return body, first
 
 
-def times_to_seconds(body: str, delimiter: str, column: int, clock: Callable[[str], tuple[float, float] | None]) -> str:
-    """Converts the times of the rows to seconds; a time of day continues past midnight.
-
-    clock: converts a cell to (seconds, period [s] after which they restart at zero, or 0 if they never do); None for an
-    invalid cell.
-    """
+def _stamps_to_seconds(body: str, delimiter: str, column: int) -> str:
+    """Converts the times of the rows to seconds; a time of day continues past midnight."""
     rows = [line.split(delimiter) for line in body.split("\n")]
     offset, before = 0.0, 0.0
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
-        time = clock(row[column].strip(' \r"\''))
+        time = parse_stamp(row[column].strip(' \r"\''))
         if time is None:
             row[column] = "nan"
             continue
@@ -109,14 +106,18 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
     """Converts times, in the stated unit or as HHMMSS, days, or ms, us, ns since 1970, to seconds without rollovers."""
     finite = times[np.isfinite(times)]
+    if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
+        warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
+        source = replace(source, unit="s", stated=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
-    if not source.stated and _is_hhmmss(finite):
-        warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
-        seconds = seconds_of_day(times)
+    if source.unit == HHMMSS or (not source.stated and _is_hhmmss(finite)):
+        if source.unit != HHMMSS:
+            warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
+        seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
         known = np.isfinite(seconds)
-        seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][0]) < -DAY / 2)
+        seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -DAY / 2)
         return seconds
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
@@ -135,19 +136,26 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     return seconds
 
 
-def seconds_of_day(hhmmss: Any) -> Any:
-    """Time of day [s] of a number HHMMSS.ss, or of an array of such numbers."""
+def seconds_of_day(hhmmss: np.ndarray) -> np.ndarray:
+    """Times of day [s] of numbers HHMMSS.ss."""
     return hhmmss // 10000 * HOUR + hhmmss // 100 % 100 * 60 + hhmmss % 100
 
 
-def is_valid_hhmmss(hhmmss: Any) -> Any:
-    """Whether minutes and seconds of a number HHMMSS.ss, or of each number in an array, are below 60."""
-    return (hhmmss % 100 < 60) & (hhmmss // 100 % 100 < 60)
+def is_valid_hhmmss(hhmmss: np.ndarray) -> np.ndarray:
+    """Whether numbers are times of day HHMMSS.ss, at most one second after 24:00:00."""
+    return (hhmmss >= 0.0) & (hhmmss < 240001.0) & (hhmmss % 100 < 60) & (hhmmss // 100 % 100 < 60)
+
+
+def _is_mostly_hhmmss(times: np.ndarray) -> bool:
+    """Whether all numbers but the last, which may be truncated, are valid HHMMSS.ss, except a few damaged ones."""
+    invalid = ~is_valid_hhmmss(times[:-1])
+    three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
+    return bool(invalid.sum() <= MAX_DAMAGED_TIMES * len(invalid) and not three_in_a_row)
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
     """Whether all numbers are valid HHMMSS.ss, and a step, to a new minute, exceeds the median step by 40."""
-    if len(times) < 3 or times.min() < 0.0 or times.max() >= 240000.0 or not is_valid_hhmmss(times).all():
+    if len(times) < 3 or not is_valid_hhmmss(times).all():
         return False
     steps = np.diff(times)
     median = float(np.median(np.abs(steps)))

@@ -22,18 +22,17 @@ from .columns import (
 )
 from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
-from .table_times import DAY, is_valid_hhmmss, seconds_of_day, times_to_seconds
+from .table_times import HHMMSS
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
 _CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 # Standard channels: name in [column names] -> (channel, unit).
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
-                      "heading": ("course", "deg"), "time": ("t", "s")}
+                      "heading": ("course", "deg"), "time": ("t", HHMMSS)}
 # Units that Racelogic's loggers use for other channels if [channel units] gives none
 _DEFAULT_UNITS = {"angular rate": "deg/s", "acceleration": "g", "angle": "deg", "speed": "km/h", "length": "m"}
 HEADER_SIZE = 65536  # bytes that contain the column names
-MAX_DAMAGED_TIMES = 0.01  # up to this fraction of the times may be invalid HHMMSS
 TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dualantennaheading")
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if the magnitude of its correlation with the derivative of the heading is lower."""
@@ -60,14 +59,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     source = sources.pop("t", None)
     if source is None:
         raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
-    midnight = _read_midnight(text)
-    if _is_hhmmss(body, source.column):
-        body = times_to_seconds(body, " ", source.column, lambda cell: _parse_time(cell, midnight))
-    else:
-        warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
-        source = replace(source, stated=False)
     table = parse_table(file, names, body, " ", layout, warnings, {**sources, "t": source})
-    return _correct_signs(table)
+    return _correct_signs(replace(table, time_ns=table.time_ns + round(_read_midnight(text) * 1e9)))
 
 
 def lacks_steering(file: Path) -> bool:
@@ -110,7 +103,8 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
         if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
-            sources[channel] = ColumnSource(number, name, kind, find_unit(kind, units.get(name, "")) or unit, True)
+            stated = find_unit(kind, units.get(name, "")) if channel != "t" else unit
+            sources[channel] = ColumnSource(number, name, kind, stated or unit, True)
         if normalise(name) in TRUE_HEADING_NAMES:
             unit = find_unit("angle", units.get(name, "")) or "deg"
             sources["compass_heading"] = ColumnSource(number, name, "angle", unit, True)
@@ -139,25 +133,6 @@ def _read_midnight(text: str) -> float:
         return datetime(year, month, day, tzinfo=UTC).timestamp()
     except ValueError:
         return 0.0
-
-
-def _is_hhmmss(body: str, column: int) -> bool:
-    """Whether the times are HHMMSS: minutes and seconds are below 60, except in a few damaged times."""
-    cells = [line.split(" ")[column] for line in body.split("\n") if line.count(" ") >= column][:-1]
-    clock = np.array([float(cell) for cell in cells if re.fullmatch(r"\d{1,15}(\.\d+)?", cell)])
-    invalid = ~is_valid_hhmmss(clock)
-    three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
-    return bool(invalid.sum() <= MAX_DAMAGED_TIMES * len(clock) and not three_in_a_row)
-
-
-def _parse_time(text: str, midnight: float) -> tuple[float, float] | None:
-    """(Unix time [s] of HHMMSS.ss on the day that begins at midnight [s], length of a day [s]); None if invalid."""
-    try:
-        clock = float(text)
-    except ValueError:
-        return None
-    seconds = seconds_of_day(clock)
-    return (midnight + seconds, DAY) if 0 <= seconds < DAY + 1 and is_valid_hhmmss(clock) else None
 
 
 def _correct_signs(table: Table) -> Table:
