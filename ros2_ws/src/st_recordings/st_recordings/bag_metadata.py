@@ -103,8 +103,7 @@ class BagInformation:
             "files": [
                 {"path": f.name, "starting_time": {"nanoseconds_since_epoch": f.start_ns if f.count else INFINITE_NS},
                  "duration": {"nanoseconds": f.end_ns - f.start_ns}, "message_count": f.count} for f in self.files],
-            "custom_data": dict(self.custom) or None, "ros_distro": "jazzy",
-        }}
+            "custom_data": dict(self.custom) or None, "ros_distro": "jazzy"}}
 
     def to_yaml(self) -> str:
         return yaml.dump(self.to_document(), Dumper=_NoAliases, sort_keys=False)

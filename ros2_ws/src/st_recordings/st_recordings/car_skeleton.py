@@ -1,7 +1,7 @@
 """Writes the folder of a new car with placeholders to fill in, and finds problems in the folder of a car."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,8 @@ ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
 """Quantity -> standard deviation [SI] of a value from another car; CG heights of passenger cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
-ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")
+ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
+# Quantities that st discover never fits
 NOT_FITTED = ("minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
@@ -175,13 +176,12 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
 
 def _find_vehicle_problems(file: Path) -> list[str]:
     try:
-        document = read_yaml_mapping(file)
-        if empty := set(_find_unfilled_keys(document)):
+        if empty := _find_unfilled_keys(read_yaml_mapping(file)):
             entries = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
                        for key in VEHICLE_QUANTITIES}
             return [f"{file}: {key}: not filled in"
                     + (f", {entries[key]}; {VEHICLE_QUANTITIES[key].limits}" if key in entries else "")
-                    for key in map(str, document) if key in empty]
+                    for key in empty]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
@@ -206,7 +206,7 @@ def _find_bus_problems(car: Car) -> list[str]:
         return [f"{missing}: the file does not exist, and {existing[0].name} cannot be used without it; write it, or "
                 "delete both"]
     try:
-        if any(_find_unfilled_keys(read_yaml_mapping(car.signals))):
+        if _find_unfilled_keys(read_yaml_mapping(car.signals)):
             return [f"{car.signals}: messages: {FILL_IN}_message and {FILL_IN}_signal are not filled in: enter the "
                     f"names, as in {car.dbc.name}, of the message and the signal that carry the steering wheel angle; "
                     "if all recordings are CSV or bags, delete both files"]
@@ -238,18 +238,9 @@ def _list_bus_remarks(car: Car) -> list[str]:
             "steering"] if unused else notes
 
 
-def _find_unfilled_keys(document: Any, top_key: str = "") -> Iterator[str]:
-    """Yields the top-level keys that still contain a placeholder."""
-    if isinstance(document, dict):
-        for key, value in document.items():
-            if str(key).startswith(FILL_IN):
-                yield top_key or str(key)
-            yield from _find_unfilled_keys(value, top_key or str(key))
-    elif isinstance(document, list):
-        for value in document:
-            yield from _find_unfilled_keys(value, top_key)
-    elif str(document).startswith(FILL_IN):
-        yield top_key
+def _find_unfilled_keys(document: Mapping[str, Any]) -> list[str]:
+    """The top-level keys that still contain a placeholder."""
+    return [str(key) for key, value in document.items() if FILL_IN in f"{key} {value}"]
 
 
 def _make_template_row(line: str) -> str:

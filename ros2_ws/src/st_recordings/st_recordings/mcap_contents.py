@@ -196,8 +196,7 @@ class Contents:
             chunk_length=length, chunk_start_offset=offset,
             compression=chunk.compression, compressed_size=len(chunk.data),
             message_end_time=chunk.message_end_time, message_index_length=0, message_index_offsets={},
-            message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size,
-        )
+            message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size)
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
         if len(self._chunks) > DROPPABLE_CHUNKS:
             oldest = self._chunks.popleft()
@@ -245,8 +244,7 @@ class Contents:
             attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
             channel_message_counts=counts, chunk_count=self._older_count + len(self._chunks),
             message_count=counts.total(), metadata_count=len(self._metadata_indexes),
-            message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas),
-        )
+            message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas))
         groups: dict[Opcode, Sequence[Any]] = {
             Opcode.SCHEMA: list(self.schemas.values()),
             Opcode.CHANNEL: list(self.channels.values()),

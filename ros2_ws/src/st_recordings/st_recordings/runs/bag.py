@@ -250,8 +250,7 @@ def _select_odometry(
         "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
         "yaw": yaw_from_quaternion(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
         "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
-        "yaw_rate": odometry["twist.twist.angular.z"],
-    }
+        "yaw_rate": odometry["twist.twist.angular.z"]}
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)

@@ -138,10 +138,6 @@ class _CandumpLines(Lines):
         return f"({stamp}) {channel} {identifier}{kind}{data}{' T' if direction == 'TX' else ''}\n"
 
 
-def _read_candump(lines: Lines, notes: list[str]) -> Any:
-    return import_module("can.io.canutils").CanutilsLogReader(lines)
-
-
 def _read_asc(lines: Lines, notes: list[str]) -> Any:
     base: Any = import_module("can.io.asc").ASCReader
 
@@ -260,8 +256,9 @@ def _is_asc(head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("candump", (".log", ".candump"), _is_candump,
-           partial(_read_text, make=_read_candump, lines_type=_CandumpLines)),
+    Format("candump", (".log", ".candump"), _is_candump, partial(
+        _read_text, make=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+        lines_type=_CandumpLines)),
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make=_read_trc)),

@@ -176,8 +176,7 @@ def _build_frames(messages: Sequence[can.Message]) -> Frames:
         time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
         id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
         length=np.array([len(m.data) for m in messages], np.uint8),
-        bus=np.array([_find_bus_number(m.channel) for m in messages], np.uint8), flags=np.array(flags, np.uint8),
-    )
+        bus=np.array([_find_bus_number(m.channel) for m in messages], np.uint8), flags=np.array(flags, np.uint8))
 
 
 def _find_bus_number(channel: Any) -> int:

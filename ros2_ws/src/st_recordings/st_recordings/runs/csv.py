@@ -46,13 +46,14 @@ MAX_HELD_SHARE = 0.3
 than the rate of the rows."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
-SIMILAR_RATE = 0.9  # ratio of the numbers of samples of two channels, above which their rates are similar
-MIN_LOST_INTERVAL = 2.5
+MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
+MIN_GAP_RATIO = 2.5
 """Rows are missing between two rows if their time difference exceeds this multiple of the median."""
 MAX_AFTER_GAP_SHARE = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
-MAX_ROUNDED_STEP = 1.01
-"""Position steps within this ratio of the rounding unit are due to rounding."""
+MAX_ROUNDING_RATIO = 1.01
+"""A change of position is one unit of the last decimal if their ratio, the larger divided by the smaller, is at most
+this value."""
 MIN_REGULAR_SHARE = 0.9
 """Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 
@@ -254,10 +255,11 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
 def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
     """Raises RunError if yaw or heading agrees with the course [rad, from east, counter-clockwise] only in another unit
     or direction, because the velocities in body axes would be wrong. speed: [m/s]."""
-    read = next((name for name in ("yaw", HEADING) if name in table.sources), "")
-    if not read or table.sources[read].unit not in ("rad", "deg"):
+    channel = next((name for name in ("yaw", HEADING) if name in table.sources), "")
+    if not channel or table.sources[channel].unit not in ("rad", "deg"):
         return
-    cells = table.columns[read] / table.sources[read].factor
+    source = table.sources[channel]
+    cells = table.columns[channel] / source.factor
     rows = table.used & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
     if rows.sum() < MIN_DISTANCE_SAMPLES:
         return
@@ -267,11 +269,10 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
         for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
             errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
     name, unit = min(errors, key=lambda reading: errors[reading])
-    if errors[read, table.sources[read].unit] > OTHER_ANGLE and errors[name, unit] < AGREEING_ANGLE:
-        column = table.sources[read].name
-        raise RunError(table.file, f"column {column} agrees with the velocities to the east and north only as {name} "
-                       f"in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{column}'}} and units: "
-                       f"{{{name}: {unit}}}")
+    if errors[channel, source.unit] > OTHER_ANGLE and errors[name, unit] < AGREEING_ANGLE:
+        raise RunError(table.file, f"column {source.name} agrees with the velocities to the east and north only as "
+                       f"{name} in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{source.name}'}} and "
+                       f"units: {{{name}: {unit}}}")
 
 
 def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: np.ndarray,
@@ -331,7 +332,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     known = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
     filled = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # number of channels with a number, by row
     longest = max(map(len, known.values()), default=0)
-    rows = max((samples for samples in known.values() if len(samples) > SIMILAR_RATE * longest),
+    rows = max((samples for samples in known.values() if len(samples) > MIN_SIMILAR_RATE * longest),
                key=lambda samples: filled[samples].sum(), default=np.empty(0, int))
     time = (table.time_ns - table.time_ns[:1]) * 1e-9
     if len(rows) < 3:
@@ -351,7 +352,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
             values = np.unwrap(values)
         interpolated = np.interp(time[rows], time[samples], values, np.nan, np.nan)
         after = np.clip(np.searchsorted(time[samples], time[rows]), 1, len(samples) - 1)
-        interpolated[(steps[after - 1] > MIN_LOST_INTERVAL * median_step) & ~np.isin(rows, samples)] = np.nan
+        interpolated[(steps[after - 1] > MIN_GAP_RATIO * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = np.full_like(columns[name], np.nan)
         columns[name][rows] = interpolated
         changed.append(f"{name} {format_share(len(samples), int(table.used.sum()), 'rows')}")
@@ -420,7 +421,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
         return
     measured = np.concatenate(([True], new))
     # The first new position after missing rows may have been measured during the gap, so its time is unknown.
-    after_gap = np.concatenate(([False], np.diff(seconds) > MIN_LOST_INTERVAL * np.median(np.diff(seconds))))
+    after_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
     if (measured & after_gap).sum() <= MAX_AFTER_GAP_SHARE * measured.sum() and (measured & ~after_gap).sum() > 2:
         measured &= ~after_gap
     before, last = np.flatnonzero(measured)[-2:]
@@ -442,7 +443,7 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
     if not len(size):
         return True
     digit = 10.0 ** np.round(np.log10(size.min()))
-    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDED_STEP) > MIN_REGULAR_SHARE)
+    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO) > MIN_REGULAR_SHARE)
 
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,

@@ -32,7 +32,7 @@ from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_us
 ROWS_OF_TIMES = 500  # number of rows in which distinct times are counted, to find the finest time column
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
-MISSING = frozenset(("", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"))
+MISSING_MARKS = {"", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"}
 _GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast because it starts with a literal
@@ -183,10 +183,10 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
              and source.column < len(first) and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds = convert_to_seconds(file, _add_nanoseconds(rows, names, time.column), time, warnings)
+    seconds, time = convert_to_seconds(file, _add_nanoseconds(rows, names, time.column), time, warnings)
     has_time, time_ns, used = select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
-    sources = _read_degrees(file, sources, columns, time_ns, warnings)
+    sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
 
 
@@ -289,7 +289,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
     def read_unit_texts(line: str) -> dict[str, str]:
         cells = [cell.strip(' \r"\'') for cell in line.split(delimiter)]
         found = {channel: text for channel, source in sources.items() if source.column < len(cells)
-                 and (text := cells[source.column].strip("[]() ")).lower() not in MISSING}
+                 and (text := cells[source.column].strip("[]() ")).lower() not in MISSING_MARKS}
         is_data = any(np.isfinite(_parse_number(cell.replace(",", "."))) for cell in cells) or any(
             parse_stamp(text) or _split_unit(channel, text) for channel, text in found.items())
         return {} if is_data else found
@@ -441,7 +441,7 @@ def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:
 
 def _is_comment(line: str, delimiter: str) -> bool:
     text = line.lstrip()
-    return text.startswith("#") and text.split(delimiter, 1)[0].strip().lower() not in MISSING
+    return text.startswith("#") and text.split(delimiter, 1)[0].strip().lower() not in MISSING_MARKS
 
 
 def _parse_number(text: str) -> float:

@@ -45,8 +45,8 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
     """(header, rows separated by commas) of the signals that are channels of a drive or named by the layout.
 
     Each time at which a signal was measured has a row, in which the cells of the other signals are empty. Times are
-    UTC, or count from the start of a measurement without a date. Appends a warning about each name with several
-    signals. Raises RunError for a file that asammdf cannot read.
+    UTC, or count from the start of a measurement without a date. An array appears as text. Appends a warning about each
+    name with several signals. Raises RunError for a file that asammdf cannot read.
     """
     import pandas as pd
 

@@ -65,8 +65,7 @@ def read_ncom(file: Path) -> NcomLog:
         yaw=np.unwrap(np.pi / 2 - columns.heading[rows]), pitch=motion.attitude.pitch, roll=motion.attitude.roll,
         velocity=np.stack(motion.body_velocity), rate=np.stack(motion.angular_velocity),
         acceleration=np.stack(motion.acceleration), origin=origin, stamps_ns=columns.utc_ns[stamped],
-        quality=collect_quality(columns, rows), columns=columns, rows=rows, warnings=tuple(warnings),
-    )
+        quality=collect_quality(columns, rows), columns=columns, rows=rows, warnings=tuple(warnings))
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:

@@ -191,8 +191,7 @@ def summarise_alignment(alignment: Alignment) -> dict[str, Any]:
         "method": alignment.method, "verdict": str(alignment.verdict), "reasons": list(alignment.reasons),
         "at_ns": alignment.at_ns, "offset_s": alignment.offset_ns * 1e-9, "drift_ppm": alignment.drift_ppm,
         "offset_deviation_s": json_ready(alignment.offset_deviation),
-        "drift_deviation_ppm": json_ready(alignment.drift_deviation), "common_time_s": alignment.overlap,
-    }
+        "drift_deviation_ppm": json_ready(alignment.drift_deviation), "common_time_s": alignment.overlap}
 
 
 def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str, Any]:

@@ -126,7 +126,10 @@ class Serialiser:
             "valid": valid})
 
     def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
-        """Wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels that are not in the frame."""
+        """Wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels that are not in the frame.
+
+        to_reference: converts log times to the INS clock [ns].
+        """
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
         first = next(iter(wheels.values()))

@@ -103,8 +103,10 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
     return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
 
 
-def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]) -> np.ndarray:
-    """Converts times, in the stated unit or as HHMMSS, days, or ms, us, ns since 1970, to seconds without rollovers."""
+def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]
+                       ) -> tuple[np.ndarray, ColumnSource]:
+    """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms, us, ns since
+    1970. The source of a column that is declared as HHMMSS but contains other times is seconds, not stated."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
@@ -118,7 +120,7 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
         known = np.isfinite(seconds)
         seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -DAY / 2)
-        return seconds
+        return seconds, source
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
@@ -126,14 +128,14 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     for origin, factor, meaning in meanings if not source.stated else ():
         if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
-            return (times - origin) * factor
+            return (times - origin) * factor, source
     seconds = times * source.factor
     known = np.flatnonzero(np.isfinite(seconds))
     for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
         back = np.diff(seconds[known]) < -period + ROLLOVER_STEP
         if back.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
             seconds[known[1:]] += period * np.cumsum(back)
-    return seconds
+    return seconds, source
 
 
 def seconds_of_day(hhmmss: np.ndarray) -> np.ndarray:

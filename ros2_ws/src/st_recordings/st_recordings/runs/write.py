@@ -140,9 +140,7 @@ def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, setti
             "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),
             "ins_can_latency": run.latency,
             "vehicle": vehicle.name, "vehicle_hash": vehicle.hash,
-            "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels]),
-        },
+            "labels": json.dumps([[entry.name, entry.start, entry.end] for entry in source.labels])},
         "alignment": alignment,
         "files_sha256": hash_files((*source.files, *source.can)),
-        "versions": collect_versions(),
-    }
+        "versions": collect_versions()}
