@@ -11,9 +11,8 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from st_core.clock_alignment import correlation_curve, residual_lags
 from st_core.clock_types import Alignment, SharedSignal
-from st_core.palette import MEASURED_COLOUR, RC
+from st_core.palette import MEASURED_COLOUR, OTHER_COLOUR, RC
 
-OTHER_COLOUR = "#d55e00"
 CLOSE_UP_DURATION = 10.0  # s
 MAX_POINTS = 4000  # per line; with a whole-number stride, up to twice as many are drawn
 

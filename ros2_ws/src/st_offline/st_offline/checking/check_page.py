@@ -11,12 +11,12 @@ from st_core.checks import Comparison, DriveCheck, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation import drawing
-from ..evaluation.evaluation_report import MAX_FIGURES
 from ..evaluation.work import to_file_name
 from ..pages import load_template
 from . import check_report
 from .check_report import CheckedRun, residual_rms
 
+MAX_FIGURES = 6  # on the page
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure; narrower shading would be invisible

@@ -182,10 +182,8 @@ def write_results(discovery: Discovery, request: Request, update: VehicleUpdate 
     content = build_document(discovery, request, update, seconds)
     if relations:
         content |= {"relation": json_ready(build_relation_document(relations))}
-        about = content["provenance"]
-        digests = {f"{name}: {Path(file).name}": digest for name, run in about["runs"].items()
-                   for file, digest in run["files"].items()}
-        files |= write_files(relations, request.vehicle, list(about["runs"]), about["created"], digests, folder)
+        created, runs = content["provenance"]["created"], list(content["provenance"]["runs"])
+        files |= write_files(relations, request.vehicle, runs, created, request.file_hashes, folder)
     files["discovery.json"].write_text(json_text(content), encoding="utf-8")
     if drawn is not None:
         files = {"report.html": folder / "report.html", **files}

@@ -82,11 +82,9 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             total = discovery.named.values[named_effect.name][name]
             low, high = (total + end - p.value for end in p.interval)
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
-    files = {f"{d.name}: {Path(name).name}": digest for d in request.all_drives if d.log is not None
-             for name, digest in d.about["files"].items()}
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
-    about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=files, note=note)
+    about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
     named = {e.name: e.parameters for e in discovery.effects}
     complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
     base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives

@@ -79,6 +79,12 @@ class Request:
     def all_drives(self) -> tuple[Drive, ...]:
         return *self.drives, *self.reference_drives
 
+    @property
+    def file_hashes(self) -> dict[str, str]:
+        """sha256 of each file of the used drives, by "drive: file name"."""
+        return {f"{drive.name}: {Path(file).name}": digest for drive in self.all_drives if drive.log is not None
+                for file, digest in drive.about["files"].items()}
+
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
                 tick: Callable[[], None], force: bool = False) -> list[Drive]:

@@ -24,8 +24,6 @@ from .tables import REPORTED_AXES, format_metres, get_axis_statistics, pool_entr
 from .work import RunReport, Task, to_file_name
 
 SCHEMA = 2
-MAX_FIGURE_BYTES = 4_500_000  # on the page, so that it stays below 5 MB
-MAX_FIGURES = 6  # on the page; the others are written to files only
 MAX_RUNS = 40  # in the overview figure
 FORECAST_LABELS = {"forecast": "", "plan": "with the inputs of the plan ", "course": "with the inputs of the course "}
 
@@ -130,11 +128,8 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    bytes_left, run_figures = MAX_FIGURE_BYTES, list[PageFigure]()  # of the first run; other runs have only files
-    for figure in (f for f in good[0].figures if f not in leading) if good else ():
-        bytes_left -= len(figure.svg.encode())
-        if len(leading) + len(bands) + len(run_figures) < MAX_FIGURES and bytes_left > 0:
-            run_figures.append(figure)
+    # Of the first run; the figures of other runs are written to files only.
+    run_figures = [f for f in good[0].figures if f not in leading] if good else []
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
@@ -144,7 +139,7 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         band_rows=make_band_rows(pooled_bands),
         adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=make_share_rows(pooled_bands.get("shares", {})),
-        over=task.over, tables=tables, modes=modes, figures={good[0].name: run_figures} if run_figures else {},
+        over=task.over, tables=tables, modes=modes, run_figures=run_figures, formats=task.formats,
         slug=to_file_name)
     file.write_text(text, encoding="utf-8")
 

@@ -59,18 +59,14 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
     return np.unique(rows)
 
 
-def add_legend(figure: plt.Figure, data: FigureData, extra: Sequence[Line2D], solid: bool = False,
-               models: Sequence[Model] | None = None) -> None:
-    """Add a legend of the models and extra lines below the figure. solid: whether all models have solid lines."""
-    handles = [Line2D([], [], **get_line_style(m.name) | ({"ls": "solid"} if solid else {}), label=m.name)
-               for m in (data.models if models is None else models)]
+def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line2D], **style: Any) -> None:
+    """Add a legend of the models and extra lines below the figure. style: replaces parts of the lines' styles."""
+    handles = [Line2D([], [], **get_line_style(m.name) | style, label=m.name) for m in models]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
 
 def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
-    if not any(e.n_starts for e in data.evaluation.errors.values()):
-        return []
     first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
     with apply_style(), in_background(lambda: [draw(data) for draw in others]) as get_others:
         drawn = [draw(data) for draw in first] + get_others()
@@ -109,7 +105,7 @@ def draw_segments(data: FigureData) -> PageFigure | None:
                      xlabel="horizon, s" if k else "")
             axes.tick_params(labelleft=not column)
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
-    add_legend(figure, data, [measured_line])
+    add_legend(figure, data.models, [measured_line])
     ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())
             for m in data.models}
     largest = ", ".join(f"{model} {value:.2f} m" for model, value in ends.items())
@@ -160,7 +156,7 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
     extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
-    add_legend(figure, data, extra, solid=True)
+    add_legend(figure, data.models, extra, ls="solid")
     length = evaluation.horizon[-1]
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
     caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), versus its start time."
@@ -189,7 +185,7 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
-    add_legend(figure, data, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
+    add_legend(figure, data.models, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
     parts = []
     for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
@@ -247,7 +243,7 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[0, 0].set_ylabel("slip angle, °\n(+ = slides to the left)")
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
-    add_legend(figure, data, [measured_line], models=models)
+    add_legend(figure, models, [measured_line])
     title = (f"{evaluation.name}: largest slip angle in {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest.items())}")
     choice = "as requested" if len(data.starts) == 1 else "with the largest lateral acceleration"
