@@ -69,7 +69,7 @@ class Pipeline:
         Accuracy.from_status(self.status)
         self.statistics.summarise_steps()
         self.statistics.summarise_clock_offset()
-        assert len(self.status.values) < 2000 and len(self.status.seen) <= 256
+        assert len(self.status.values) < 2000 and len(self.status.raw) <= 256
         assert math.isnan(self.status.get_number("no such field"))
 
 

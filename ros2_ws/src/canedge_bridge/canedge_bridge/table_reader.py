@@ -52,7 +52,7 @@ class Entry:
     def _path_of(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
 
-    def _get(self, key: str) -> Any:
+    def _value_of(self, key: str) -> Any:
         if key not in self._value:
             raise self.error(key, "missing")
         return self._value[key]
@@ -69,7 +69,7 @@ class Entry:
                 raise self.error(key, f"unknown key; known are {', '.join(keys)}")
 
     def entry(self, key: str) -> "Entry":
-        return Entry(self.origin, self._path_of(key), self._get(key))
+        return Entry(self.origin, self._path_of(key), self._value_of(key))
 
     def optional(self, key: str) -> "Entry | None":
         return self.entry(key) if key in self._value else None
@@ -82,13 +82,13 @@ class Entry:
 
     def get(self, key: str, kind: type) -> Any:
         """The value of a key, of exactly this type."""
-        value = self._get(key)
+        value = self._value_of(key)
         if type(value) is not kind:
             raise self.error(key, f"{value!r} is not {_TYPE_NAMES[kind]}")
         return value
 
     def choice(self, key: str, allowed: Iterable[Any]) -> Any:
-        value = self._get(key)
+        value = self._value_of(key)
         # YAML reads a bare `off` as false.
         value = "off" if value is False else value
         options = list(allowed)
@@ -99,7 +99,7 @@ class Entry:
     def number(self, key: str, minimum: float, maximum: float, default: float | None = None) -> float:
         if key not in self._value and default is not None:
             return default
-        return self._number(key, self._get(key), minimum, maximum)
+        return self._number(key, self._value_of(key), minimum, maximum)
 
     def integer(self, key: str, minimum: int, maximum: int) -> int:
         return int(self._number(key, self.get(key, int), minimum, maximum))

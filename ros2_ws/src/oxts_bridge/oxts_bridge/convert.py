@@ -196,7 +196,7 @@ class Publishers:
             # A serial number above 65535 is sent in channel 40 instead of 30.
             serial_number=_to_integer(get("SerialNumber24") if get("SerialNumber") is None else get("SerialNumber")),
             firmware=str(get("DevId") or ""),
-            seen_channels=sorted(status.seen),
+            seen_channels=sorted(status.raw),
             packets=counters.packets, checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes,
             late_packets=counters.late, time_jumps=time_jumps)
         _set_time(message.header.stamp, stamp_ns)

@@ -149,7 +149,7 @@ class Health:
             missing.append("UTC offset (leap-second table used)")
         if status.get("SerialNumber") is None and status.get("SerialNumber24") is None:
             missing.append("serial number")
-        values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.seen),
+        values = {"also missing": ", ".join(missing) or "nothing", "channels seen": len(status.raw),
                   "map origin": self._origin.chosen_source or "none"}
         if degraded:
             return Check("completeness", WARN, "missing: " + "; ".join(degraded), values)

@@ -26,13 +26,13 @@ _CYCLIC = {
 class StatusTracker:
     """Newest value of every field of every channel.
 
-    values: by field name, in the units of the channel table; None: invalid, absent: never sent. seen: channels sent.
+    values: by field name, in the units of the channel table; None: invalid, absent: never sent. raw: newest 8 bytes of
+    every channel sent.
     """
 
     def __init__(self) -> None:
         self.values: dict[str, Value] = {}
-        self.seen: set[int] = set()
-        self._raw: dict[int, bytes] = {}
+        self.raw: dict[int, bytes] = {}
         self._local_frame: dict[str, Value] = {}
         self._last_pulses: tuple[float, int] | None = None
 
@@ -43,10 +43,9 @@ class StatusTracker:
         gps_seconds: time of the packet, for the wheel speed. position: latitude, longitude [rad], altitude [m] of the
         packet, for channel 25.
         """
-        if self._raw.get(channel) == data and channel not in _NEVER_SKIPPED:
+        if self.raw.get(channel) == data and channel not in _NEVER_SKIPPED:
             return {}
-        self._raw[channel] = data
-        self.seen.add(channel)
+        self.raw[channel] = data
         fields = decode_channel(channel, data)
         for name, modulus in _CYCLIC.get(channel, ()):
             previous = self.values.get(name)
@@ -55,21 +54,21 @@ class StatusTracker:
         if channel in TRIGGER_CHANNELS:
             time, name = decode_event_time(channel, data), TRIGGER_CHANNELS[channel]
             fields = {name: self.values.get(name) if time is None else time / 1e9}
-        elif channel == 23:
+        elif "BnsLag" in fields:
             lag, code = fields["BnsLag"], fields.pop("UpTimeCode")
             if lag is not None:
                 previous = self.values.get("BnsLagFilt")
                 fields["BnsLagFilt"] = lag if previous is None else previous * (1 - _LAG_WEIGHT) + lag * _LAG_WEIGHT
             fields["UpTime"] = None if code is None else decode_up_time(code)
-        elif channel == 25:
+        elif "OldRefX" in fields:
             self._set_legacy_origin(fields, data, position)
-        elif channel == 45:
+        elif "WSpeedCount" in fields:
             self._set_wheel_speed(fields, gps_seconds)
-        elif channel == 48:
+        elif "HDOP" in fields:
             horizontal, total = fields["HDOP"], fields["PDOP"]
             is_valid = horizontal is not None and total is not None and total > horizontal
             fields["VDOP"] = sqrt(total**2 - horizontal**2) if is_valid else None
-        elif channel in (66, 67):
+        elif "RefLat" in fields or "RefAlt" in fields:
             self._local_frame.update(fields)
             fields = {}
             if self._has_local_frame():
