@@ -52,7 +52,7 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
     models = [get_model(model) for model in {model: None for model, _ in bands}]
     starts, _ = usable_starts(signals, vehicle, regular_starts(log, SETTINGS.interval),
                               SETTINGS.prediction.minimum_speed)
-    found, horizon = DriveWarnings(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
+    warnings, horizon = DriveWarnings(log.overlap, {key: [] for key in bands}), SETTINGS.prediction.horizon
     warned = dict.fromkeys(bands, False)
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
         conditions = conditions_at(signals, starts[rows])
@@ -70,10 +70,10 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
                 monitor.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
                 coverage = monitor.by_pair.get((model, mode))
                 if coverage and coverage.warns and not warned[model, mode]:
-                    found.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
+                    warnings.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
                 warned[model, mode] = bool(coverage and coverage.warns)
-    found.coverage = {key: coverage.coverage_at(0.9) for key, coverage in monitor.by_pair.items()}
-    return found
+    warnings.coverage = {key: coverage.coverage_at(0.9) for key, coverage in monitor.by_pair.items()}
+    return warnings
 
 
 def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
@@ -100,9 +100,8 @@ def _measure_style(number: int, style: str) -> list[Row]:
         """Log of `count` manoeuvres. after: settings of the car from the middle of the drive on."""
         parts = tuple(kinds[k % len(kinds)] for k in range(count))
         changed: dict[str, Any] = {} if after is None else {"before": healthy, "from_": 0.5}
-        return record_run(cars.LEAF, file,
-                          Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts,
-                                                 **changed))
+        order = Order(f"{kind} {which}", (SEED, number, kind, which), after or healthy, parts, **changed)
+        return record_run(cars.LEAF, file, order)
 
     models = [get_model(model) for model in MODELS]
     runs = [compute_error_samples(models, file, SETTINGS.signals(log), SETTINGS)

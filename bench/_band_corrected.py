@@ -21,14 +21,14 @@ def correct_files(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple
     sensors = pool_estimates([{name: value for name, value in check(log, vehicle).estimates.items()
                                if np.isfinite(value).all()} for log in logs])
     settings = DiscoverySettings()
-    found = discover(logs, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
+    discovery = discover(logs, vehicle, "nonlinear", (), settings, sensor_estimates=sensors)
     request = Request("nonlinear", vehicle, "the file", vehicle.to_yaml(), settings,
                       drives=[Drive(log.name, log, {"files": {}}) for log in logs])
-    files = update_vehicle(found, request)
+    files = update_vehicle(discovery, request)
     if files is None:
-        raise RuntimeError(f"st discover found no model: {found.outcome}")
+        raise RuntimeError(f"st discover found no model: {discovery.outcome}")
     car = VehicleParameters.from_yaml(files.text) if files.text else vehicle
-    model = build_model_file(found, request, files)
+    model = build_model_file(discovery, request, files)
     if model is None:
         return car, get_model("nonlinear"), {}
     file = ModelFile.from_yaml(model.to_yaml())

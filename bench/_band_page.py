@@ -18,12 +18,12 @@ BAND, CALIBRATED = "conformal", "scaled to its level"
 
 def write_rows(rows: Mapping[str, Mapping[str, str]], page: Path = PAGE) -> None:
     """Replaces the rows with the same titles, and keeps all others."""
-    kept = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
-    kept |= {title: [title, *row.values()] for title, row in rows.items()}
+    page_rows = {cells[0]: cells for cells in map(_split_row, read_part(page, ROWS_PART).splitlines()[2:])}
+    page_rows |= {title: [title, *row.values()] for title, row in rows.items()}
     columns = ["held out", *next(iter(rows.values()))]
-    replace_part(page, ROWS_PART, format_table(columns, kept.values()))
+    replace_part(page, ROWS_PART, format_table(columns, page_rows.values()))
     replace_part(page, AIMS_PART, format_records(summarise_groups([dict(zip(columns, cells, strict=True))
-                                                                   for cells in kept.values()])))
+                                                                   for cells in page_rows.values()])))
 
 
 def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:

@@ -60,15 +60,15 @@ def collect_instants(start: int, odometry: Stream, steering: Stream,
     if ins is None or angle is None:
         return None
     last = max(predictions, key=lambda one: one.issued)
-    found = {
+    instants = {
         "packet": int(odometry.kernel[ins]), "odometry_written": int(odometry.written[ins]),
         "odometry_received": int(odometry.received[ins]), "frame": int(steering.kernel[angle]),
         "steering_written": int(steering.written[angle]), "steering_received": int(steering.received[angle]),
         "begun": min(one.issued - one.compute for one in predictions), "issued": last.issued, "written": last.written,
         "received": max(one.received for one in predictions), "compute": sum(one.compute for one in predictions),
     }
-    return found | {"known": max(found["packet"], found["frame"]),
-                    "complete": max(found["odometry_received"], found["steering_received"])}
+    return instants | {"known": max(instants["packet"], instants["frame"]),
+                       "complete": max(instants["odometry_received"], instants["steering_received"])}
 
 
 def hop_durations(ticks: Sequence[Mapping[str, int]]) -> dict[str, dict[str, float]]:

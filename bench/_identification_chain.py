@@ -35,14 +35,15 @@ def run_procedure() -> dict:
     logs = [record_scenario(name, seconds, car) for name, seconds in SECONDS.items()]
     offset = identify_steering_offset(logs, unknown)
     offset_known = replace(unknown, steering_wheel_offset=offset["steering_wheel_offset"].value)
-    paper = identify_stiffness(logs, offset_known)
-    better = fit_stiffness(logs, offset_known)
+    by_regression = identify_stiffness(logs, offset_known)
+    by_prediction = fit_stiffness(logs, offset_known)
     files = {"not identified": unknown, "offset identified": offset_known,
-             "stiffness by the paper's regression": apply_estimates(offset_known, paper.estimates),
-             "stiffness by prediction": apply_estimates(offset_known, better.estimates), "the paper's table": car}
-    found = {"offset, deg": _format_estimates(offset, np.rad2deg(1.0)), "paper": _format_estimates(paper),
-             "prediction": _format_estimates(better)}
-    return {"found": found, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
+             "stiffness by the paper's regression": apply_estimates(offset_known, by_regression.estimates),
+             "stiffness by prediction": apply_estimates(offset_known, by_prediction.estimates),
+             "the paper's table": car}
+    estimates = {"offset, deg": _format_estimates(offset, np.rad2deg(1.0)), "paper": _format_estimates(by_regression),
+                 "prediction": _format_estimates(by_prediction)}
+    return {"found": estimates, "errors": {name: prediction_errors(logs, file) for name, file in files.items()}}
 
 
 def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:

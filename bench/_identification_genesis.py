@@ -36,21 +36,21 @@ def identify_genesis() -> dict:
     # be changed.
     logs = {name: replace(log, steering_wheel_angle=car.steering_wheel_angle(log.road_wheel_angle))
             for name, log in logs.items()}
-    learnt, others = [logs[n] for n in TRAINING_DRIVES], [log for name,
-                                                          log in logs.items() if name not in TRAINING_DRIVES]
-    everything = fit_stiffness(learnt, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
-    steered = fit_stiffness(learnt, car, "linear", also=(*STEERING, MISALIGNMENT))
-    ins = identify_ins_mounting(learnt, car)
-    found = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
-             "paper, published steering": identify_stiffness(learnt, car),
-             "paper, steering and INS as identified": identify_stiffness(
-                 [correct_mounting(log, everything[MISALIGNMENT].value) for log in learnt],
-                 with_estimates(car, everything, (*STEERING, "cg_to_ins_x")))}
+    training = [logs[name] for name in TRAINING_DRIVES]
+    others = [log for name, log in logs.items() if name not in TRAINING_DRIVES]
+    everything = fit_stiffness(training, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
+    steered = fit_stiffness(training, car, "linear", also=(*STEERING, MISALIGNMENT))
+    ins = identify_ins_mounting(training, car)
+    results = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
+               "paper, published steering": identify_stiffness(training, car),
+               "paper, steering and INS as identified": identify_stiffness(
+                   [correct_mounting(log, everything[MISALIGNMENT].value) for log in training],
+                   with_estimates(car, everything, (*STEERING, "cg_to_ins_x")))}
     result = {"learnt from": ", ".join(TRAINING_DRIVES),
-              "estimates": {name: _format_estimates(one) for name, one in found.items()}}
+              "estimates": {name: _format_estimates(one) for name, one in results.items()}}
     result["by drive"] = {name: _identify_single(log, car) for name, log in logs.items()}
-    result["yaw inertia"] = _describe_estimates(lambda: identify_yaw_inertia(learnt, car))
-    result["offset on straights"] = _describe_estimates(lambda: identify_steering_offset(learnt, car))
+    result["yaw inertia"] = _describe_estimates(lambda: identify_yaw_inertia(training, car))
+    result["offset on straights"] = _describe_estimates(lambda: identify_steering_offset(training, car))
     steps = {
         "published": (car, 0.0),
         "steering ratio, offset": (with_estimates(car, steered, STEERING), 0.0),
@@ -58,7 +58,7 @@ def identify_genesis() -> dict:
         "and stiffnesses": (with_estimates(car, steered), steered[MISALIGNMENT].value),
         "and lever arm": (with_estimates(car, everything), everything[MISALIGNMENT].value),
     }
-    for what, chosen in (("judged on the others", others), ("on the drives learnt from", learnt)):
+    for what, chosen in (("judged on the others", others), ("on the drives learnt from", training)):
         result[what] = {name: position_errors(chosen, *step) for name, step in steps.items()}
     return result
 

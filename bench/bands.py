@@ -133,15 +133,15 @@ def score_genesis() -> dict[str, Row]:
     if runs is None:
         return {}
     rear_axle = {name: runs.pop(name) for name in REAR_AXLE_RUNS}
-    found = {}
+    rows = {}
     for model in MODELS:
-        found |= score_held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model,
-                                tuple(METHODS))
-        found |= score_held_out(f"Genesis, {model}, by day", runs, DAYS, model)
-        found |= score_held_out(f"Genesis, {model}, by site", runs, SITES, model)
+        rows |= score_held_out(f"Genesis, {model}, by run", runs, {name: (name,) for name in runs}, model,
+                               tuple(METHODS))
+        rows |= score_held_out(f"Genesis, {model}, by day", runs, DAYS, model)
+        rows |= score_held_out(f"Genesis, {model}, by site", runs, SITES, model)
     replace_part(PAGE, "days as runs", format_records(score_days(runs)))
-    return found | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, rear_axle,
-                                  "linear")
+    return rows | score_transfer("Genesis, linear, on runs with the INS point at the rear axle", runs, rear_axle,
+                                 "linear")
 
 
 def score_days(runs: Runs) -> list[Row]:
@@ -254,7 +254,7 @@ def collect_samples(log: DriveLog, vehicle: VehicleParameters, models: Sequence[
 def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
                    methods: Sequence[str] = CALIBRATED) -> dict[str, Row]:
     """Tests each group of runs with bands of all other groups; one row for each mode and method."""
-    found = {}
+    rows = {}
     for mode in MODES:
         entries: dict[str, list] = {method: [] for method in methods}
         refused = []
@@ -267,23 +267,23 @@ def score_held_out(title: str, runs: Runs, groups: Mapping, model: str,
                 continue
             for method in methods:
                 entries[method] += sum_scores(METHODS[method](band, known, (model, mode)), known,
-                                           [runs[key] for key in names], (model, mode))
+                                              [runs[key] for key in names], (model, mode))
         for method, sums in entries.items():
-            found[f"{title}, {mode}, {method}"] = format_cells(sums, refused)
-            print(title, mode, method, found[f"{title}, {mode}, {method}"], flush=True)
-    return found
+            rows[f"{title}, {mode}, {method}"] = format_cells(sums, refused)
+            print(title, mode, method, rows[f"{title}, {mode}, {method}"], flush=True)
+    return rows
 
 
 def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str, Row]:
     """Tests bands of `runs` on runs of another car or mounting, for which the coverage is not guaranteed."""
-    found = {}
+    rows = {}
     for mode in MODES:
         known = list(runs.values())
         band = calibrate(known, (model, mode), TIME, LEVELS)
-        found[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, known, list(others.values()),
-                                                                       (model, mode)), [])
-        print(title, mode, found[f"{title}, {mode}, conformal"], flush=True)
-    return found
+        rows[f"{title}, {mode}, conformal"] = format_cells(sum_scores(band, known, list(others.values()),
+                                                                      (model, mode)), [])
+        print(title, mode, rows[f"{title}, {mode}, conformal"], flush=True)
+    return rows
 
 
 def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
@@ -323,8 +323,8 @@ def _folds(runs: Runs) -> dict[int, list[str]]:
 
 def _genesis_runs() -> dict[str, ErrorSamples] | None:
     """Samples of all drives except the one with a wrong projection; None without the shared drives."""
-    found = _genesis_logs()
-    return found and {name: collect_samples(log, found[0], MODELS) for name, log in found[1].items()}
+    real = _genesis_logs()
+    return real and {name: collect_samples(log, real[0], MODELS) for name, log in real[1].items()}
 
 
 def _genesis_logs() -> tuple[VehicleParameters, dict[str, DriveLog]] | None:

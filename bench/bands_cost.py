@@ -19,20 +19,20 @@ def run() -> dict:
     os.environ.setdefault("ST_BENCH_SECONDS", str(SECONDS))
     ticks, received = tick.run(), {"0": [], "1": []}
     for _ in range(turns):
-        for bands, found in received.items():
+        for bands, results in received.items():
             os.environ["ST_BENCH_BANDS"] = bands
-            found.append(latency.run())
-    rows = [_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], found)
-            for name, key, found in (("no", "", received["0"]), ("yes", "with_bands_", received["1"]))]
+            results.append(latency.run())
+    rows = [_row(name, ticks[f"{key}ms_p50"], ticks[f"{key}ms_p99"], results)
+            for name, key, results in (("no", "", received["0"]), ("yes", "with_bands_", received["1"]))]
     replace_part(PAGE, "cost of bands", format_records(rows))
     return {row["bands"]: row for row in rows}
 
 
-def _row(name: str, median: float, quantile_99: float, found: list[dict]) -> dict[str, str]:
+def _row(name: str, median: float, quantile_99: float, results: list[dict]) -> dict[str, str]:
     """A row of the table; latencies and loads have one number for each live run."""
-    latencies = [one["samples_to_third_prediction_published_ms"] for one in found]
+    latencies = [one["samples_to_third_prediction_published_ms"] for one in results]
     return {"bands": name, "tick p50 | p99, ms": f"{median:.2f} | {quantile_99:.2f}",
             "latency p50, ms": ", ".join(f"{one['p50']:.1f}" for one in latencies),
             "latency p99, ms": ", ".join(f"{one['p99']:.1f}" for one in latencies),
-            **{f"{node}, % of a core": ", ".join(f"{one['cpu_percent'][node]:.1f}" for one in found)
+            **{f"{node}, % of a core": ", ".join(f"{one['cpu_percent'][node]:.1f}" for one in results)
                for node in ("predictor", "evaluator", "recorder")}}

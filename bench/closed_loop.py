@@ -47,14 +47,15 @@ def run_effects(folder: Path) -> dict:
     """Effects found, and lateral RMSE [m] over 5 s by model before and after; writes its part of the page."""
     vehicle = _write_wrong_file(folder)
     car = ("--plant-vehicle", LEAF_FILE, *_effect_options(HIDDEN))
-    found = _discover(folder, DRIVES, DURATION, vehicle, car)
+    discovery = _discover(folder, DRIVES, DURATION, vehicle, car)
     corrected, model = folder / "found" / "vehicle.yaml", folder / "found" / "model.yaml"
     unseen = ("--scenario", NEW_ROAD, "--duration", NEW_ROAD_DURATION, *car, "--seed", 100)
     _drive(folder / "before", *unseen, "--vehicle", vehicle)
     _drive(folder / "after", *unseen, "--vehicle", corrected if corrected.exists() else vehicle, "--model", model)
     before, after = compare_drives(read_scored(folder / "before"), read_scored(folder / "after"))
-    result = {"found": [_statement(e) for e in found["effects"]], "kept": [_statement(e) for e in found["minor"]],
-              "corrected": corrected.exists(), "position_5s": _position_errors(found), "before": before, "after": after}
+    result = {"found": [_statement(e) for e in discovery["effects"]],
+              "kept": [_statement(e) for e in discovery["minor"]], "corrected": corrected.exists(),
+              "position_5s": _position_errors(discovery), "before": before, "after": after}
     _draw(IMAGES / "closed_loop.png", {name: (before["lateral"].get(name), now) for name, now in
                                        after["lateral"].items()}, ("file and model before",
                                                                    "corrected by st discover"))
@@ -70,7 +71,7 @@ def run_relation(folder: Path) -> dict:
     """
     folder.mkdir(exist_ok=True)
     vehicle, car = LEAF_FILE, _effect_options(RELATION)
-    found = _discover(folder, RELATION_DRIVES, RELATION_DURATION, vehicle, car, "--propose")
+    discovery = _discover(folder, RELATION_DRIVES, RELATION_DURATION, vehicle, car, "--propose")
     written = {name: folder / "found" / name for name in ("vehicle.yaml", "model.yaml", "proposed.yaml", "effects")}
     unseen = ("--scenario", RELATION_NEW_ROAD, "--duration", RELATION_NEW_ROAD_DURATION, *car, "--seed", 100)
     # A model file is valid for one vehicle file: model.yaml for the corrected one, proposed.yaml for the given one.
@@ -81,9 +82,9 @@ def run_relation(folder: Path) -> dict:
         drives.append(_drive(folder / "after", *unseen, "--vehicle", vehicle, "--model", written["proposed.yaml"],
                               "--effects", written["effects"]))
     library, *proposed = compare_drives(*map(read_scored, drives))
-    result = {"stated": [e["name"] for e in found["effects"]], "kept": [e["name"] for e in found["minor"]],
-              "law": found["relation"]["proposal"], "why": found["relation"]["why"],
-              "position_5s": _position_errors(found),
+    result = {"stated": [e["name"] for e in discovery["effects"]], "kept": [e["name"] for e in discovery["minor"]],
+              "law": discovery["relation"]["proposal"], "why": discovery["relation"]["why"],
+              "position_5s": _position_errors(discovery),
               "library": library["lateral"].get("augmented", library["lateral"]["nonlinear"]),
               "starts": library["starts"]}
     if proposed:

@@ -52,13 +52,13 @@ def measure(faults: tuple[Fault, ...], drive: Drive | None) -> list[Row]:
         return [evaluate(window, rig, recorded) for window in windows]
 
 
-def assess(found: Row) -> str:
+def assess(row: Row) -> str:
     """Verdict on a row: as expected, or what is still open."""
-    if found.problems:
-        return "open: " + "; ".join(found.problems)
-    if found.fault in DRIVING:
-        return f"as expected; cleared {found.clear:.0f} s after its end"
-    return f"open: {found.fault.open}" if found.fault.open else "as expected"
+    if row.problems:
+        return "open: " + "; ".join(row.problems)
+    if row.fault in DRIVING:
+        return f"as expected; cleared {row.clear:.0f} s after its end"
+    return f"open: {row.fault.open}" if row.fault.open else "as expected"
 
 
 def write_table(rows: list[Row]) -> None:

@@ -46,7 +46,7 @@ def make_ncom_block(seed: int) -> list[bytes]:
 
 def fuzz_packets(seed: int, seconds: float) -> dict:
     """Processes blocks of packets; a failure counts once per block and is reproduced by make_ncom_block(seed)."""
-    started, inputs, found = processor_seconds(), 0, {}
+    started, inputs, failures = processor_seconds(), 0, {}
     base, accepted = packets(), 0
     while processor_seconds() - started < seconds:
         block_seed = seed * 10**9 + inputs // BLOCK
@@ -56,12 +56,12 @@ def fuzz_packets(seed: int, seconds: float) -> dict:
                 pipeline.feed(mutate(rng, rng.choice(base)), 10**18 + k * 4_000_000)
             pipeline.finish()
         except Exception as error:
-            found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
+            failures.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
         inputs += BLOCK
         accepted += pipeline.parser.counters.packets
     elapsed = processor_seconds() - started
     result = {"inputs": inputs, "accepted": accepted, "seconds": elapsed, "per_s": inputs / elapsed}
-    return result | {"findings": len(found), **{f"finding {what}": f"seed {at}" for what, at in found.items()}}
+    return result | {"findings": len(failures), **{f"finding {what}": f"seed {at}" for what, at in failures.items()}}
 
 
 def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
@@ -84,7 +84,7 @@ def make_bulk_block(seed: int, base: np.ndarray) -> bytes:
 def fuzz_bulk(seed: int, seconds: float) -> dict:
     """Checks that the parser accounts for every byte, and that both decoders agree."""
     base = np.frombuffer(b"".join(packets()), np.uint8).reshape(-1, PACKET_SIZE)
-    started, blocks, accepted, found = processor_seconds(), 0, 0, {}
+    started, blocks, accepted, failures = processor_seconds(), 0, 0, {}
     while processor_seconds() - started < seconds and blocks * BLOCK < MAX_BULK_PACKETS:
         block_seed = seed * 10**9 + blocks
         data, parser = make_bulk_block(block_seed, base), NcomParser()
@@ -98,11 +98,11 @@ def fuzz_bulk(seed: int, seconds: float) -> dict:
                 assert vars(columns.counters) == vars(counters), "stream and file decoder disagree"
             accepted += len(received)
         except Exception as error:
-            found.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
+            failures.setdefault(f"{type(error).__name__}: {error}"[:60], block_seed)
         blocks += 1
     elapsed = processor_seconds() - started
-    result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "findings": len(found)}
-    return result | {f"finding {what}": f"seed {at}" for what, at in found.items()}
+    result = {"inputs": blocks * BLOCK, "accepted": accepted, "seconds": elapsed, "findings": len(failures)}
+    return result | {f"finding {what}": f"seed {at}" for what, at in failures.items()}
 
 
 def run() -> dict:

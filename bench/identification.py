@@ -68,13 +68,13 @@ def identify_seed(seed: int, car: VehicleParameters) -> dict[str, tuple[Identifi
                         {"yaw_inertia": car.yaw_inertia})}
 
 
-def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, float]:
+def curve_slopes(identification: Identification, car: VehicleParameters) -> dict[str, float]:
     """Slopes [N/rad] of the regression with true instead of measured tyre forces, at the same slip angles."""
     p = nonlinear_tyre.parameters(car)
     w = nonlinear_tyre.inputs(0.0, 0.0, p)
     result = {}
     for number, (name, axle) in enumerate(zip(STIFFNESSES, AXLES, strict=True)):
-        slip = found.figure[f"slip_{axle}"]
+        slip = identification.figure[f"slip_{axle}"]
         result[name] = -float(np.polyfit(slip, nonlinear_tyre.axle_forces(slip, slip, w, p)[number], 1)[0])
     return result
 
@@ -82,12 +82,12 @@ def curve_slopes(found: Identification, car: VehicleParameters) -> dict[str, flo
 def score_seeds(numbers: Iterable[int] = SEEDS) -> dict:
     """Coverage of the 95 % intervals over the seeds, errors, and mean stated uncertainty."""
     car = leaf()
-    found: dict[tuple[str, str], list] = {}
+    pairs: dict[tuple[str, str], list] = {}
     for seed in numbers:
         for method, (outcome, truth) in identify_seed(seed, car).items():
             for name, value in truth.items():
-                found.setdefault((method, name), []).append((outcome[name], value))
-    return {f"{method}: {name}": _summary(rows) for (method, name), rows in found.items()}
+                pairs.setdefault((method, name), []).append((outcome[name], value))
+    return {f"{method}: {name}": _summary(rows) for (method, name), rows in pairs.items()}
 
 
 def _summary(rows: list) -> dict:
@@ -117,9 +117,9 @@ def _stiffness_errors(logs: list, start: VehicleParameters, car: VehicleParamete
         "prediction": lambda: fit_stiffness(logs, start),
         "prediction, drive force": lambda: fit_stiffness(logs, start, augment("nonlinear", KNOWN_EFFECTS)),
     }
-    return {name: {axle: 100.0 * (found[key].value / getattr(car, key) - 1.0)
+    return {name: {axle: 100.0 * (result[key].value / getattr(car, key) - 1.0)
                    for axle, key in zip(("front, %", "rear, %"), STIFFNESSES, strict=True)}
-            for name, found in ((name, method()) for name, method in methods.items())}
+            for name, result in ((name, method()) for name, method in methods.items())}
 
 
 def score_realistic() -> dict:

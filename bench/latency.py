@@ -100,9 +100,9 @@ def measure_hops(node: Listener) -> dict[str, dict[str, float]]:
                             if stamp in kernel]).T)
     # The latency is zero, so that the stamp of a sample is that of the kernel.
     steering = Stream(*np.array([(stamp, stamp, *later) for stamp, *later in sorted(node.angles)]).T)
-    found = [collect_instants(start, ins, steering, issued) for start, issued in node.issued_predictions.items()
+    ticks = [collect_instants(start, ins, steering, issued) for start, issued in node.issued_predictions.items()
              if len(issued) == len(MODELS)]
-    return hop_durations([tick for tick in found if tick is not None])
+    return hop_durations([tick for tick in ticks if tick is not None])
 
 
 def measure_latencies(node: Listener) -> tuple[list[float], list[float]]:
@@ -121,9 +121,9 @@ def measure_latencies(node: Listener) -> tuple[list[float], list[float]]:
         angle = int(np.searchsorted(node.steering, start))
         # Row 0 is the first sample that was received, but earlier ones may have been sent.
         if len(predictions) == len(MODELS) and 0 < packet < len(kernel) and 0 < angle < len(node.steering):
-            known = max(kernel[packet], node.steering[angle])
-            to_published.append((max(issued for issued, _ in predictions) - known) * 1e-6)
-            to_received.append((max(received for _, received in predictions) - known) * 1e-6)
+            sampled_at = max(kernel[packet], node.steering[angle])
+            to_published.append((max(issued for issued, _ in predictions) - sampled_at) * 1e-6)
+            to_received.append((max(received for _, received in predictions) - sampled_at) * 1e-6)
     return to_published, to_received
 
 

@@ -25,12 +25,12 @@ CHOICES = {
 
 def run() -> dict:
     """Longitudinal and lateral RMSE [m] in hindsight over all starts of a data set."""
-    found = {}
+    tables = {}
     with tempfile.TemporaryDirectory(prefix="st-protocol-") as folder:
-        found["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
+        tables["virtual Leaf"] = _table(read_runs(write_scenarios(Path(folder)), leaf()), leaf())
     if NINE_DRIVES.exists():
-        found["Genesis"] = _table(read_runs(NINE_DRIVES, genesis()), genesis())
-    return found
+        tables["Genesis"] = _table(read_runs(NINE_DRIVES, genesis()), genesis())
+    return tables
 
 
 def _table(drives: dict, vehicle: VehicleParameters) -> dict:

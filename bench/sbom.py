@@ -7,13 +7,14 @@ from pathlib import Path
 
 
 def run() -> dict:
-    packages = {d.metadata["Name"]: d for d in importlib.metadata.distributions() if d.metadata["Name"]}
-    found = {name: {"version": d.version, "licence": find_licence(d.metadata)} for name, d in sorted(packages.items())}
+    distributions = {d.metadata["Name"]: d for d in importlib.metadata.distributions() if d.metadata["Name"]}
+    packages = {name: {"version": d.version, "licence": find_licence(d.metadata)}
+                for name, d in sorted(distributions.items())}
     if os.environ.get("ST_SBOM"):
-        Path(os.environ["ST_SBOM"]).write_text(json.dumps(make_bill(found), indent=2) + "\n")
-    unknown = sorted(name for name, about in found.items() if not about["licence"])
-    table = {f"{name} {about['version']}": about["licence"] or "not stated" for name, about in found.items()}
-    return {**table, "packages": len(found), "without a stated licence": ", ".join(unknown) or "none"}
+        Path(os.environ["ST_SBOM"]).write_text(json.dumps(make_bill(packages), indent=2) + "\n")
+    unknown = sorted(name for name, about in packages.items() if not about["licence"])
+    table = {f"{name} {about['version']}": about["licence"] or "not stated" for name, about in packages.items()}
+    return {**table, "packages": len(packages), "without a stated licence": ", ".join(unknown) or "none"}
 
 
 def find_licence(metadata: importlib.metadata.PackageMetadata) -> str:
@@ -23,11 +24,11 @@ def find_licence(metadata: importlib.metadata.PackageMetadata) -> str:
     return metadata.get("License-Expression") or ", ".join(classifiers) or (text[0][:60] if text else "")
 
 
-def make_bill(found: dict[str, dict[str, str]]) -> dict:
+def make_bill(packages: dict[str, dict[str, str]]) -> dict:
     components = [
         {"type": "library", "name": name, "version": about["version"],
          "purl": f"pkg:pypi/{name.lower()}@{about['version']}",
          "licenses": [{"license": {"name": about["licence"]}}] if about["licence"] else []}
-        for name, about in found.items()
+        for name, about in packages.items()
     ]
     return {"bomFormat": "CycloneDX", "specVersion": "1.5", "version": 1, "components": components}

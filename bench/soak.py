@@ -44,10 +44,10 @@ class Samples:
     memory: dict[str, list[float]] = field(default_factory=dict)  # MB resident
     handles: dict[str, list[float]] = field(default_factory=dict)
     segments: list[int] = field(default_factory=list)  # shared-memory segments that a node of the suite maps
-    left: list[int] = field(default_factory=list)  # segments that ended nodes left behind
-    behind: list[float] = field(default_factory=list)  # delay of the sender [s]
+    orphaned_segments: list[int] = field(default_factory=list)  # segments that ended nodes left behind
+    sender_delays: list[float] = field(default_factory=list)  # delay of the sender [s]
     load: list[float] = field(default_factory=list)  # load of the machine
-    known: set[str] = field(default_factory=set)  # segments seen so far
+    all_segments: set[str] = field(default_factory=set)  # names of all segments mapped so far
 
 
 def take_sample(rig: Rig, samples: Samples, began: float) -> None:
@@ -65,10 +65,10 @@ def take_sample(rig: Rig, samples: Samples, began: float) -> None:
         memory, handles = running_now.get(name, (float("nan"), float("nan")))
         samples.memory.setdefault(name, []).append(memory)
         samples.handles.setdefault(name, []).append(handles)
-    samples.known |= mapped
+    samples.all_segments |= mapped
     samples.segments.append(len(mapped))
-    samples.left.append(sum(Path("/dev/shm", name).exists() for name in samples.known - mapped))
-    samples.behind.append(rig.car.behind)
+    samples.orphaned_segments.append(sum(Path("/dev/shm", name).exists() for name in samples.all_segments - mapped))
+    samples.sender_delays.append(rig.car.behind)
     rig.car.behind = 0.0
     samples.load.append(os.getloadavg()[0])
 
@@ -147,7 +147,7 @@ def growth_per_hour(minutes: list[float], values: list[float]) -> float:
     return float(np.polyfit(t[life], v[life], 1)[0] * 60) if len(life) > 12 else float("nan")
 
 
-def draw(samples: Samples, found: dict, when: list[tuple[float, float]], began_ns: int) -> None:
+def draw(samples: Samples, series: dict, when: list[tuple[float, float]], began_ns: int) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -162,13 +162,13 @@ def draw(samples: Samples, found: dict, when: list[tuple[float, float]], began_n
         axes[0].legend(ncols=5, loc="lower left", fontsize=8)
         axes[1].set(ylabel="open handles", ylim=(0, None))
         axes[2].plot(samples.minutes, samples.segments, label="mapped by a node")
-        axes[2].plot(samples.minutes, samples.left, label="left behind by a killed node")
+        axes[2].plot(samples.minutes, samples.orphaned_segments, label="left behind by a killed node")
         axes[2].set(ylabel="shared-memory segments", ylim=(0, None))
         axes[2].legend(loc="upper left", fontsize=8)
-        at = (found["start_ns"] - began_ns) / 60e9
+        at = (series["start_ns"] - began_ns) / 60e9
         for share, label in ((50, "median"), (99, "99 %")):
             edges = np.arange(0, samples.minutes[-1], 1.0)
-            inside = [found["age_ms"][(at >= e) & (at < e + 1)] for e in edges]
+            inside = [series["age_ms"][(at >= e) & (at < e + 1)] for e in edges]
             axes[3].plot(edges + 0.5, [np.percentile(x, share) if len(x) else np.nan for x in inside], label=label)
         axes[3].set(ylabel="measured to published, ms", yscale="log")
         axes[3].legend(loc="upper left", fontsize=8)
@@ -195,24 +195,24 @@ def run() -> dict:
             sent, frames_sent = np.array(rig.car.ins.sent_ns), len(rig.car.can.sent_ns)
             ticks = rig.monitor.state.predictor_status or ticks
         statuses = rig.statuses
-        found = read_recordings(folder)
+        series = read_recordings(folder)
         size = sum(f.stat().st_size for f in folder.rglob("*.mcap"))
-    draw(samples, found, when, began_ns)
-    ages = found["age_ms"]
+    draw(samples, series, when, began_ns)
+    ages = series["age_ms"]
     half = len(ages) // 2
     return {
         "minutes": samples.minutes[-1], "faults": sum(faults.values()), "kinds": len(faults), "restarts": restarts,
         "statuses at the end": {k: v for k, v in statuses.items() if v}, "problems at the end": problems,
-        "ncom sent": len(sent), "ncom recorded": len(found["packet_ns"]),
-        "ncom lost without a fault": count_unexplained_losses(sent, found["packet_ns"], began_ns, when,
+        "ncom sent": len(sent), "ncom recorded": len(series["packet_ns"]),
+        "ncom lost without a fault": count_unexplained_losses(sent, series["packet_ns"], began_ns, when,
                                                                samples.minutes[-1]),
-        "longest silence in the recording, s": float(np.diff(np.sort(found["packet_ns"])).max(initial=0)) * 1e-9,
-        "can sent": frames_sent, "can recorded": int(found["frames"]),
+        "longest silence in the recording, s": float(np.diff(np.sort(series["packet_ns"])).max(initial=0)) * 1e-9,
+        "can sent": frames_sent, "can recorded": int(series["frames"]),
         "predictions": len(ages), "predictions due": round(samples.minutes[-1] * 600),
         "age ms, first half": dict(zip(("p50", "p99"), np.percentile(ages[:half], (50, 99)).tolist(), strict=True)),
         "age ms, second half": dict(zip(("p50", "p99"), np.percentile(ages[half:], (50, 99)).tolist(), strict=True)),
         "memory MB per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.memory.items()},
         "handles per hour": {name: growth_per_hour(samples.minutes, v) for name, v in samples.handles.items()},
-        "segments left behind": samples.left[-1], "sender behind, worst s": max(samples.behind),
+        "segments left behind": samples.orphaned_segments[-1], "sender behind, worst s": max(samples.sender_delays),
         "load of the machine, mean": float(np.mean(samples.load)), "recorded MB": size / 1e6,
     }

@@ -40,9 +40,9 @@ def run() -> dict:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
 
         def seconds(code: str, backend: str = "") -> float:
-            done = subprocess.run([sys.executable, "-c", code, car, here, backend], env=environment, check=True,
+            result = subprocess.run([sys.executable, "-c", code, car, here, backend], env=environment, check=True,
                                   capture_output=True, text=True)
-            return float(done.stdout)
+            return float(result.stdout)
 
         return {"live_floats_s": seconds(LIVE), "batch_numpy_s": seconds(BATCH, "numpy"),
                 "batch_lanes_cold_s": seconds(BATCH, "lanes"), "batch_lanes_cached_s": seconds(BATCH, "lanes")}

@@ -113,9 +113,9 @@ def _run_command(command: str, folder: str, console: Console) -> None:
     words = command.replace("{}", folder).split()
     program = VIRTUAL_LEAF if words[1] == "shell" else ST
     rest = words[6:] if words[1] == "shell" else words[1:]
-    done = subprocess.run([*program, *rest], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise GalleryError(f"{command}: status {done.returncode}: {(done.stderr or done.stdout).strip()[-500:]}")
+    result = subprocess.run([*program, *rest], capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise GalleryError(f"{command}: status {result.returncode}: {(result.stderr or result.stdout).strip()[-500:]}")
 
 
 def animate(run: Path, car: VehicleParameters, file: Path, first: float, last: float) -> int:
@@ -144,9 +144,9 @@ def _draw_frame(results: Results, predictions: dict[str, Predictions], car: Vehi
 
     past = (track.time_ns <= now_ns) & (track.time_ns > now_ns - 20e9)
     draw(track.x[past][::10], track.y[past][::10], color=MEASURED_COLOUR, lw=5, alpha=0.5, solid_capstyle="round")
-    for model, found in predictions.items():
+    for model, forecasts in predictions.items():
         for age in (*reversed(GHOST_AGES), 0.0):
-            path = _find_path(found, car, now_ns - round(age * 1e9))
+            path = _find_path(forecasts, car, now_ns - round(age * 1e9))
             if path is not None:
                 draw(*path, color=MODEL_COLOUR[model], lw=2.2 if age == 0 else 0.8, alpha=1.0 if age == 0 else 0.35,
                      label=model if age == 0 else None)
@@ -170,10 +170,10 @@ def _draw_frame(results: Results, predictions: dict[str, Predictions], car: Vehi
     return image
 
 
-def _find_path(found: Predictions, car: VehicleParameters, start_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
+def _find_path(forecasts: Predictions, car: VehicleParameters, start_ns: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Path of the INS point in the prediction nearest to an instant; None if no prediction is within 150 ms."""
-    nearest = int(np.argmin(np.abs(found.starts_ns - start_ns)))
-    if abs(int(found.starts_ns[nearest]) - start_ns) > 150_000_000:
+    nearest = int(np.argmin(np.abs(forecasts.starts_ns - start_ns)))
+    if abs(int(forecasts.starts_ns[nearest]) - start_ns) > 150_000_000:
         return None
-    x, y, yaw = found.states[nearest][:, [0, 1, 4]].T
+    x, y, yaw = forecasts.states[nearest][:, [0, 1, 4]].T
     return cg_to_ins_position(x, y, yaw, car.cg_to_ins_x, car.cg_to_ins_y)

@@ -30,10 +30,10 @@ def list_packages(sources: Path) -> list[str]:
 
 def find_edges(sources: Path) -> set[Edge]:
     """(package, imported package), including imports in functions; tests and setup.py are excluded."""
-    known = list_packages(sources)
-    files = ((name, file) for name in known for file in (sources / name).rglob("*.py"))
+    packages = list_packages(sources)
+    files = ((name, file) for name in packages for file in (sources / name).rglob("*.py"))
     return {(name, top) for name, file in files if file.relative_to(sources).parts[1] != "test" and
-            file.name != "setup.py" for top in _imported_modules(file) if top in known and top != name}
+            file.name != "setup.py" for top in _imported_modules(file) if top in packages and top != name}
 
 
 def _imported_modules(file: Path) -> Iterator[str]:
@@ -101,13 +101,13 @@ def read_edges(metadata: Mapping[str, str]) -> set[Edge]:
 
 def _place_boxes(rows: list[list[str]], arrows: set[Edge]) -> dict[str, tuple[float, float]]:
     """Centres of the boxes, one row per layer; rows are permuted and shifted so that the arrows avoid the boxes."""
-    chosen = [_place_row(row, level, 0.0) for level, row in enumerate(rows)]
+    best_rows = [_place_row(row, level, 0.0) for level, row in enumerate(rows)]
     for _ in range(SWEEPS):
         for level, row in enumerate(rows):
-            trials = [[*chosen[:level], _place_row(order, level, shift), *chosen[level + 1:]]
+            trials = [[*best_rows[:level], _place_row(order, level, shift), *best_rows[level + 1:]]
                       for order in permutations(row) for shift in SHIFTS]
-            chosen = min(trials, key=lambda trial: _layout_penalty(_merge_rows(trial), arrows))
-    return _merge_rows(chosen)
+            best_rows = min(trials, key=lambda trial: _layout_penalty(_merge_rows(trial), arrows))
+    return _merge_rows(best_rows)
 
 
 def _place_row(order: Sequence[str], level: int, shift: float) -> dict[str, tuple[float, float]]:
