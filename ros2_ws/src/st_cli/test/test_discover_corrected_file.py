@@ -87,7 +87,7 @@ def test_model_stiffer_than_the_car_raises_the_minimum_slip_speed_of_the_file(re
     assert update.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and update.vehicle.yaw_inertia == CAR.yaw_inertia
     needed = slip_speed_needed((update.model,), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == update.vehicle.minimum_slip_speed
-    assert update.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0"
+    assert update.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0 m/s"
     assert f"for steering ratio; minimum_slip_speed 3 → {update.vehicle.minimum_slip_speed:.4g} m/s" in "".join(
         recommend(found, update))
 

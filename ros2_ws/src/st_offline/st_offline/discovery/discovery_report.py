@@ -14,18 +14,17 @@ from st_core.discovery.axles import SMALL_SLIP
 from st_core.discovery.decision import MINOR
 from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, ModelProvenance
-from st_core.vehicle import find_quantity
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 
-from ..checking.check_report import findings_as_json
+from ..checking.check_report import findings_as_json, unit_symbol
 from ..evaluation.drawing import PageFigure
 from ..pages import Table, load_template
 from ..terminal import list_files, make_table, report_problem
 from . import quantities, report_text
 from .drives import Drive, Request
 from .relation_report import RelationReport
-from .vehicle_update import VehicleUpdate
+from .vehicle_update import KEYS, VehicleUpdate
 
 SCHEMA = 3
 FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
@@ -167,9 +166,7 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
 
 def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Row of a changed entry of the vehicle file [SI]."""
-    definition = find_quantity(key)
-    unit = definition.si_unit.removesuffix("1").replace("^2", "²") if definition else ""
-    limits = (definition.minimum, definition.maximum) if definition else ()
+    unit, limits = unit_symbol(KEYS[key].si_unit), (KEYS[key].minimum, KEYS[key].maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
             f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",

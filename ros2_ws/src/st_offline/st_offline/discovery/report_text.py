@@ -11,9 +11,8 @@ from st_core.discovery.next_manoeuvre import MIN_SEPARATION
 from st_core.discovery.result import PARTS, Discovery
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
-from st_core.vehicle import VEHICLE_QUANTITIES
 
-from ..checking.check_report import describe_effect, format_estimate, group_findings
+from ..checking.check_report import describe_effect, format_estimate, group_findings, unit_symbol
 from ..terminal import format_count
 from .quantities import (
     channel_label,
@@ -25,7 +24,7 @@ from .quantities import (
     format_value,
     to_words,
 )
-from .vehicle_update import SLIP_SPEED_KEY, VehicleUpdate
+from .vehicle_update import KEYS, SLIP_SPEED_KEY, VehicleUpdate
 
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
@@ -397,8 +396,7 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     texts = []
     for key, values in changes.items():
         before, after = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in values[:2])
-        unit = VEHICLE_QUANTITIES[key].si_unit.removesuffix("1") if key in VEHICLE_QUANTITIES else ""
-        texts.append(f"{key} {before} → {after} {unit}".rstrip())
+        texts.append(f"{key} {before} → {after} {unit_symbol(KEYS[key].si_unit)}".rstrip())
     return ", ".join(texts)
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings
 from st_core.provenance import Provenance
 from st_core.stability import slip_speed_needed
-from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, find_quantity, value_of
+from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, VehicleParameters, value_of
 from st_core.yaml_text import format_number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 
@@ -36,9 +37,9 @@ POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of t
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-VALUE_TOLERANCE = 1e-5  # relative; twice the largest error of rounding to SIGNIFICANT_DIGITS
+KEPT_SCALE = "value before the corrections of other entries"  # source of a lambda_ky that the file does not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
-KEYS = (*VEHICLE_QUANTITIES, *(f"{tyre}.{key}" for tyre in TYRES for key in TYRE_QUANTITIES))
+KEYS = VEHICLE_QUANTITIES | {f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,10 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     runs = [run for run in discovery.runs if run.role == "suspect"]
-    text = update_vehicle_text(request, car, changes, runs, ", ".join(e.name for e in folded))
-    vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
+    car = document_changes(request, car, changes, runs, ", ".join(e.name for e in folded))
     reported = {key: change for key, change in changes.items() if not key.endswith("lambda_ky")}
+    text = edit_vehicle_text(request.vehicle_text, reported, car, SIGNIFICANT_DIGITS)
+    vehicle = VehicleParameters.from_yaml(text, "vehicle.yaml")
     return VehicleUpdate(vehicle, text, model, tuple(effect.name for effect in folded), reported, not_folded, error,
                          worse, find_implausible_values(vehicle, request.vehicle))
 
@@ -238,60 +240,52 @@ def _confidence_interval(discovery: Discovery, vehicle: VehicleParameters, folde
     return centre - math.sqrt(below), centre + math.sqrt(above)
 
 
-def update_vehicle_text(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, ...]],
-                        runs: Sequence[Run], effects: str) -> str:
-    """The user's vehicle file with these keys replaced; comments and all other entries are unchanged. runs, effects:
-    sources of the values. A derived lambda_ky is written only if the edited file would otherwise yield another value.
-    If the edited file does not load as `car`, the result is a new file."""
-    date = f"{datetime.now(UTC):%Y-%m-%d}"
-    seconds = sum(run.seconds for run in runs)
-    source = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
+def document_changes(request: Request, car: VehicleParameters, changes: Mapping[str, tuple[float, float, float, float]],
+                     runs: Sequence[Run], effects: str) -> VehicleParameters:
+    """The car with the source and the provenance of each changed entry. runs, effects: sources of the values."""
+    date, seconds = f"{datetime.now(UTC):%Y-%m-%d}", sum(run.seconds for run in runs)
+    found = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
     provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
-    original = yaml.safe_load(request.vehicle_text)
-    derived = [f"{tyre}.lambda_ky" for tyre in TYRES if "lambda_ky" not in original[tyre]]
-    stable = f"stable with steps of {1e3 * PredictionSettings().step:g} ms"
-    entries = {key: _entry_writer(change, source, provenance) for key, change in changes.items() if key not in derived}
-    if SLIP_SPEED_KEY in entries:
-        entries[SLIP_SPEED_KEY] = _entry_writer(changes[SLIP_SPEED_KEY][:2], stable, provenance)
-    try:
-        edited = VehicleParameters.from_yaml(edit_entries(request.vehicle_text, entries))
-    except (ConfigurationError, yaml.YAMLError):
-        edited = car
-    entries |= {key: _entry_writer((value_of(request.vehicle, key), value_of(car, key)), source, provenance)
-                for key in derived if not _agrees(edited, car, key, VALUE_TOLERANCE)}
-    sources = {key: f"{stable if key == SLIP_SPEED_KEY else source}; before {format_number(change[0])}"
-               for key, change in changes.items()}
-    return edit_or_rewrite(request.vehicle_text, entries,
-                           replace(car, sources={**request.vehicle.sources, **sources}), VALUE_TOLERANCE)
+    sources, entries = {**request.vehicle.sources}, {**request.vehicle.provenance}
+    for key, (before, _, low, high) in changes.items():
+        previous, *ends = (format_number(float(f"{x:.{SIGNIFICANT_DIGITS}g}")) for x in (before, low, high))
+        source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
+                  f"{found}, 95 % interval {' to '.join(ends)}")
+        sources[key] = f"{source}; before {previous} {KEYS[key].si_unit}".removesuffix(" 1")
+        deviation = float(f"{(high - low) / (2.0 * 1.96):.3g}")
+        entries[key] = replace(provenance, uncertainty=deviation or None)
+    return replace(car, sources=sources, provenance=entries)
 
 
-def edit_or_rewrite(text: str, entries: Mapping[str, Callable[[str, float], str]], car: VehicleParameters,
-                    tolerance: float) -> str:
-    """A vehicle file with these entries replaced; a new file if the edited one is invalid or differs from `car` in a
-    value by more than a relative `tolerance`."""
-    try:
-        new = edit_entries(text, entries)
-        read = VehicleParameters.from_yaml(new)
-    except (ConfigurationError, yaml.YAMLError):
-        return car.to_yaml()
-    return new if all(_agrees(read, car, key, tolerance) for key in KEYS) else car.to_yaml()
+def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, digits: int | None = None) -> str:
+    """A vehicle file with the entries of these keys replaced by those of `car`; comments and other entries are kept.
+    digits: significant digits of the values; None: all. A lambda_ky that the file would derive differently is added. If
+    the edited file still does not load as `car`, the result is a new file."""
+    keys, tolerance = list(keys), 1e-12 if digits is None else 10.0 ** (1 - digits)  # twice the largest rounding error
+    for _ in range(2):
+        try:
+            edited = edit_entries(text, {key: partial(_format_entry, car, key, digits) for key in keys})
+            read = VehicleParameters.from_yaml(edited)
+        except (ConfigurationError, yaml.YAMLError):
+            break
+        wrong = [key for key in KEYS if not math.isclose(value_of(read, key), value_of(car, key), rel_tol=tolerance,
+                                                         abs_tol=1e-4 * tolerance)]
+        if not wrong:
+            return edited
+        keys += [key for key in wrong if key.endswith("lambda_ky")]
+    return car.to_yaml()
 
 
-def _agrees(car: VehicleParameters, other: VehicleParameters, key: str, tolerance: float) -> bool:
-    return math.isclose(value_of(car, key), value_of(other, key), rel_tol=tolerance, abs_tol=1e-4 * tolerance)
+def _format_entry(car: VehicleParameters, key: str, digits: int | None, unit: str, factor: float) -> str:
+    """YAML entry of a key of `car`. unit, factor: unit of the entry, and its factor to SI."""
+    def convert(value: float) -> float:
+        return value / factor if digits is None else float(f"{value / factor:.{digits}g}")
 
-
-def _entry_writer(change: Sequence[float], source: str, provenance: Provenance) -> Callable[[str, float], str]:
-    """Function that formats a YAML entry, called with the unit of the file and its factor to SI. change: (before,
-    after[, low, high]) [SI]."""
-    def write_entry(unit: str, factor: float) -> str:
-        before, after, *ends = (format_number(float(f"{value / factor:.{SIGNIFICANT_DIGITS}g}")) for value in change)
-        interval = f", 95 % interval {ends[0]} to {ends[1]}" if ends else ""
-        deviation = (change[3] - change[2]) / (2 * 1.96) if ends else 0.0
-        uncertainty = float(f"{deviation / factor:.3g}") if deviation > 0.0 else None
-        return (f"{{value: {after}, unit: {quote(unit)}, source: {quote(f'{source}{interval}; before {before}')}"
-                f"{replace(provenance, uncertainty=uncertainty).format_entries()}}}")
-    return write_entry
+    known = car.provenance.get(key, Provenance())
+    provenance = replace(known, uncertainty=None if known.uncertainty is None else convert(known.uncertainty))
+    source = car.sources[key] if key in car.provenance else KEPT_SCALE
+    return (f"{{value: {format_number(convert(value_of(car, key)))}, unit: {quote(unit)}, source: {quote(source)}"
+            f"{provenance.format_entries()}}}")
 
 
 def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) -> str:
@@ -306,9 +300,9 @@ def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) 
 def _locate_edit(root: yaml.Node, key: str, write_entry: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
-    section, definition = _find_entry(root, tyre) if tyre else root, find_quantity(key)
-    assert isinstance(section, yaml.MappingNode) and definition is not None  # already parsed as a vehicle file
-    units, node = definition.units, _find_entry(section, name)
+    section, units = _find_entry(root, tyre) if tyre else root, KEYS[key].units
+    assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
+    node = _find_entry(section, name)
     if node is None:
         first = section.value[0][0].start_mark
         unit = next(iter(units))

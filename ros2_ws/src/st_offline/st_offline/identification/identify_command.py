@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,14 @@ from rich.markup import escape
 from st_core.checks import Finding
 from st_core.handling import find_implausible_values
 from st_core.identification import result
-from st_core.provenance import Provenance
-from st_core.vehicle import VehicleParameters, find_quantity, value_of
-from st_core.yaml_text import format_number, quote
+from st_core.vehicle import VehicleParameters, find_quantity
 from st_recordings.paths import json_text, new_folder
 from st_recordings.results import collect_versions
 from st_recordings.runs import find_runs
 from st_recordings.runs.load import hash_files
 
 from ..checking.check_report import findings_as_json, print_findings
-from ..discovery.vehicle_update import edit_or_rewrite
+from ..discovery.vehicle_update import edit_vehicle_text
 from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import load_template
 from ..terminal import list_files, make_table, print_line
@@ -128,22 +125,13 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
 
 
 def update_vehicle_text(file: Path, car: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
-    """Text of the vehicle file with the identified entries replaced; comments and other entries are unchanged. If the
-    file is unreadable, or does not load as `car` once edited (a derived scale may change): text of `car` alone."""
+    """Text of the vehicle file with the identified entries replaced; of `car` alone, if the file is unreadable."""
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
-
-    def make_entry(key: str, unit: str, factor: float) -> str:
-        source = car.provenance.get(key, Provenance())
-        source = replace(source, uncertainty=None if source.uncertainty is None else source.uncertainty / factor)
-        return (f"{{value: {format_number(value_of(car, key) / factor)}, unit: {quote(unit)}, "
-                f"source: {quote(car.sources[key])}{source.format_entries()}}}")
-
     try:
-        text = file.read_text(encoding="utf-8")
+        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, car)
     except OSError:
         return car.to_yaml()
-    return edit_or_rewrite(text, {key: partial(make_entry, key) for key in keys}, car, 1e-12)
 
 
 def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
