@@ -228,18 +228,14 @@ class SteeringCalibration:
     steering_wheel_offset: float
     steering_ratio: float
 
-    def steering_wheel_angle(self, sensor: Number) -> Number:
-        """Steering wheel angle [rad], left +, without offset correction."""
-        return self.steering_sign * sensor
-
-    def road_wheel_angle(self, sensor: Number) -> Number:
-        """Road wheel angle [rad], left +, mean of both front wheels."""
-        angle = self.steering_wheel_angle(sensor)
-        return vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
+    def convert(self, sensor: Number) -> tuple[Number, Number]:
+        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], left +."""
+        angle = self.steering_sign * sensor
+        return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
         """The conversion with the numbers of the car, for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
                 f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so a sensor at 0 gives "
-                f"{math.degrees(self.road_wheel_angle(0.0)):.4f} deg")
+                f"{math.degrees(self.convert(0.0)[1]):.4f} deg")

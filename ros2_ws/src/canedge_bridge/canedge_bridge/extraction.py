@@ -54,8 +54,8 @@ def raw_range(signal: DbcSignal) -> tuple[int, int]:
 class Field:
     """Position of an unsigned integer of up to 64 bits in a frame.
 
-    higher: indices of its bytes from the highest to the last but one. lowest: index of its lowest byte. shift: number
-    of bits below it in its lowest byte. bits: width.
+    lowest: index of its least significant byte. higher: indices of its other bytes, most significant first. shift:
+    number of bits below it in its least significant byte. bits: width.
     """
 
     higher: tuple[int, ...]

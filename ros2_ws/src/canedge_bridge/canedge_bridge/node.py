@@ -122,11 +122,10 @@ class CanedgeBridge(Node):
     def _publish(self, decoded: DecodedFrame) -> None:
         sensor = decoded.values.get("steering_wheel_angle")
         if sensor is not None and self._calibration is not None:
-            calibration = self._calibration
+            steering_wheel_angle, road_wheel_angle = self._calibration.convert(sensor)
             self._steering.publish(Steering(
                 header=_header(decoded.time_ns - self._latency_ns), valid=decoded.valid,
-                steering_wheel_angle=calibration.steering_wheel_angle(sensor),
-                road_wheel_angle=calibration.road_wheel_angle(sensor)))
+                steering_wheel_angle=steering_wheel_angle, road_wheel_angle=road_wheel_angle))
         now = time.monotonic()
         if self._wheel_speeds.has_subscribers(now) and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
             self._wheel_speeds.publish(WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields))
@@ -145,7 +144,7 @@ class CanedgeBridge(Node):
     def _on_error(self, error: Exception) -> None:
         # At shutdown, the context is destroyed before the thread ends, and publishing fails as expected.
         if rclpy.ok():
-            self.get_logger().error(f"a frame could not be processed: {error!r}", throttle_duration_sec=5.0)
+            self.get_logger().error(f"error while receiving CAN frames: {error!r}", throttle_duration_sec=5.0)
 
     def _log_start(self) -> None:
         logger, table = self.get_logger(), self._decoder.table

@@ -82,6 +82,7 @@ class SignalSpec:
 
     @property
     def is_limited(self) -> bool:
+        """Whether the table gives a range or a maximum rate."""
         return math.isfinite(self.maximum) or math.isfinite(self.max_rate)
 
     def to_si(self, data: Data) -> Any:
@@ -98,7 +99,8 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One message of the table. period: nominal [s]. timeout: maximum age [s]. fill: raw values to encode only."""
+    """One message of the table. period: nominal [s]. timeout: maximum age [s]. fill: raw values that only the encoder
+    uses, by DBC name of the signal."""
 
     dbc: DbcMessage
     needed: bool

@@ -1,5 +1,6 @@
 """Opens a CAN bus: live SocketCAN, the loopback bus of the simulation, or any other python-can interface."""
 
+import ipaddress
 import select
 import socket
 import struct
@@ -18,10 +19,10 @@ _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _IP_MULTICAST_ALL = 49  # linux/in.h; not in the socket module
 _TIMESPEC = struct.Struct("@ll")
 _LARGEST_DATAGRAM = 4096  # bytes
+_RECEIVE_BUFFER = 1 << 20  # bytes
 # Types of the fields of a datagram, checked because can.Message would accept text as a number and a list as a flag.
 _FIELD_TYPES = {"arbitration_id": int, "dlc": int, "data": bytes, **dict.fromkeys(
     ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd", "bitrate_switch", "error_state_indicator"), bool)}
-_RECEIVE_BUFFER = 1 << 20
 
 
 def check_channel(interface: str, channel: str) -> None:
@@ -174,10 +175,10 @@ def parse_channel(channel: str) -> tuple[str, int]:
     """("239.74.163.2", 43113) from "239.74.163.2" or "239.74.163.2:43113". Raises ValueError for anything else."""
     group, _, port_text = channel.partition(":")
     try:
-        multicast = 224 <= socket.inet_aton(group)[0] <= 239 and group.count(".") == 3
-    except OSError:
-        multicast = False
-    if not multicast:
+        is_multicast = ipaddress.IPv4Address(group).is_multicast
+    except ValueError:
+        is_multicast = False
+    if not is_multicast:
         raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255, :port may follow)")
     port = DEFAULT_PORT if not port_text else int(port_text) if port_text.isdigit() else 0
     if not 1 <= port <= 65535:

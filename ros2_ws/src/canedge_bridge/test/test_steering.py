@@ -14,6 +14,6 @@ from canedge_bridge.decode import SteeringCalibration
 ])
 def test_road_wheel_angle(sign, sensor_deg, steering_wheel_deg, road_wheel_deg):
     calibration = SteeringCalibration(sign, math.radians(-2.7), 17.3)
-    sensor = math.radians(sensor_deg)
-    assert math.degrees(calibration.steering_wheel_angle(sensor)) == pytest.approx(steering_wheel_deg)
-    assert math.degrees(calibration.road_wheel_angle(sensor)) == pytest.approx(road_wheel_deg, abs=1e-12)
+    steering_wheel, road_wheel = calibration.convert(math.radians(sensor_deg))
+    assert math.degrees(steering_wheel) == pytest.approx(steering_wheel_deg)
+    assert math.degrees(road_wheel) == pytest.approx(road_wheel_deg, abs=1e-12)

@@ -69,8 +69,8 @@ class Health:
             text = f"{ignored} datagrams from other ports of {source.sender} ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
         if source.ignored and not source.sender:
-            return Check("source", WARN, f"{source.name}: only ignored senders: {', '.join(source.ignored)}; "
-                         "check sender_filter", values)
+            return Check("source", WARN, f"{source.name}: receives only from ignored senders "
+                         f"({', '.join(source.ignored)}); check sender_filter", values)
         return Check("source", OK, source.name + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:

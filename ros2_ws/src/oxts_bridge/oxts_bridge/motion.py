@@ -11,7 +11,7 @@ from .packet_time import NEW, SAME
 from .status import StatusTracker
 from .stream import NcomParser, ReceivedPacket
 
-FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"
+FIRST_FIX, GIVEN, UNIT = "first_fix", "given", "unit"  # sources of the origin of the map
 # A unit with a local frame sends it at least every 200 packets; after this time [ns], the unit is taken to have none.
 LOCAL_FRAME_TIMEOUT_NS = 10_000_000_000
 

@@ -99,9 +99,9 @@ class Reconstruction:
         offset = self._read_steering_parameter(bridge, "steering_wheel_offset")
         calibration = SteeringCalibration(bridge.get("steering_sign", 1), offset, ratio)
         latency_ns = round(float(bridge.get("steering_latency", 0.0)) * 1e9)
-        return {"header.stamp": signal.time_ns - latency_ns,
-                "steering_wheel_angle": calibration.steering_wheel_angle(signal.values),
-                "road_wheel_angle": calibration.road_wheel_angle(signal.values), "valid": signal.valid}
+        steering_wheel_angle, road_wheel_angle = calibration.convert(signal.values)
+        return {"header.stamp": signal.time_ns - latency_ns, "steering_wheel_angle": steering_wheel_angle,
+                "road_wheel_angle": road_wheel_angle, "valid": signal.valid}
 
     def _read_steering_parameter(self, bridge: Mapping[str, Any], key: str) -> float:
         value = float(bridge.get(key, math.nan))
