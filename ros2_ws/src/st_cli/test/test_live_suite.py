@@ -3,6 +3,7 @@
 import math
 import os
 import socket
+import sys
 import time
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from rich.console import Console
 from st_cli.verbs import live, raw_logs
 from st_live import configuration, report, session
 from st_live.node import Status, SuiteState, render_progress
-from st_live.suite import SuiteError, claim_domain, merge_parameters, read_domain_id
+from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
 
 from tools import develop
@@ -53,6 +54,20 @@ def test_too_short_run_is_refused_with_the_unit() -> None:
     for verb, seconds in ((live.demo, "2"), (live.demo, "nan"), (live.live, "0.5")):
         result = run(verb, "--duration", seconds)
         assert result.exit_code == 2 and f"{seconds} s is shorter than the minimum of" in result.stderr
+
+
+def test_run_is_over_after_the_shortest_duration() -> None:
+    assert session.make_timer(None, 60.0)()[1:] == (60.0, False) and session.make_timer(None)()[1:] == (None, False)
+    assert session.make_timer(60.0, -1.0)()[1:] == (-1.0, True)
+
+
+def test_only_a_player_that_succeeds_may_end_during_a_run(tmp_path: Path) -> None:
+    with Processes(tmp_path) as processes:
+        for code in ("pass", "raise SystemExit('no subscriber')"):
+            processes.check()
+            processes.start("player", [sys.executable, "-c", code], may_end=True).process.wait(20)
+        with pytest.raises(SuiteError, match="player ended with status 1: no subscriber"):
+            processes.check()
 
 
 def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:

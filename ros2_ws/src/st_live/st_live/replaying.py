@@ -2,14 +2,12 @@
 
 import json
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
@@ -18,19 +16,15 @@ from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.reconstruct import RECONSTRUCTED
 
+from . import session
 from .configuration import REPLAY_NODES, TRUNCATION_WARNING, make_replay_parameters, set_bands_and_course
-from .node import Monitor
 from .page import LiveView
-from .session import Outcome, start_nodes
-from .suite import Child, Parameters, Suite, SuiteError, claim_domain, read_domain_id
-
-DRAIN_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
-PROGRESS_PERIOD = 0.2  # s
+from .suite import Suite
 
 
 def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, console: Console,
-               view: LiveView | None = None, bands: Path | None = None, course: Path | None = None,
-               adaptive: bool | None = None, settings: ReadSettings = ReadSettings()) -> tuple[Outcome, str]:
+               view: LiveView = LiveView(False), bands: Path | None = None, course: Path | None = None,
+               adaptive: bool | None = None, settings: ReadSettings = ReadSettings()) -> tuple[session.Outcome, str]:
     """Replay a bag with its recorded configuration; returns the outcome and the name of the vehicle.
 
     The nodes record into folder/bag and folder/errors. vehicle, course: files to use instead of the recorded ones.
@@ -61,7 +55,13 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
               "steering": drive.topics[STEERING], "steering_field": steering and asdict(steering),
               "steering_ratio": car.steering_ratio, "steering_wheel_offset": car.steering_wheel_offset,
               "horizon": predictor["horizon"], "tick_rate": predictor["rate"], "models": predictor["models"]}
-    return _play(player, folder, parameters, console, view), car.name
+    nodes = [("st_predictor", name) for name in REPLAY_NODES]
+    outcome = session.run(folder, parameters, bag.name, console, view, lambda suite: _play(suite, player), nodes)
+    status = _read_last_status(folder / "logs" / "player.log")
+    if status.get("wall"):
+        speed = status["duration"] / status["wall"]
+        console.out(f"{status['duration']:.1f} s played in {status['wall']:.1f} s ({speed:.1f} x)", highlight=False)
+    return outcome, car.name
 
 
 def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
@@ -70,50 +70,18 @@ def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
     return topics + ([TRUNCATION_WARNING.format(bag, "played")] if was_interrupted(bag) else [])
 
 
-def _play(settings: Mapping[str, Any], folder: Path, parameters: Parameters, console: Console,
-          view: LiveView | None) -> Outcome:
-    """Run nodes and player. settings: of the player."""
-    problem, interrupted, name = "", False, Path(settings["bag"]).name
-    with (claim_domain(read_domain_id()) as domain, Suite(folder, parameters, domain) as suite,
-          Monitor(domain) as monitor):
-        start_nodes(suite, monitor, [("st_predictor", name) for name in REPLAY_NODES])
-        if view:
-            view.open(folder, domain, parameters["predictor"], name, console)
-        player = suite.start("player", [sys.executable, "-m", "st_live.nodes.player", json.dumps(settings)])
-        try:
-            _watch(suite, player, name, settings["rate"], console)
-        except SuiteError as error:
-            problem = str(error)
-        except KeyboardInterrupt:
-            interrupted = True
-        statuses = suite.stop("player")
-        time.sleep(DRAIN_TIME)
-        for node in reversed(REPLAY_NODES):
-            statuses.update(suite.stop(node))
-    return Outcome(statuses, interrupted, problem)
+def _play(suite: Suite, settings: Mapping[str, Any]) -> session.Progress:
+    """Start the player; its progress is in time of the recording."""
+    command = [sys.executable, "-m", "st_live.nodes.player", json.dumps(settings)]
+    player = suite.start("player", command, may_end=True)
+
+    def read_progress() -> tuple[float, float | None, bool]:
+        is_over, status = player.process.poll() == 0, _read_last_status(player.log)
+        return status.get("played", 0.0), status.get("duration"), is_over
+
+    return read_progress
 
 
-def _watch(suite: Suite, player: Child, name: str, rate: float, console: Console) -> None:
-    """Show progress until the player has finished. Raises SuiteError if it fails or another process ends first."""
-    speed = f"{rate:g} x" if rate > 0 else "as fast as the nodes can follow"
-    columns = (TextColumn("{task.description}"), BarColumn(),
-               TextColumn("{task.completed:.0f} s of {task.total} s"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task(f"{name}, {speed}", total=None)
-        while player.process.poll() is None:
-            time.sleep(PROGRESS_PERIOD)
-            if player.process.poll() is None:
-                suite.check()
-            status = _read_last_status(player)
-            progress.update(bar, completed=status.get("played", 0.0), total=status.get("duration", 1.0))
-    if player.process.returncode:
-        raise SuiteError(f"the player ended with status {player.process.returncode}: {player.read_last_lines()}")
-    status = _read_last_status(player)
-    if status.get("wall"):
-        speed = status["duration"] / status["wall"]
-        console.print(f"{status['duration']:.1f} s played in {status['wall']:.1f} s ({speed:.1f} x)", highlight=False)
-
-
-def _read_last_status(player: Child) -> dict[str, Any]:
-    lines = [line for line in player.log.read_text(errors="replace").splitlines() if line.startswith("{")]
+def _read_last_status(log: Path) -> dict[str, Any]:
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.startswith("{")]
     return json.loads(lines[-1]) if lines else {}

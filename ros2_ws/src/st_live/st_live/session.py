@@ -31,12 +31,16 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
     ("canedge_bridge", "canedge_bridge"),
 )
 # The predictor ends while data still arrive, so that its last tick has inputs. The recorder ends last.
-STOP_ORDER = ("predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
+STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 60.0  # s until all nodes are in the graph
 DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
+
+
+Progress = Callable[[], tuple[float, float | None, bool]]
+"""Returns the elapsed and the total duration of the run [s], None if unknown, and whether the run is over."""
 
 
 @dataclass
@@ -124,38 +128,36 @@ class Outcome:
         return not (self.problem or self.restarts or any(self.statuses.values()))
 
 
-def run(folder: Path, parameters: Parameters, title: str, console: Console, view: LiveView, duration: float | None,
-        source: Callable[[Suite], float] | None = None, supervised: bool = False, realtime: bool = False) -> Outcome:
-    """Start all nodes, then the source, show the run, and stop everything in order.
+def run(folder: Path, parameters: Parameters, title: str, console: Console, view: LiveView,
+        source: Callable[[Suite], Progress], nodes: Sequence[tuple[str, str]] = NODES,
+        default_domain: int | None = None, supervised: bool = False, realtime: bool = False) -> Outcome:
+    """Start the nodes, then the source, show the run until it is over or until Ctrl-C, and stop everything in order.
 
-    duration: in s; None: until Ctrl-C or the end of the source. source: function that starts the virtual Leaf and
-    returns the duration of its drive [s]; None: the real car. supervised: restart nodes that end or hang, instead of
-    ending the run. realtime: real-time scheduling for bridges and predictor. Raises SuiteError if a node does not start
-    or is already running.
+    source: function that starts the source of the data, if it is not the real car, and returns the progress of the run.
+    default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other suites. supervised:
+    restart nodes that end or hang, instead of ending the run. realtime: real-time scheduling for bridges and predictor.
+    Raises SuiteError if a node does not start or is already running.
     """
-    # Unless ROS_DOMAIN_ID is set, the virtual Leaf uses a free domain, isolated from other suites; the car, domain 0.
     requested_domain = read_domain_id()
-    if requested_domain is None and not source:
-        requested_domain = 0
+    if requested_domain is None:
+        requested_domain = default_domain
     with _catch_signals() as stop_requested, claim_domain(requested_domain) as domain, Monitor(domain) as monitor:
         if requested_domain is not None:
             time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
-            if not start_nodes(suite, monitor, NODES, stop_requested):
+            if not _start_nodes(suite, monitor, nodes, stop_requested):
                 return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
-            console.out(f"{len(NODES)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
+            console.out(f"{len(nodes)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
             if suite.denied:
                 names = ", ".join(sorted(suite.denied))
                 console.out(f"real-time scheduling is not permitted for {names}; to permit it: {REALTIME_PERMISSION}",
                             style="yellow", highlight=False)
             view.open(folder, domain, parameters["predictor"], title, console)
-            if source:
-                available = source(suite) - END_MARGIN
-                duration = min(duration or available, available)
-            supervisor = Supervisor(suite, monitor, NODES) if supervised else None
-            problem = _watch(suite, monitor, supervisor, console, title, duration, stop_requested)
+            progress = source(suite)
+            supervisor = Supervisor(suite, monitor, nodes) if supervised else None
+            problem = _watch(suite, monitor, supervisor, console, title, progress, stop_requested)
             health_text = render_health(monitor.state).plain
             statuses = {}
             for name in STOP_ORDER:
@@ -172,8 +174,19 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
                          "ROS_DOMAIN_ID to another number")
 
 
-def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
-                stop_requested: Callable[[], bool] = lambda: False) -> bool:
+def make_timer(*durations: float | None) -> Progress:
+    """Progress of a run that is over after the shortest of these durations [s]; None: unlimited."""
+    started, duration = time.monotonic(), min((d for d in durations if d is not None), default=None)
+
+    def read_progress() -> tuple[float, float | None, bool]:
+        elapsed = time.monotonic() - started
+        return elapsed, duration, duration is not None and elapsed > duration
+
+    return read_progress
+
+
+def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
+                 stop_requested: Callable[[], bool]) -> bool:
     """Start nodes and wait until they are in the graph; False after a stop request. Raises SuiteError if one fails."""
     for package, executable in nodes:
         suite.start_node(package, executable)
@@ -187,18 +200,17 @@ def start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]
 
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
-           duration: float | None, stop_requested: Callable[[], bool]) -> str:
-    """Show the run until its duration has passed or until Ctrl-C; returns an empty string.
+           progress: Progress, stop_requested: Callable[[], bool]) -> str:
+    """Show the run until it is over or until Ctrl-C; returns an empty string.
 
     Without a supervisor, the run also ends when a process ends; the returned message then names this process.
     """
-    started = time.monotonic()
-    last_line = started
+    last_line = time.monotonic()
     with Live(console=console, refresh_per_second=4, transient=True, auto_refresh=False) as live:
         while not stop_requested():
             time.sleep(UPDATE_PERIOD)
-            elapsed = time.monotonic() - started
-            if duration is not None and elapsed > duration:
+            elapsed, duration, is_over = progress()
+            if is_over:
                 break
             if supervisor:
                 supervisor.update()

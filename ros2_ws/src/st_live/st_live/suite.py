@@ -43,11 +43,12 @@ class SuiteError(RuntimeError):
 
 @dataclass(frozen=True)
 class Child:
-    """One process. log: file with its output."""
+    """One process. log: file with its output. may_end: whether an end with status 0 during the run is no error."""
 
     name: str
     process: subprocess.Popen
     log: Path
+    may_end: bool = False
 
     def read_last_lines(self, count: int = 5) -> str:
         return "\n".join(self.log.read_text(errors="replace").strip().splitlines()[-count:])
@@ -80,7 +81,7 @@ class Processes:
         self.environment["ROS_LOG_DIR"] = str(folder / "logs" / "ros")
         (folder / "logs").mkdir(parents=True, exist_ok=True)
 
-    def start(self, name: str, command: list[str]) -> Child:
+    def start(self, name: str, command: list[str], may_end: bool = False) -> Child:
         log = self.folder / "logs" / f"{name}.log"
         if shutil.which("setpriv"):
             command = ["setpriv", "--pdeathsig", "INT", *command]
@@ -89,14 +90,14 @@ class Processes:
                                        env=self.environment, start_new_session=True)
         if self._realtime and not _set_realtime(process.pid, name):
             self.denied.add(name)
-        child = Child(name, process, log)
+        child = Child(name, process, log, may_end)
         self.children.append(child)
         return child
 
     def check(self) -> None:
         """Raises SuiteError naming the first child that has ended."""
         for child in self.children:
-            if (status := child.process.poll()) is not None:
+            if (status := child.process.poll()) is not None and (status or not child.may_end):
                 raise SuiteError(f"{child.name} ended with status {status}: {child.read_last_lines() or 'no output'}\n"
                                  f"(log: {child.log})")
 

@@ -34,7 +34,7 @@ def demo(
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
-    from st_live import configuration
+    from st_live import configuration, session
     from st_live.suite import SuiteError
 
     title = drive.stem if drive else Path(scenario or "S6").stem
@@ -52,7 +52,7 @@ def demo(
         what, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
         about = {"what": what, "source": source, "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
         status = _run(f"demo-{title}", about, car.vehicle, car.make_bridge_parameters(), run_options, output,
-                      duration=duration, source=car.start)
+                      source=lambda suite: session.make_timer(duration, car.start(suite) - session.END_MARGIN))
     raise typer.Exit(status)
 
 
@@ -73,7 +73,7 @@ def live(
     output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
-    from st_live import configuration
+    from st_live import configuration, session
     from st_live.suite import SuiteError
 
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
@@ -84,8 +84,9 @@ def live(
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | named.steering, named.dbc, named.signals)
         about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.find_vehicle_name(vehicle)}
-        status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None, duration=duration,
-                      supervised=True, realtime=realtime)
+        status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None,
+                      source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
+                      realtime=realtime)
     raise typer.Exit(status)
 
 

@@ -38,6 +38,7 @@ PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
 FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # plan: predictor and recorder; origin: at least the recorder
 # s, longest wait for a node at rate 0; the short one follows a wait without progress, for example at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
+DRAIN_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this delay
 
 
@@ -132,6 +133,7 @@ class Player:
                     publishers[connection.topic].publish(bytes(data))
             self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
         self._report(duration, duration, time.monotonic() - started)
+        time.sleep(DRAIN_TIME)
         return 0
 
     def close(self) -> None:
