@@ -348,3 +348,14 @@ def test_csv_or_bag_of_an_ins_is_paired_with_a_can_log(tmp_path: Path, drive_fol
     run = read(source, CAR)
     assert_same(run.log, drive_log, max_lost=0, steering=0.003)
     assert run.provenance["reader"] == f"{kind} and CAN log"
+
+
+def test_yaw_of_a_csv_with_a_can_log_is_corrected(tmp_path: Path, drive_folder: Path, drive_log: DriveLog) -> None:
+    (tmp_path / "run.log").write_bytes((drive_folder / "run.log").read_bytes())
+    cells = [[*row[:3], f"{np.degrees(float(row[3])) % 360:.6f}", *row[4:7]] for row in rows(drive_log)]
+    (tmp_path / "run.csv").write_text(csv(cells, ",".join(NAMES[:7])))
+    (tmp_path / "run.yaml").write_text(f"csv: run.csv\ncan: run.log\ncorrect: {{yaw: {{scale: {np.pi / 180}}}}}\n")
+    (source,) = find_runs([tmp_path / "run.yaml"])
+    log = read(source, CAR).log
+    np.testing.assert_allclose(np.cos(log.yaw - drive_log.yaw), 1.0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(log.yaw), np.diff(drive_log.yaw), atol=1e-6)

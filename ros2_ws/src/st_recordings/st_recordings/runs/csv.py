@@ -118,9 +118,12 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
-def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
+def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS, yaw_scale: float = 1.0) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
-    needed: channels that every sample has; so is yaw if the table has it. Other channels may contain NaN."""
+
+    needed: channels that every sample has; so is yaw if the table has it. Other channels may contain NaN. yaw_scale: as
+    for `build_drive`.
+    """
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
@@ -133,7 +136,7 @@ def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS) -> InsLog:
     _count_missing(table, counted, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
     if "yaw" in values:
-        values["yaw"] = np.unwrap(values["yaw"])
+        values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     return build_planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
 
 
@@ -180,7 +183,7 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = _missing_channels(table.sources, table.names, ("t", *needed))
-    if missing and _is_mostly_numbers(table.names):
+    if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
     unclear = describe_unknown_units(table.names, table.sources)
@@ -203,10 +206,6 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
         raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
-
-
-def _is_mostly_numbers(names: Sequence[str]) -> bool:
-    return 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in names) > len(names)
 
 
 def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:

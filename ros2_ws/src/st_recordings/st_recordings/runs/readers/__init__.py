@@ -23,7 +23,8 @@ class Reader:
     that a run needs CAN logs. read_ins: reads only the INS, for a run with CAN logs. is_folder: whether a folder is one
     recording. has_drive: whether a file contains a drive, by a quick test; True if undecided. is_incomplete: whether a
     file without a drive is probably meant as one, so that it is reported. lacks_steering: whether a recording contains
-    no steering angle, so that CAN logs belong to it. scales_yaw: whether `read` applies the correction factor of yaw.
+    no steering angle, so that CAN logs belong to it. scales_yaw: whether `read` and `read_ins` apply the correction
+    factor of yaw.
     """
 
     kind: str

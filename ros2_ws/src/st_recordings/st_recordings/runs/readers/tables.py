@@ -18,20 +18,24 @@ from ..vbo import lacks_steering, read_vbo
 from . import Reader, register
 
 
+def _get_yaw_scale(source: RunSource) -> float:
+    return source.settings.get("correct", {}).get("yaw", Correction()).scale
+
+
 def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
               **tests: Callable[[Path], bool]) -> None:
     def _read_joined(source: RunSource, layout: Layout) -> Table:
         return join_tables([read_one(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-        yaw = source.settings.get("correct", {}).get("yaw", Correction())
         layout = csv.add_steering_column(source.settings.get("layout") or Layout(), settings.steering)
-        run = csv.build_drive(_read_joined(source, layout), vehicle, yaw.scale, settings.steering)
+        run = csv.build_drive(_read_joined(source, layout), vehicle, _get_yaw_scale(source), settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
                        provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-        return csv.build_ins_log(_read_joined(source, source.settings.get("layout") or Layout()))
+        table = _read_joined(source, source.settings.get("layout") or Layout())
+        return csv.build_ins_log(table, yaw_scale=_get_yaw_scale(source))
 
     register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **tests))
 
