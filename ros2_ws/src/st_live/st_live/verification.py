@@ -178,10 +178,10 @@ def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np
     _, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, assume_unique=True, return_indices=True)
     complete = np.isfinite(errors[computed]).all(axis=(1, 2))
     both = complete & scores.complete[recorded]
-    cut = complete & scores.cut[recorded]
+    cut = complete & scores.signal_ends[recorded]
     result.n_cut += int(cut.sum())
     # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
-    excluded = cut | scores.jumped[recorded]
+    excluded = cut | scores.has_jump[recorded]
     result.n_disagree += int(((complete != scores.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():

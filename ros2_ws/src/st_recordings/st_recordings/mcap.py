@@ -40,9 +40,10 @@ _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 class BagWriter:
     """Writes one bag.
 
-    A full or failing disk does not raise an error: the bag is closed after its last complete chunk, `error` gives the
-    reason, and later messages are counted in `lost`. If the directory is renamed or deleted, the file is closed with
-    its index, `error` reports this, and `moved` is set. syncer: synchronises file and disk; None if not requested.
+    message_count: number of messages, with those not yet written to the file. syncer: synchronises file and disk; None
+    if not requested. A full or failing disk does not raise an error: the bag is closed after its last complete chunk,
+    `error` gives the reason, and messages that are not in the file are counted in `lost`. If the directory is renamed
+    or deleted, the file is closed with its index, `error` reports this, and `moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -61,7 +62,7 @@ class BagWriter:
         """
         self.directory = Path(directory).absolute()
         self.error = ""
-        self.lost = 0
+        self.message_count = self.lost = 0
         self.closed = self.moved = False
         self.syncer: Syncer | None = None
         self._custom = collect_custom_data(records or {})
@@ -71,7 +72,6 @@ class BagWriter:
             raise FileExistsError(f"{self.directory} contains files and is not overwritten; name another directory")
         self.directory.mkdir(parents=True, exist_ok=True)
         self.path = self.directory / f"{self.directory.name}_0.mcap"
-        self._bag_file = BagFile(self.path.name)
         self._contents = Contents()
         self._compressor = zstandard.ZstdCompressor()
         self._start_chunk()
@@ -85,10 +85,6 @@ class BagWriter:
         if synced:
             self.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
             self.syncer.wake()
-
-    @property
-    def message_count(self) -> int:
-        return self._bag_file.count
 
     def add_topic(self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "",
                   type_hash: str = "") -> int:
@@ -125,11 +121,7 @@ class BagWriter:
         length = _MESSAGE_HEAD_LENGTH + len(data)
         self._chunk.write(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, topic, 0, log_time_ns, publish_time_ns))
         self._chunk.write(data)
-        bag_file = self._bag_file
-        bag_file.start_ns = min(bag_file.start_ns, log_time_ns) if bag_file.count else log_time_ns
-        bag_file.end_ns = max(bag_file.end_ns, log_time_ns)
-        bag_file.count += 1
-        self._topics[topic - 1].count += 1
+        self.message_count += 1
         if self._chunk.count > CHUNK_SIZE or time.monotonic() >= self._next_flush:
             self.flush()
 
@@ -182,7 +174,12 @@ class BagWriter:
             self.syncer.wake()
 
     def _build_information(self) -> BagInformation:
-        return BagInformation([self._bag_file], self._topics, self._custom)
+        """Content of metadata.yaml for the written chunks."""
+        counts = self._contents.counts()
+        for channel_id, topic in enumerate(self._topics, start=1):
+            topic.count = counts[channel_id]
+        bag_file = BagFile(self.path.name, counts.total(), *self._contents.times())
+        return BagInformation([bag_file], self._topics, self._custom)
 
     def _finish(self, folder: Path | None) -> None:
         """Writes the index, and metadata.yaml to a folder."""
@@ -213,15 +210,10 @@ class BagWriter:
     def _stop(self, error: OSError) -> None:
         """Closes the bag after its last complete chunk, and drops chunks until index and metadata.yaml fit."""
         self.error = f"recording stopped: {error.strerror or error} ({self.path})"
-        written = self.message_count
         length = self._file.tell()
         while True:
             try:
                 self._file.truncate(length)
-                counts, times = self._contents.counts(), self._contents.times()
-                for channel_id, topic in enumerate(self._topics, start=1):
-                    topic.count = counts[channel_id]
-                self._bag_file = BagFile(self.path.name, counts.total(), *times)
                 self._finish(self.directory)
                 break
             except OSError as write_error:
@@ -233,7 +225,8 @@ class BagWriter:
                         self._file.truncate(length)
                     break
                 length = dropped
-        self.lost += written - self.message_count
+        kept = self._contents.counts().total()
+        self.lost, self.message_count = self.lost + self.message_count - kept, kept
         self._close_file()
 
 

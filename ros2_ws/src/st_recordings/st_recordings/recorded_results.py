@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -57,13 +57,13 @@ class Scores:
     starts_ns: np.ndarray  # (n,)
     errors: np.ndarray  # (n, points, 3) longitudinal, lateral [m], yaw [rad]
     complete: np.ndarray  # (n,)
-    cut: np.ndarray  # (n,) whether a score is incomplete because a signal ends, as at the end of the run
-    jumped: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
+    signal_ends: np.ndarray  # (n,) whether a score is incomplete because a signal ends, as at the end of the run
+    has_jump: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
         """The scores of the given start times [ns]."""
         rows = np.isin(self.starts_ns, starts_ns)
-        return Scores(self.starts_ns[rows], self.errors[rows], self.complete[rows], self.cut[rows], self.jumped[rows])
+        return Scores(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 @dataclass(frozen=True)
