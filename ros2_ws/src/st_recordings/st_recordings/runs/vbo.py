@@ -136,28 +136,25 @@ def _read_midnight(text: str) -> float:
 
 
 def _correct_signs(table: Table) -> Table:
-    """Makes longitude positive to the east and the yaw rate positive in left turns."""
+    """Makes longitude positive to the east and the yaw rate positive in left turns. The derivative of the heading shows
+    the sign of the yaw rate, and replaces a yaw rate that does not agree with it."""
     columns, notes = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
-        _correct_yaw_rate(table, columns, differentiate_yaw(table, -heading), notes)
+        derived = differentiate_yaw(table, -heading)
+        both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
+        measured, expected = columns["yaw_rate"][both], derived[both]
+        # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
+        # steady turn.
+        turns = both.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
+        agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
+        if turns and agreement < -MIN_HEADING_AGREEMENT:
+            columns["yaw_rate"] = -columns["yaw_rate"]
+            notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
+        elif turns and agreement < MIN_HEADING_AGREEMENT:
+            notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
+                         f"{agreement:.2f}); the derivative of the heading is used")
+            columns["yaw_rate"] = derived
     return replace(table, columns=columns, warnings=tuple(notes))
-
-
-def _correct_yaw_rate(table: Table, columns: dict[str, np.ndarray], derived: np.ndarray, notes: list[str]) -> None:
-    """Corrects the sign of the yaw rate by the derivative of the heading, or replaces it by this derivative."""
-    both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
-    measured, expected = columns["yaw_rate"][both], derived[both]
-    if both.sum() <= 10 or np.median(np.abs(expected)) < MIN_TURN_RATE:
-        return  # the derivative is noise if the car drives straight
-    # Means are not subtracted, because both are constant in a steady turn.
-    agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
-    if agreement < -MIN_HEADING_AGREEMENT:
-        columns["yaw_rate"] = -columns["yaw_rate"]
-        notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
-    elif agreement < MIN_HEADING_AGREEMENT:
-        notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
-                     f"{agreement:.2f}); the derivative of the heading is used")
-        columns["yaw_rate"] = derived
