@@ -18,7 +18,7 @@ from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag, find_runs, read
 from st_recordings.runs.bag import ODOMETRY, STEERING, has_odometry, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage, Storage
-from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, Layout
+from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, CdrLayout
 from st_recordings.runs.errors import RunError
 
 START_NS = 1_700_000_000_123_456_789
@@ -317,7 +317,7 @@ def test_unreadable_bags_are_refused_with_the_reason(tmp_path: Path) -> None:
 
 
 def test_layout_serialises_like_rosbags() -> None:
-    layout = Layout(STORE, ODOMETRY, STORE.deserialize_cdr(odometry_message(3)[1], ODOMETRY))
+    layout = CdrLayout(STORE, ODOMETRY, STORE.deserialize_cdr(odometry_message(3)[1], ODOMETRY))
     yaw = 0.02 * np.arange(N)
     rows = layout.rows(N, {
         "header.stamp": START_NS + np.arange(N) * 10_000_000, "pose.pose.position.x": 0.1 * np.arange(N),

@@ -26,7 +26,7 @@ from rosbags.typesys.store import Typestore
 from ..bag_metadata import read_information
 from ..mcap_contents import MAGIC
 from ..paths import natural_sort_key
-from .cdr import READ_ERRORS, Block, Layout, add_definitions, get_field, load_typestore, read_blocks, read_summary
+from .cdr import READ_ERRORS, Block, CdrLayout, add_definitions, get_field, load_typestore, read_blocks, read_summary
 from .errors import RunError, check_readable, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
@@ -86,7 +86,7 @@ class Storage(ABC):
             yield log_ns, message
 
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (cdr.Layout) of all messages, by topic name and field. Omits topics without messages, with
+        """Numeric fields (CdrLayout) of all messages, by topic name and field. Omits topics without messages, with
         messages of different layouts or, in MCAP, with several publishers."""
         uniform = {}
         for topic, names in fields.items():
@@ -357,7 +357,7 @@ class _GatheredFields:
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store
-        self._layout: Layout | None = None
+        self._layout: CdrLayout | None = None
         self.is_uniform, self.parts = True, list[dict[str, np.ndarray]]()
 
     def add(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> None:
@@ -368,7 +368,7 @@ class _GatheredFields:
             first = buffer[starts[0] : starts[0] + sizes[0]].tobytes()
             try:
                 example = self._store.deserialize_cdr(first, self._type_name)
-                self._layout = Layout(self._store, self._type_name, example)
+                self._layout = CdrLayout(self._store, self._type_name, example)
             except Exception:  # any, from rosbags; reading the messages one by one reports the error
                 self.is_uniform = False
                 return

@@ -111,7 +111,7 @@ class Field:
         return int(np.dtype(self.dtype).itemsize) * self.count
 
 
-class Layout:
+class CdrLayout:
     """Byte layout of the messages of one type that have the strings and sequence lengths of an example.
 
     template: the serialised example. fields: path, such as "pose.pose.position.x" -> position of the number. A time is

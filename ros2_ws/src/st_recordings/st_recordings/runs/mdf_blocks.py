@@ -39,7 +39,7 @@ class _Block(NamedTuple):
 
 
 @dataclass
-class Layout:
+class RecordLayout:
     """Layout of the records in an unsorted data group."""
 
     start: int  # offset of the first record
@@ -48,7 +48,7 @@ class Layout:
     variable: set[int]  # identifiers of the separate payload records
 
 
-def check_blocks(data: Buffer) -> Layout | None:
+def check_blocks(data: Buffer) -> RecordLayout | None:
     """Checks the blocks that lead to the frames. Raises DamageError if one of them is missing or invalid.
 
     asammdf does not validate these blocks: it crashes for a channel outside its record, allocates a record of a
@@ -72,7 +72,7 @@ class _BlockChecker:
         # Since MDF 4.10, flags mark the unfinished parts, which asammdf completes.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
-        self.layouts: list[Layout | None] = []  # one per data group
+        self.layouts: list[RecordLayout | None] = []  # one per data group
         header = self._read_block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
             self._check_chain(header.links[link], name)
@@ -116,7 +116,7 @@ class _BlockChecker:
         id_size = self._data[block.content]
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
-        layout = Layout(block.links[2] + _HEADER, id_size, {}, set())
+        layout = RecordLayout(block.links[2] + _HEADER, id_size, {}, set())
         declared, group = 0, block.links[1]
         while group:
             group, size = self._check_channel_group(group, layout)
@@ -128,7 +128,7 @@ class _BlockChecker:
             raise DamageError(f"the block at byte {offset} declares {declared} bytes of records, but there are {size}")
         return block.links[0]
 
-    def _check_channel_group(self, offset: int, layout: Layout) -> tuple[int, int]:
+    def _check_channel_group(self, offset: int, layout: RecordLayout) -> tuple[int, int]:
         """Adds a channel group to the layout; returns (offset of the next group, bytes of its fixed-size records)."""
         block = self._read_block(offset, (b"##CG",), links=6, content=32)
         record, count, flags, _, _, size, invalidation_size = struct.unpack_from("<QQHHIII", self._data, block.content)
@@ -234,7 +234,7 @@ class _BlockChecker:
         return unpacked
 
 
-def find_end_of_last_frame(data: Buffer, layout: Layout) -> int | None:
+def find_end_of_last_frame(data: Buffer, layout: RecordLayout) -> int | None:
     """Offset after the last record with a complete payload in an unfinalised file; None without such a record.
 
     A record consists of an identifier and a fixed number of bytes, or of an identifier, a length and that many bytes.

@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 from st_core.vehicle import VehicleParameters
 
 from .can_signals import CanSignals
-from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, Layout
+from .cdr import CAN_FRAMES, NCOM, ODOMETRY, STEERING, WHEEL_FIELDS, WHEEL_SPEEDS, CdrLayout
 from .frames import ERROR, EXTENDED, FD, FRAME_HEAD_LENGTH, REMOTE, Frames
 from .ncom import ACCURACIES, NcomLog, decode_status_channel, select_latest_values
 
@@ -77,7 +77,7 @@ class Serialiser:
 
     def __init__(self, store: Typestore):
         self._store = store
-        self._layouts: dict[str, Layout] = {}
+        self._layouts: dict[str, CdrLayout] = {}
 
     def _make_blank(self, type_name: str, **texts: str) -> Any:
         """A message of zeros. texts: name of a string field of the message or of its header -> text."""
@@ -95,7 +95,7 @@ class Serialiser:
 
     def _serialise(self, topic: str, type_name: str, columns: Mapping[str, np.ndarray], **texts: str) -> Messages:
         if type_name not in self._layouts:
-            self._layouts[type_name] = Layout(self._store, type_name, self._make_blank(type_name, **texts))
+            self._layouts[type_name] = CdrLayout(self._store, type_name, self._make_blank(type_name, **texts))
         time_ns = columns["header.stamp"]
         rows = self._layouts[type_name].rows(len(time_ns), columns)
         edges = np.arange(len(rows) + 1, dtype=np.int64) * rows.shape[1]
