@@ -120,6 +120,11 @@ def test_lambda_requires_an_identified_cornering_stiffness(chain, tmp_path):
     assert changed.tyre_front.lambda_ky == found["tyre_front.lambda_ky"]["value"]
 
 
+def test_refusal_without_files_names_the_experiment_only(tmp_path):
+    result = st("identify", "lambda", "--vehicle", LEAF, "--output", tmp_path / "out")
+    assert result.exit_code == 2 and "st identify lambda: cornering_stiffness_front" in " ".join(result.output.split())
+
+
 def test_experiments_are_listed_without_an_argument():
     result = st("identify")
     assert result.exit_code == 0

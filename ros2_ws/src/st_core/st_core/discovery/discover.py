@@ -460,7 +460,7 @@ class _Analysis:
         if noise_ratio <= self.limits.max_noise_ratio:
             return ()
         return (f"the position error is {noise_ratio:.1f} times the noise",
-                *(f"{r.channel}: {r.condition}" for r in regions[:5]))
+                *(f"large {CHANNELS[r.channel].label} error: {r.condition}" for r in regions[:5]))
 
     def _locate_errors(self, fit: Fit, floor: Mapping[str, float]) -> tuple[result.LargeErrorRegion, ...]:
         self._ticker("where")()

@@ -37,17 +37,21 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     lines = [HEADER]
     for finding in findings:
         lines.append(f"# {finding.severity.value}: {finding.name}: {escape_unprintable(finding.text)}\n")
-        if finding.advice is None:
+        advice = finding.advice
+        if advice is None:
             continue
-        applicable = finding.advice.kind == "run.yaml" and finding.severity is not Severity.NOTE
-        readable = applicable and (source.kind in TABLE_KEYS or not CSV_KEYS & finding.advice.entry.keys())
-        if readable and _is_consistent(corrections, finding.advice.entry):
-            _merge_into(corrections, as_yaml_values(finding.advice.entry))
+        if advice.kind != "run.yaml":
+            comment = check_report.describe_correction(advice)
+        elif finding.severity is Severity.NOTE:
+            comment = f"not applied, negligible: {advice.line}"
+        elif source.kind not in TABLE_KEYS and CSV_KEYS & advice.entry.keys():
+            comment = f"not applied, only a csv or vbo has columns and units: {advice.line}"
+        elif not _is_consistent(corrections, advice.entry):
+            comment = f"not applied, a more severe finding has another value: {advice.line}"
         else:
-            reason = ("" if not applicable else
-                      "not applied, a more severe finding has another value: " if readable else
-                      "not applied, only a csv or vbo has columns and units: ")
-            lines.append(f"#   {reason}{escape_unprintable(check_report.describe_correction(finding.advice))}\n")
+            _merge_into(corrections, as_yaml_values(advice.entry))
+            continue
+        lines.append(f"#   {escape_unprintable(comment)}\n")
     if read.steering_sign != 1 or read.steering_latency:
         lines.append(f"# read with --steering-sign {read.steering_sign} --steering-latency "
                      f"{read.steering_latency:g}\n")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
@@ -57,10 +58,8 @@ def run_command(request: Request, console: Console) -> int:
                         if f.severity is not Severity.NOTE for channel in f.channels}
             relations = find_relation(discovery, _logs(request.drives), request.vehicle, request.settings, request.jobs,
                                       lambda: progress.advance(bar), reported)
-    times.append(time.perf_counter())
-    seconds = {"read": times[1] - times[0], "discover": times[2] - times[1]}
-    if relations:
-        seconds["propose"] = times[3] - times[2]
+            times.append(time.perf_counter())
+    seconds = dict(zip(("read", "discover", "propose"), np.diff(times).tolist(), strict=False))
     with console.status("drawing, writing the report"):
         output = FigureOutput(folder / "figures", request.formats)
         drawn = draw(discovery, request, output) if request.report else None

@@ -1,10 +1,8 @@
 """Writes the results of an evaluation: evaluation.json (docs/manual/evaluation.md), tables and page."""
 
-import json
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from st_core.checks import Severity
 from st_core.palette import MODEL_COLOUR
+from st_recordings.paths import json_text
 from st_recordings.results import collect_versions
 
 from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
@@ -98,7 +97,7 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     good = [r for r in reports if not r.problem]
     content = make_document(reports, task)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
-    files["json"].write_text(_format_json(content))
+    files["json"].write_text(json_text(content), encoding="utf-8")
     for name, rows in tables.make_csv_rows(good).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
@@ -111,16 +110,6 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     band_figures = draw_bands(content.get("bands_all_runs", {}), output)
     write_page(files["page"], title, reports, content, task, overview, band_figures)
     return files
-
-
-def _format_json(content: dict[str, Any]) -> str:
-    """JSON with one line for each key and list entry; the option `indent` of the json module is ten times slower."""
-    dump = partial(json.dumps, allow_nan=False, ensure_ascii=False)
-    lines = []
-    for key, value in content.items():
-        is_list = isinstance(value, list) and value
-        lines.append(f"{dump(key)}: " + ("[\n  " + ",\n  ".join(map(dump, value)) + "\n ]" if is_list else dump(value)))
-    return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],

@@ -53,7 +53,8 @@ def run_command(job: IdentificationJob, console: Console) -> int:
         try:
             outcomes = job.experiment.identify(job.files, job.setup)
         except result.IdentificationError as error:
-            raise result.IdentificationError(f"{', '.join(map(str, job.files[:3]))}: {error}") from None
+            named = ", ".join(map(str, job.files[:3]))
+            raise result.IdentificationError(f"{named}: {error}" if named else str(error)) from None
         outcomes = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             result.compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
                       for outcome in outcomes)
@@ -154,7 +155,7 @@ def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
 def render_page(outcomes: Sequence[result.Identification], figures: Sequence[PageFigure | None],
                 vehicle: VehicleParameters, facts: dict[str, Any]) -> str:
     """Content of report.html."""
-    values = [f"{name.replace('_', ' ')} "
+    values = [f"{name} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
               for outcome in outcomes for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
 
