@@ -60,10 +60,10 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
         mean, interval, between, cochran_q = _random_effects(rows)
-        excluding = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())  # intervals that exclude the mean
-        homogeneous = cochran_q <= chi2.ppf(CONFIDENCE, len(rows) - 1)
-        similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
-        consistent = excluding <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (homogeneous or similar)
+        exclusions = int(((rows[:, 1] > mean) | (rows[:, 2] < mean)).sum())  # intervals that exclude the mean
+        is_homogeneous = cochran_q <= chi2.ppf(CONFIDENCE, len(rows) - 1)
+        is_similar = between < MAX_RELATIVE_SPREAD * abs(mean - neutral_value(name))
+        consistent = exclusions <= binom.ppf(CONFIDENCE, len(rows), 0.05) and (is_homogeneous or is_similar)
         if not consistent or not interval[0] <= neutral_value(name) <= interval[1]:
             comparisons.append(RunComparison(name, unit, len(rows), reported, mean, interval, between,
                                              float(rows[:, 0].min()), float(rows[:, 0].max()), bool(consistent)))

@@ -74,9 +74,9 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     name = tolerances.channel
     scale, lag, bias = (add_systematic_uncertainty(f"{name}_{kind}", getattr(agreement, kind))
                         for kind in ("scale", "lag", "bias"))
-    late = (lag.significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
-            and agreement.spread >= tolerances.min_spread)
-    lag_findings = [_make_lag_finding(agreement, lag, tolerances)] if late else []
+    has_lag_error = (lag.significant and agreement.expected_lag_rejected and abs(lag.value) >= tolerances.lag
+                     and agreement.spread >= tolerances.min_spread)
+    lag_findings = [_make_lag_finding(agreement, lag, tolerances)] if has_lag_error else []
     estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
     if abs(agreement.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
         return lag_findings, estimates

@@ -214,10 +214,10 @@ def find_spans(mask: np.ndarray) -> list[tuple[int, int]]:
 class Ratios(NamedTuple):
     """Robust ratios between the changes of two channels in windows; NaN with too little motion."""
 
-    distance: float  # positions to integrated velocity
-    yaw_rate: float  # yaw to integrated yaw rate
-    yaw_course: float  # yaw to course over ground
-    rate_course: float  # integrated yaw rate to course over ground
+    position_to_speed: float  # distance between positions / integrated speed
+    yaw_to_rate: float  # yaw / integrated yaw rate
+    yaw_to_course: float  # yaw / course over ground
+    rate_to_course: float  # integrated yaw rate / course over ground
 
 
 def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> bool:

@@ -35,20 +35,20 @@ MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign a
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
-AXES = ("x_scale", "y_scale")
+AXIS_SCALES = ("x_scale", "y_scale")
 # Causes that are confounded at constant speed. Only one of them is fitted; a bias only if its loss is clearly smaller.
-BIASES = {"velocity_x_bias": {*AXES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
-CONFOUNDED = {"velocity_scale": {*AXES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
-              **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXES}}
+BIASES = {"velocity_x_bias": {*AXIS_SCALES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
+CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
+              **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
 MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS}
 """Smallest reported value of a cause, by its unit."""
 
 
 class Cause(NamedTuple):
-    """A cause of a residual. corrected, key: channel and key in run.yaml. text: template of the finding's text."""
+    """A cause of a residual. corrected_channel, key: of its correction in run.yaml. text: template of the finding's."""
 
     channels: tuple[str, ...]
-    corrected: str
+    corrected_channel: str
     key: str
     unit: str
     text: str
@@ -129,25 +129,25 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of the velocity attributed to the positions instead, if the wheel speed
     agrees with the recorded velocity. wheel: ratio of wheel speed to recorded velocity."""
-    wrong = next((finding for finding in findings if finding.name == "velocity_scale"), None)
-    if wrong is None or not wrong.value or abs(wheel.value - 1.0) > 0.5 * abs(wrong.value - 1.0) or (
-            abs(wrong.value - 1.0) < WHEEL_SCALE_TOLERANCE):
+    scale_error = next((finding for finding in findings if finding.name == "velocity_scale"), None)
+    if scale_error is None or not scale_error.value or abs(wheel.value - 1.0) > 0.5 * abs(scale_error.value - 1.0) or (
+            abs(scale_error.value - 1.0) < WHEEL_SCALE_TOLERANCE):
         return motion, findings
     scale = estimates["position_scale"]
     text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, which agrees with the "
             "wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
-    instead = replace(wrong, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
+    of_positions = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                       interval=scale.interval, advice=advice)
-    factor = {"scale": wrong.value}
+    factor = {"scale": scale_error.value}
     return (motion.corrected({"correct": {"position": factor, "velocity": factor}}),
-            [instead if finding is wrong else finding for finding in findings])
+            [of_positions if finding is scale_error else finding for finding in findings])
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
     """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y."""
     problem = make_residual_regression(motion)
-    return problem.fit(AXES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
+    return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
@@ -158,7 +158,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     problem, corrected_problem = make_residual_regression(motion), make_residual_regression(corrected)
     if len(problem.time) < MIN_WINDOWS:
         return False
-    causes = (*AXES, "position_lag")
+    causes = (*AXIS_SCALES, "position_lag")
     (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
     explained = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
@@ -173,8 +173,8 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     yaw_rate = motion.yaw_rate
     reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
     misfits = []
-    for name in problem.columns.keys() - {*AXES, *BIASES, "velocity_scale"}:
-        theta, misfit, _ = problem.fit((*AXES, name))
+    for name in problem.columns.keys() - {*AXIS_SCALES, *BIASES, "velocity_scale"}:
+        theta, misfit, _ = problem.fit((*AXIS_SCALES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
         size, along = abs(reference), theta[name] * np.sign(reference)
         if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
@@ -228,8 +228,8 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
                  always: tuple[str, ...]) -> tuple[str, ...]:
     """Names of further causes. min_values: smallest reported value by cause. always: causes found so far."""
     causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, always,
-                                   () if "velocity_scale" in always else AXES)
-    axes = [name for name in AXES if name in causes]
+                                   () if "velocity_scale" in always else AXIS_SCALES)
+    axes = [name for name in AXIS_SCALES if name in causes]
     if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
@@ -249,7 +249,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
     """Finding of a cause. effect: shift of the position after the horizon [m]."""
     cause, reported = CAUSES[name], _convert_to_reported(name, estimate)
     positive = reported.value > 0.0
-    spherical = name in AXES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
+    spherical = name in AXIS_SCALES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
     text = (SPHERE_TEXT if spherical else cause.text).format(
         axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half,
         degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
@@ -257,7 +257,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
         grows="grows" if positive else "shrinks", high="high" if positive else "low")
     severity = LIMITS.severity(effect, cause.unit == "s" and abs(estimate.value) >= LIMITS.severe_lag)
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
-    advice = (Advice.correct(cause.corrected, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
+    advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
               Advice("look", "project latitude and longitude with an origin near the drive"))
     return Finding(name, severity, cause.channels, text, reported.value, cause.unit, reported.interval, (), effect,
                    advice)

@@ -32,6 +32,7 @@ MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
+ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
 MIN_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
 
@@ -285,14 +286,13 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
-    if name in ("x", "y", "yaw"):
-        rate = {"x": motion.velocity_map.real, "y": motion.velocity_map.imag, "yaw": motion.yaw_rate}[name][inside]
-        bias = MAX_GYRO_BIAS if name == "yaw" else 0.0
-        change = max(abs(float(rate.mean())) - bias, 0.0) * (end - begin)
-        return change > max(3.0 * step, 0.05 if name == "yaw" else 1.0)
+    if name in RATES:
+        rate, bias, min_change = RATES[name]
+        change = max(abs(float(rate(motion)[inside].mean())) - bias, 0.0) * (end - begin)
+        return change > max(ROUNDING_STEPS * step, min_change)
     related, min_change = RELATED_QUANTITIES[name]
     expected = related(motion)[inside]
-    rounding = 3.0 * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
+    rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
     low, high = np.percentile(expected, [5, 95])
     if name == "road_wheel_angle":  # the steering may rest at its mechanical stop while the speed changes the yaw rate
         curvature = expected / np.maximum(motion.velocity_x[inside], 2.0)
@@ -312,6 +312,10 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
+# By channel: its rate from other channels, the largest bias of this rate, and the change above which it is not constant.
+RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
+    "x": (lambda m: m.velocity_map.real, 0.0, 1.0), "y": (lambda m: m.velocity_map.imag, 0.0, 1.0),
+    "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
 # By channel: a quantity derived from other channels, and its change [SI] above which the channel must change too.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),

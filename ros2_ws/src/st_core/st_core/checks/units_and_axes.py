@@ -37,7 +37,7 @@ TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanose
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
 EXCHANGED = {"x": "y", "y": "x"}  # columns of run.yaml
 MIRRORED, FROM_EAST = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml; 2nd: of a heading
-Corrected = tuple[Motion, Finding | None]
+MotionAndFinding = tuple[Motion, Finding | None]
 
 
 def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
@@ -75,15 +75,15 @@ def _correct(motion: Motion, name: str, channels: tuple[str, ...], text: str, va
     return motion.corrected(advice.entry), Finding(name, Severity.ERROR, channels, text, value, unit, advice=advice)
 
 
-def check_time_unit(motion: Motion) -> Corrected:
+def check_time_unit(motion: Motion) -> MotionAndFinding:
     """Correct a wrong unit of time, such as milliseconds read as seconds, by comparison with positions and yaw."""
     spacing = float(np.median(np.diff(motion.time)))
     length = 50 * spacing if spacing > 0.2 or spacing <= 2e-4 else 1.0  # of a window; 1 s at a usual sampling rate
     ratios = compute_ratios(motion, length)
-    known = [ratio for ratio in (ratios.distance, ratios.yaw_rate) if np.isfinite(ratio)]
+    known = [ratio for ratio in (ratios.position_to_speed, ratios.yaw_to_rate) if np.isfinite(ratio)]
     if not known or not all(r > 0 and not _matches(r, 1.0) and is_near(r, known[0]) for r in known):
         return motion, None
-    factor = 1.0 / ratios.distance
+    factor = 1.0 / ratios.position_to_speed
     unit = match_unit(factor, TIMES)
     # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
@@ -121,27 +121,28 @@ def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
     return _compute_misfit(shifted) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
-def _correct_both_turns(motion: Motion) -> Corrected:
+def _correct_both_turns(motion: Motion) -> MotionAndFinding:
     """Correct a yaw rate that is in the same wrong unit as yaw, as the course shows; yaw is corrected later."""
     ratios = compute_ratios(motion)
-    size = _round_to_angle_unit(ratios.rate_course, COURSE_TOLERANCE)
-    if size in ANGLES and _matches(abs(ratios.yaw_rate), 1.0) and _matches(abs(ratios.yaw_course), size):
-        return _scale_yaw_rate(motion, ratios.rate_course, "the course of the positions", size)
+    size = _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE)
+    if size in ANGLES and _matches(abs(ratios.yaw_to_rate), 1.0) and _matches(abs(ratios.yaw_to_course), size):
+        return _scale_yaw_rate(motion, ratios.rate_to_course, "the course of the positions", size)
     return motion, None
 
 
-def _correct_turns(motion: Motion) -> Corrected:
+def _correct_turns(motion: Motion) -> MotionAndFinding:
     """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
     ratios = compute_ratios(motion)
-    if not np.isfinite(ratios.yaw_rate) or _matches(ratios.yaw_rate, 1.0):
+    if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
         return motion, None
-    if (_matches(ratios.yaw_course, 1.0) or _positions_follow_yaw(motion) or is_near(1.0 / ratios.yaw_rate, DEGREE)
-            or _matches(ratios.rate_course, 1.0 / ratios.yaw_rate)):
-        return _scale_yaw_rate(motion, 1.0 / ratios.yaw_rate)
-    if (_matches(ratios.rate_course, -1.0) and not _matches(ratios.yaw_course, -1.0)
-            and _matches(ratios.yaw_rate, -1.0)):
+    rate_to_yaw = 1.0 / ratios.yaw_to_rate
+    if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEGREE)
+            or _matches(ratios.rate_to_course, rate_to_yaw)):
+        return _scale_yaw_rate(motion, rate_to_yaw)
+    if (_matches(ratios.rate_to_course, -1.0) and not _matches(ratios.yaw_to_course, -1.0)
+            and _matches(ratios.yaw_to_rate, -1.0)):
         return _scale_yaw_rate(motion, -1.0)
-    factor, size = ratios.yaw_rate, _round_to_angle_unit(ratios.yaw_rate)
+    factor, size = ratios.yaw_to_rate, _round_to_angle_unit(ratios.yaw_to_rate)
     unit = ANGLES.get(size, "")
     if factor > 0.0:
         name, advice = "yaw_scale", Advice.correct("yaw", scale=1.0 / size)
@@ -155,10 +156,10 @@ def _correct_turns(motion: Motion) -> Corrected:
     return replace(corrected, yaw=_remove_wraps(corrected)), finding
 
 
-def _correct_north_east(motion: Motion) -> Corrected:
+def _correct_north_east(motion: Motion) -> MotionAndFinding:
     """Correct positions (north, east) with a clockwise yaw, if the other channels confirm the sign of the yaw rate."""
     ratios = compute_ratios(motion)
-    if motion.geographic or not (_matches(ratios.yaw_rate, -1.0) and _matches(ratios.yaw_course, 1.0)):
+    if motion.geographic or not (_matches(ratios.yaw_to_rate, -1.0) and _matches(ratios.yaw_to_course, 1.0)):
         return motion, None
     turn = motion.yaw_rate * motion.velocity_x
     votes = [_find_common_sign(motion.steering_at_ins() * motion.velocity_x, turn)]
@@ -219,10 +220,10 @@ def _remove_wraps(motion: Motion) -> np.ndarray:
     return motion.yaw[0] + np.concatenate(([0.0], np.cumsum(np.where(wrapped, expected, step))))
 
 
-def _correct_position_axes(motion: Motion) -> Corrected:
+def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     """Correct mirrored or exchanged x and y, if yaw and yaw rate agree."""
     ratios = compute_ratios(motion)
-    if not (_matches(ratios.yaw_course, -1.0) and _matches(ratios.yaw_rate, 1.0)):
+    if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
@@ -231,7 +232,7 @@ def _correct_position_axes(motion: Motion) -> Corrected:
         text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
                 "point down? Expected: left positive, yaw from east")
         advice = Advice.for_run_yaml({"correct": {"yaw": FROM_EAST, "yaw_rate": MIRRORED}})
-        return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_course, advice)
+        return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_to_course, advice)
     axes: dict[int, tuple[str, dict[str, Any]]] = {
         0: ("y is mirrored (it should count north)", {"correct": {"y": MIRRORED}}),
         1: ("x and y are exchanged (x is east, y north)", {"columns": EXCHANGED}),
@@ -243,31 +244,32 @@ def _correct_position_axes(motion: Motion) -> Corrected:
                     f"positions turn in the opposite direction to the car: {text}", None, Advice.for_run_yaml(entry))
 
 
-def _correct_distance(motion: Motion) -> Corrected:
+def _correct_distance(motion: Motion) -> MotionAndFinding:
     """Correct the unit of positions or velocities."""
-    ratios = compute_ratios(motion)
-    if not np.isfinite(ratios.distance) or _matches(ratios.distance, 1.0):
+    ratio = compute_ratios(motion).position_to_speed
+    if not np.isfinite(ratio) or _matches(ratio, 1.0):
         return motion, None
-    speed, length = match_unit(1.0 / ratios.distance, SPEEDS), match_unit(ratios.distance, LENGTHS)
+    speed, length = match_unit(1.0 / ratio, SPEEDS), match_unit(ratio, LENGTHS)
     if length and not speed:
-        text = f"x and y are {ratios.distance:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
-        return _correct(motion, "position_scale", ("x", "y"), text, ratios.distance,
-                        Advice.correct("position", scale=1.0 / length))
-    if not speed and ratios.distance < MAX_DEGREE_RATIO:
-        text = (f"x and y are {ratios.distance:.3g} times the integrated velocity: are they latitude and longitude? "
+        text = f"x and y are {ratio:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
+        advice = Advice.correct("position", scale=1.0 / length)
+        return _correct(motion, "position_scale", ("x", "y"), text, ratio, advice)
+    if not speed and ratio < MAX_DEGREE_RATIO:
+        text = (f"x and y are {ratio:.3g} times the integrated velocity: are they latitude and longitude? "
                 "Metres are expected")
-        metres = replace(motion, x=motion.x / ratios.distance, y=motion.y / ratios.distance)
-        return _correct(metres, "position_scale", ("x", "y"), text, ratios.distance,
+        metres = replace(motion, x=motion.x / ratio, y=motion.y / ratio)
+        return _correct(metres, "position_scale", ("x", "y"), text, ratio,
                         Advice("look", "project latitude and longitude to east and north"))
-    ratio = 1.0 / ratios.distance
-    both, forward = (Advice.correct(channel, scale=1.0 / (speed or ratio)) for channel in ("velocity", "velocity_x"))
+    velocity_ratio = 1.0 / ratio
+    scale = 1.0 / (speed or velocity_ratio)
+    both, forward = (Advice.correct(channel, scale=scale) for channel in ("velocity", "velocity_x"))
     misfit_both, misfit_forward = (_compute_misfit(motion.corrected(advice.entry)) for advice in (both, forward))
     unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
     if misfit_forward < TIE_MISFIT_RATIO * misfit_both:
-        text = f"velocity_x is {ratio:.3g} times the rate of change of positions{unit}"
-        return _correct(motion, "velocity_x_scale", ("velocity_x",), text, ratio, forward)
-    text = f"velocity_x and velocity_y are {ratio:.3g} times the rate of change of positions{unit}"
-    return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, ratio, both)
+        text = f"velocity_x is {velocity_ratio:.3g} times the rate of change of positions{unit}"
+        return _correct(motion, "velocity_x_scale", ("velocity_x",), text, velocity_ratio, forward)
+    text = f"velocity_x and velocity_y are {velocity_ratio:.3g} times the rate of change of positions{unit}"
+    return _correct(motion, "velocity_scale", ("velocity_x", "velocity_y"), text, velocity_ratio, both)
 
 
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,7 +286,7 @@ def _compute_misfit(motion: Motion) -> float:
     return float(np.median(np.abs(measured - derived * rotation))) if len(measured) else 0.0
 
 
-def _correct_velocity_axes(motion: Motion) -> Corrected:
+def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     """Correct exchanged velocities, or velocities in the map frame, which agree with positions without rotation."""
     measured, unrotated = _compute_displacements(motion, motion.velocity)
     if len(measured) < MIN_WINDOWS:
@@ -313,13 +315,12 @@ def _correct_velocity_axes(motion: Motion) -> Corrected:
     return _correct(motion, "velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
 
 
-def _correct_yaw_offset(motion: Motion) -> Corrected:
+def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
     """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
-    if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or (
-            abs(angle) < MIN_YAW_OFFSET):
+    if len(measured) < MIN_WINDOWS or size < MIN_DISTANCE or abs(total) < 0.5 * size or abs(angle) < MIN_YAW_OFFSET:
         return motion, None
     quarter = np.round(angle / (np.pi / 2)) * np.pi / 2
     if abs(quarter) == np.pi and np.median(motion.velocity_x) < 0.0:  # a whole drive in reverse is less likely

@@ -48,5 +48,6 @@ class LongitudinalLoadTransfer(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        return (front + compute_force_change(slip_front, prepared[0:3], prepared[6:9], theta.constants.tyre_front),
-                rear + compute_force_change(slip_rear, prepared[3:6], prepared[9:12], theta.constants.tyre_rear))
+        front_before, rear_before, front_after, rear_after = prepared[:3], prepared[3:6], prepared[6:9], prepared[9:]
+        return (front + compute_force_change(slip_front, front_before, front_after, theta.constants.tyre_front),
+                rear + compute_force_change(slip_rear, rear_before, rear_after, theta.constants.tyre_rear))

@@ -1,7 +1,9 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-Since the lag acts only on the measured angle, it is computed for the whole recording, exactly for a piecewise linear
-angle, without a further state. It begins in steady state at the first sample and after each gap.
+Since the lag acts only on the measured angle u, it is computed for the whole recording, without a further state, and
+exactly for a piecewise linear angle. It begins in steady state, delta = u, at the first sample and after each gap.
+
+    delta_k = e delta_{k-1} + (m - e) u_{k-1} + (1 - m) u_k,   e = exp(-x),   m = (1 - e) / x,   x = dt / time_constant
 """
 
 import numpy as np
@@ -30,8 +32,7 @@ class SteeringLag(Effect):
         before = np.concatenate((angle[:1], angle[:-1]))
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.where(begins, 1.0, spacing / theta.time_constant)
-            loss = -np.expm1(-x)
-            mean = loss / x  # mean of exp(-t / time_constant) in the interval
-        factor = np.where(begins, 0.0, 1.0 - loss)
-        offset = np.where(begins, angle, (mean - factor) * before + (1.0 - mean) * angle)
+            m = -np.expm1(-x) / x
+        factor = np.where(begins, 0.0, np.exp(-x))
+        offset = np.where(begins, angle, (m - factor) * before + (1.0 - m) * angle)
         return time, scan((factor, offset), compose_affine)[1]
