@@ -312,7 +312,7 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
-# By channel: its rate from other channels, the largest bias of this rate, and the change above which it is not constant.
+# By channel: its rate from other channels, the largest bias of that rate, and the change above which it must change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     "x": (lambda m: m.velocity_map.real, 0.0, 1.0), "y": (lambda m: m.velocity_map.imag, 0.0, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}

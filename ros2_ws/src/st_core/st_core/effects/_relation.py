@@ -89,11 +89,15 @@ def compute_factor(instant, theta):
             + theta.by_acceleration_y * instant.velocity_x * instant.yaw_rate)
 
 
-def evaluate_curve_at_readings(measured, theta):
-    """The curve f evaluated with sensor readings."""
+def add_to_readings(measured, sign, theta):
+    """The readings plus `sign` times the curve f, evaluated at these readings."""
     u = (theta.in_acceleration_y * measured.velocity_x * measured.yaw_rate + theta.in_speed * measured.velocity_x
          + theta.in_yaw_rate * measured.yaw_rate)
-    return evaluate_curve(u, theta)
+    y = sign * evaluate_curve(u, theta)
+    return measured._replace(
+        yaw=measured.yaw + theta.to_sensor_heading * y, yaw_rate=measured.yaw_rate + theta.to_sensor_yaw_rate * y,
+        velocity_y=measured.velocity_y + theta.to_sensor_velocity_y * y,
+        acceleration_y=measured.acceleration_y + theta.to_sensor_acceleration_y * y)
 
 
 def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
@@ -144,11 +148,11 @@ class RelationEffect(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return _add_to_readings(measured, evaluate_curve_at_readings(measured, theta), theta)
+        return add_to_readings(measured, 1.0, theta)
 
     @staticmethod
     def correct(measured, theta):
-        return _add_to_readings(measured, -evaluate_curve_at_readings(measured, theta), theta)
+        return add_to_readings(measured, -1.0, theta)
 
 
 @_register
@@ -215,9 +219,3 @@ def change_forces(forces, slip_front, slip_rear, instant, y, theta):
     front, rear = forces(slip_front, slip_rear, instant)
     return (front * (1.0 + theta.to_front_grip * y) + theta.to_front_force * theta.constants.front * y,
             rear * (1.0 + theta.to_rear_grip * y) + theta.to_rear_force * theta.constants.rear * y)
-
-
-def _add_to_readings(m, y, theta):
-    return m._replace(yaw=m.yaw + theta.to_sensor_heading * y, yaw_rate=m.yaw_rate + theta.to_sensor_yaw_rate * y,
-                      velocity_y=m.velocity_y + theta.to_sensor_velocity_y * y,
-                      acceleration_y=m.acceleration_y + theta.to_sensor_acceleration_y * y)
