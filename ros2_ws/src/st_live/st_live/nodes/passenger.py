@@ -40,18 +40,14 @@ MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if long
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the page shows the last available
-TOPICS = {  # kind of message by topic
-    "predictor/status": "status", "ins/status": "ins_status", "ins/odometry": "odometry",
-    "vehicle/steering": "steering",
-    **{f"predictor/{model}/prediction": "forecast" for model in MODEL_COLOUR},
-    **{f"predictor/{model}/{mode}": mode for mode in PLANNED_MODES for model in MODEL_COLOUR},
-    "evaluator/errors": "error", "/diagnostics": "diagnostics",
+TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of one instant arrive together
+    "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
+    "ins/odometry": ("odometry", Odometry, 3), "vehicle/steering": ("steering", Steering, 3),
+    **{f"predictor/{model}/prediction": ("forecast", Prediction, 3) for model in MODEL_COLOUR},
+    **{f"predictor/{model}/{mode}": (mode, PlannedPrediction, 3) for mode in PLANNED_MODES for model in MODEL_COLOUR},
+    "evaluator/errors": ("error", PredictionError, 200), "/diagnostics": ("diagnostics", DiagnosticArray, 50),
 }
 FRAME_PERIOD = 0.1  # s
-TYPES = {"status": PredictorStatus, "ins_status": InsStatus, "odometry": Odometry, "steering": Steering,
-         "forecast": Prediction, "plan": PlannedPrediction, "course": PlannedPrediction, "error": PredictionError,
-         "diagnostics": DiagnosticArray}
-QUEUE_DEPTHS, DEFAULT_QUEUE_DEPTH = {"error": 200, "diagnostics": 50}, 3  # all scores of one instant arrive together
 
 
 class NodeHealth(NamedTuple):
@@ -83,7 +79,7 @@ class PassengerFrames:
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """Process a message of one of TOPICS, received at `now`."""
-        kind = TOPICS[topic]
+        kind, _, _ = TOPICS[topic]
         if kind == "odometry":
             self._take_odometry(message, now)
         elif kind == "ins_status":
@@ -196,9 +192,9 @@ class PassengerNode(Node):
         create_steady_timer(self, FRAME_PERIOD, self._send_frame)
 
     def _subscribe(self, topic: str) -> PolledSubscription:
-        kind = TOPICS[topic]
-        qos = QoSProfile(depth=QUEUE_DEPTHS.get(kind, DEFAULT_QUEUE_DEPTH), reliability=ReliabilityPolicy.BEST_EFFORT)
-        return PolledSubscription(self, TYPES[kind], topic, qos)
+        _, message_type, depth = TOPICS[topic]
+        qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return PolledSubscription(self, message_type, topic, qos)
 
     def _send_frame(self) -> None:
         received_any = False

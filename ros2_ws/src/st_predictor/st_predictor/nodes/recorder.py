@@ -84,8 +84,8 @@ class RecorderNode(Node):
         self._bag = open_bag(values, self._records)
         self._stop_reason = ""  # why an earlier bag of this run ended
         self._resume_at, self._resumed_at = float("inf"), float("-inf")
-        self._subscribed: dict[str, tuple[PolledSubscription, int]] = {}  # with bag channel, by topic
-        self._descriptions: dict[str, tuple[str, list[Qos]]] = {}  # type and publishers' QoS, by topic
+        # By topic: subscription, channel of the bag, message type, and QoS of the publishers.
+        self._subscribed: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
         self._refusals: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
@@ -111,20 +111,19 @@ class RecorderNode(Node):
             self._refusals[topic] = f"message type {types[0]} is not installed"
             return
         try:
-            description = types[0], [convert.make_bag_qos(p.qos_profile) for p in publishers]
-            number = self._bag.add_topic(topic, *description)
+            qos = [convert.make_bag_qos(p.qos_profile) for p in publishers]
+            channel = self._bag.add_topic(topic, types[0], qos)
         except UnknownTypeError as error:
             self._refusals[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, match_qos(publishers, QUEUE_DEPTH), raw=True)
-        self._subscribed[topic] = (subscription, number)
-        self._descriptions[topic] = description
+        self._subscribed[topic] = subscription, channel, types[0], qos
 
     def _record_messages(self) -> None:
-        for topic, (subscription, number) in self._subscribed.items():
+        for topic, (subscription, channel, _, _) in self._subscribed.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
-                self._bag.write(number, data, log_ns, sent_ns or log_ns)
+                self._bag.write(channel, data, log_ns, sent_ns or log_ns)
                 self._watchdog.record_arrival(topic, data)
         self._bag.flush_when_due()
         if self._bag.error and self._values.number_when_taken:
@@ -146,8 +145,9 @@ class RecorderNode(Node):
             self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
             self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
-            for topic, (subscription, _) in self._subscribed.items():
-                self._subscribed[topic] = subscription, bag.add_topic(topic, *self._descriptions[topic])
+            for topic, (subscription, _, message_type, qos) in self._subscribed.items():
+                channel = bag.add_topic(topic, message_type, qos)
+                self._subscribed[topic] = subscription, channel, message_type, qos
             self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
     def _make_checks(self) -> list[Check]:
