@@ -283,7 +283,7 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
     entry.allow_only("name", "unit", "sign", "sign_signal", "scale", "offset", "range", "max_rate")
     name = entry.choice("name", CANONICAL_SIGNALS)
     unit = _read_unit(entry, name, dbc, dbc_path)
-    factor = UNITS[unit][1]
+    _, factor, _ = UNITS[unit]
     direction = entry.choice("sign", (1, -1))
     scale = entry.number("scale", 0.01, 100.0, default=1.0)
     offset = entry.number("offset", -1e6, 1e6, default=0.0)
@@ -305,11 +305,11 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     if unit is None:
         raise entry.error("unit", f"{text!r} is not one of {', '.join(o or repr(o) for o in UNITS)}")
     si_unit = CANONICAL_SIGNALS[name]
-    if UNITS[unit][0] != si_unit:
-        possible = " or ".join(u for u, (si, *_) in UNITS.items() if si == si_unit)
-        missing = f", and {dbc_path} gives no unit" if not (dbc.unit or "") and not unit else ""
+    possible = [key for key, (si, *_) in UNITS.items() if si == si_unit]
+    if unit not in possible:
+        missing = f", and {dbc_path} gives no unit" if not dbc.unit and not unit else ""
         raise entry.error("unit", f"{text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
-                          f"write {possible!r}, the unit of the sensor")
+                          f"write {' or '.join(possible)!r}, the unit of the sensor")
     if dbc_unit and dbc_unit != unit:
         raise entry.error("unit", f"{text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit

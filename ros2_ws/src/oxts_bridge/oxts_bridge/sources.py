@@ -7,14 +7,15 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import cos, isfinite
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
 from st_core.measurement_history import unexplained_step
 
 from .file_decoder import UNKNOWN_TIME, decode_file
-from .ncom import PACKET_SIZE, NcomError, Packet, decode
+from .geometry import LocalFrame
+from .ncom import PACKET_SIZE, Packet, decode
 from .packet_time import MINUTE_MS
 
 # Linux socket option and message type for the kernel's receive time; not every Python build defines the name.
@@ -31,7 +32,6 @@ _MAX_SENDERS_COUNTED = 16
 LONGEST_PAUSE_NS = 60_000_000_000
 # A datagram from another port continues the stream only within this time [ms].
 LONGEST_CONTINUATION_MS = 1_000
-EARTH_RADIUS = 6_371_000.0  # m; the error of 0.5 % is far below the tolerance for a position jump
 
 # (bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
 OnData = Callable[[bytes, int, bool], int]
@@ -43,15 +43,15 @@ def continues_stream(newest: Packet | None, data: bytes) -> bool:
     Its first packet must be at most 1 s later than the newest packet of the stream, at a position consistent with the
     velocity. False if it is no packet, or if a position or velocity is unknown.
     """
-    try:
-        packet = decode(data[:PACKET_SIZE])
-    except NcomError:
-        return False
     if newest is None:
         return False
+    try:
+        packet = decode(data[:PACKET_SIZE])
+        frame = LocalFrame(newest.latitude, newest.longitude, newest.altitude)
+        east, north, _ = frame.to_enu(packet.latitude, packet.longitude, packet.altitude)
+    except ValueError:  # not a packet, or a position is not finite
+        return False
     elapsed_ms = (packet.milliseconds - newest.milliseconds) % MINUTE_MS
-    north = (packet.latitude - newest.latitude) * EARTH_RADIUS
-    east = (packet.longitude - newest.longitude) * EARTH_RADIUS * cos(newest.latitude)
     # Rows (x, y, yaw, v_x, v_y) in axes that point east and north.
     rows = tuple((x, y, 0.0, p.velocity_ned[1], p.velocity_ned[0])
                  for x, y, p in ((0.0, 0.0, newest), (east, north, packet)))
@@ -118,7 +118,7 @@ class UdpSource(Source):
         super().__init__(f"udp {address}:{port}")
         self._address, self._port, self._filter = address, port, sender_filter
         self._on_data, self._on_change, self._continues = on_data, on_change, continues
-        self._sender: tuple[str, int] | None = None
+        self._sender: tuple[str, int] | None = None  # address and port in use
         self._last_packet_at = float("-inf")
         self._open_attempted = threading.Event()
 
@@ -163,15 +163,16 @@ class UdpSource(Source):
 
     def _process(self, data: bytes, received_ns: int, sender: tuple[str, int]) -> None:
         self.status.datagrams += 1
-        if sender != self._sender and not self._accepts(sender[0], data):
-            same_address = self._sender is not None and sender[0] == self._sender[0]
+        address, port = sender
+        if sender != self._sender and not self._accepts(address, data):
+            same_address = address == self.status.sender
             self.status.ignored_ports += same_address
-            name, ignored = f"{sender[0]} port {sender[1]}" if same_address else sender[0], self.status.ignored
+            name, ignored = f"{address} port {port}" if same_address else address, self.status.ignored
             if name in ignored or len(ignored) < _MAX_SENDERS_COUNTED:
                 ignored[name] = ignored.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):
             self._last_packet_at = time.monotonic()
-            self._sender, self.status.sender = sender, sender[0]
+            self._sender, self.status.sender = sender, address
 
     def _accepts(self, address: str, data: bytes) -> bool:
         """Whether to use the datagram of a sender other than the one in use."""
@@ -179,7 +180,7 @@ class UdpSource(Source):
             return False
         if time.monotonic() - self._last_packet_at > SENDER_TIMEOUT:
             return True
-        return self._sender is not None and address == self._sender[0] and self._continues(data)
+        return address == self.status.sender and self._continues(data)
 
     def _set_problem(self, problem: str) -> None:
         changed, self.status.problem = problem != self.status.problem, problem

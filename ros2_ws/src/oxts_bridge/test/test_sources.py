@@ -7,7 +7,7 @@ import time
 
 import pytest
 from oxts_bridge.ncom import NcomError, decode
-from oxts_bridge.sources import EARTH_RADIUS, ReplaySource, UdpSource, continues_stream
+from oxts_bridge.sources import ReplaySource, UdpSource, continues_stream
 from oxts_bridge.stream import NcomParser, StreamStatistics
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
@@ -15,7 +15,7 @@ START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]
 
 def latitude_at(north):
     """Latitude [rad] at a distance north [m] of the unit."""
-    return math.radians(52.0) + north / EARTH_RADIUS
+    return math.radians(52.0) + north / 6_375_500.0  # meridian radius
 
 
 class Sink:
@@ -172,7 +172,7 @@ class TestTwoUnitsAtOneAddress:
     ({"latitude": latitude_at(0.1)}, True),  # the distance driven in 10 ms
     ({"latitude": latitude_at(640.0)}, False),
     ({"latitude": latitude_at(-6.4)}, False),
-    ({"latitude": math.nan}, False),
+    ({"latitude": math.nan}, False), ({"latitude": math.inf}, False), ({"altitude": math.inf}, False),
 ])
 def test_stream_continues_at_a_reachable_position(packet, changes, continues):
     newest, later = decode(packet(START)), packet(START + 10, **changes)
