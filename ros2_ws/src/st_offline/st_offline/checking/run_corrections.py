@@ -46,10 +46,10 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             comment = f"not applied, negligible: {advice.line}"
         elif source.kind not in TABLE_KEYS and CSV_KEYS & advice.entry.keys():
             comment = f"not applied, only a csv or vbo has columns and units: {advice.line}"
-        elif not _is_consistent(corrections, advice.entry):
+        elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
             comment = f"not applied, a more severe finding has another value: {advice.line}"
         else:
-            _merge_into(corrections, as_yaml_values(advice.entry))
+            corrections = merged
             continue
         lines.append(f"#   {escape_unprintable(comment)}\n")
     if read.steering_sign != 1 or read.steering_latency:
@@ -82,32 +82,24 @@ def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, An
 
 
 def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
-    result = {**first, **second}
-    if "scale" in first and "scale" in second:
-        result["scale"] = first["scale"] * second["scale"]
-    if "add" in first:
-        result["add"] = second.get("scale", 1.0) * first["add"] + second.get("add", 0.0)
-    for key in ("earlier", "ahead"):
-        if key in first and key in second:
-            result[key] = first[key] + second[key]
-    return result
+    scale = second.get("scale", 1.0)
+    combined = {"scale": first.get("scale", 1.0) * scale, "add": scale * first.get("add", 0.0) + second.get("add", 0.0),
+                **{key: first.get(key, 0.0) + second.get(key, 0.0) for key in ("earlier", "ahead")}}
+    return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
 
 
-def _is_consistent(known: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
-    return all(key not in known or isinstance(value, list | tuple) or known[key] == value
-               or (isinstance(value, Mapping) and isinstance(known[key], Mapping) and _is_consistent(known[key], value))
-               for key, value in entry.items())
-
-
-def _merge_into(known: dict[str, Any], entry: Mapping[str, Any]) -> None:
+def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
+    """`known` with the values of a further entry; None if a value contradicts it. Lists are joined."""
+    merged = {**known}
     for key, value in entry.items():
-        if isinstance(value, Mapping):
-            _merge_into(known.setdefault(key, {}), value)
-        elif isinstance(value, list):
-            present = known.get(key, [])
-            known[key] = [*present, *(item for item in value if item not in present)]
+        present = known.get(key)
+        if isinstance(value, list):
+            merged[key] = [*(present or ()), *(item for item in value if item not in (present or ()))]
         else:
-            known[key] = value
+            merged[key] = _merge(present or {}, value) if isinstance(value, Mapping) else value
+            if merged[key] is None or (present is not None and not isinstance(value, Mapping) and present != value):
+                return None
+    return merged
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:

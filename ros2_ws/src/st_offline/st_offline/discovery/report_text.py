@@ -119,14 +119,14 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
               findings: Mapping[str, Sequence[Finding]]) -> list[tuple[str, str]]:
     """(heading, text) pairs: combinations; residual and effects that are not separable or detectable; recordings;
     recommendations. findings: those of the checks, by recording."""
-    unknown = [describe_residual(discovery), list_inseparable(discovery), list_undetectable(discovery)]
+    unresolved = [describe_residual(discovery), list_inseparable(discovery), list_undetectable(discovery)]
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"
                     for c in discovery.unseparated_combinations]
     contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in discovery.reasons if r.rule == FILE}
     advice = [*contradicted.values(), recommend(discovery, update)[0], describe_next_drive(discovery)]
     pairs = [("only the combination is identifiable", "; ".join(combinations)),
-             ("not known", "; ".join(filter(None, unknown))), ("recordings", _describe_findings(findings)),
+             ("unresolved", "; ".join(filter(None, unresolved))), ("recordings", _describe_findings(findings)),
              ("to do", "; ".join(filter(None, advice)))]
     return [(key, text) for key, text in pairs if text]
 
@@ -411,7 +411,7 @@ def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tup
              if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
                 ("decision rule", decided), ("not named", minor),
-                ("what to do", recommend(discovery, update)[1:]),
+                ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", describe_effective(discovery)),
                 ("taken from the vehicle file", list_priors(discovery)),
                 ("varying, not named", list(map(describe_varying, discovery.varying))),

@@ -172,8 +172,7 @@ def measure_runs(sources: Sequence[RunSource],
                  task: Task) -> tuple[dict[Key, Cost], dict[Key, Accuracy], dict[Key, str]]:
     """(costs on the longest usable run, accuracies on all, reasons for missing accuracies), each by model and step.
     Raises ConfigurationError if no run is usable."""
-    settings = {variant.prediction.step: variant for variant in vary_step(task.settings)}
-    models = load_models(task)
+    settings, models = vary_step(task.settings), load_models(task)
     samples: dict[Key, list[ErrorSamples]] = {}
     unusable: dict[Key, str] = {}
     longest: LogSignals | None = None
@@ -213,13 +212,13 @@ def measure_runs(sources: Sequence[RunSource],
     return costs, accuracies, unusable
 
 
-def vary_step(settings: EvaluationSettings) -> list[EvaluationSettings]:
-    """Settings with STEP_MULTIPLES of the step; a longer step must divide one second and the horizon."""
+def vary_step(settings: EvaluationSettings) -> dict[float, EvaluationSettings]:
+    """Settings by step [s], for STEP_MULTIPLES of the step; a longer step must divide one second and the horizon."""
     first, *longer = (round(multiple * settings.prediction.step, 9) for multiple in STEP_MULTIPLES)
     spans = 1.0, settings.prediction.horizon
     steps = [first, *(step for step in longer if all(
         math.isclose(span / step, round(span / step), abs_tol=1e-9) for span in spans))]
-    return [replace(settings, prediction=replace(settings.prediction, step=step)) for step in steps]
+    return {step: replace(settings, prediction=replace(settings.prediction, step=step)) for step in steps}
 
 
 def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:

@@ -91,13 +91,11 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         _draw_force_and_slip(panels, outcome, (outcome,))
         return save_figure(figure, output, outcome.experiment, f"Slopes {both}", f"Dots: {points}")
-    figure, panels = plt.subplots(1, 3, figsize=(WIDTH, 3.6), width_ratios=(1.2, 1.2, 1))
+    widths = (1.2, 1.2, 1) if paper else (1,)
+    figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
+    *force_panels, pair = panels[0]
     if paper is not None:
-        _draw_force_and_slip(panels[:2], paper, (paper, outcome))
-    else:
-        for axes in panels[:2]:
-            axes.set_axis_off()
-    pair = panels[2]
+        _draw_force_and_slip(force_panels, paper, (paper, outcome))
     _draw_region(pair, outcome, outcome.estimates[:2])
     for result, colour, label in ((outcome, FIT_COLOUR, "prediction"), (paper, PAPER_COLOUR, "regression (paper)")):
         if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
@@ -109,7 +107,7 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
     pair.legend(fontsize=8)
     caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
-               "the joint region of the prediction.")
+               "the joint region of the prediction." if paper else "95 % intervals and joint region of the prediction.")
     return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
 
 
