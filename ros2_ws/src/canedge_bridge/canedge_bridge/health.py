@@ -25,8 +25,8 @@ class Health:
         self._bus_name, self._decoder, self._receiver_status = bus_name, decoder, receiver_status
         self._now_ns = now_ns
         self._started_at = self._rates_updated_at = time.monotonic()
-        self._previous_frames, self._rate, self._previous_bad = 0, 0.0, 0
-        self._previous_good: dict[str, int] = {}
+        self._previous_bad = 0
+        self._previous_counts: dict[str, int] = {}  # of frames on the bus and of good frames, by bus or message name
         self._rates: dict[str, float] = {}
 
     def checks(self) -> list[Check]:
@@ -42,13 +42,12 @@ class Health:
         # The checks also run at every change of the bus state; a rate over a few milliseconds would be meaningless.
         elapsed = now - self._rates_updated_at
         if elapsed > _RATE_INTERVAL:
-            self._rate = (status.frames - self._previous_frames) / elapsed
-            self._rates_updated_at, self._previous_frames = now, status.frames
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
-            self._rates = {name: (count - self._previous_good.get(name, 0)) / elapsed for name, count in good.items()}
-            self._previous_good = good
+            counts, previous = {self._bus_name: status.frames, **good}, self._previous_counts
+            self._rates = {name: (count - previous.get(name, 0)) / elapsed for name, count in counts.items()}
+            self._rates_updated_at, self._previous_counts = now, counts
         values = {
-            "state": status.state, "rate [frames/s]": self._rate, "frames": status.frames,
+            "state": status.state, "rate [frames/s]": self._rates.get(self._bus_name, 0.0), "frames": status.frames,
             "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
             "failures": status.failures, "frames not processed": status.callback_errors,
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
