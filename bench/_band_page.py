@@ -33,7 +33,7 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
         title, mode, method = _split_title(row["held out"])
         name = ", ".join(word for word in title.split(", ") if word not in MODELS)
         groups.setdefault(f"{name}: {mode}", {}).setdefault(method, []).append(row)
-    found = []
+    summaries = []
     for name, methods in groups.items():
         entry = {"held out": name}
         for column, (low, high) in AIMS.items():
@@ -47,8 +47,8 @@ def summarise_groups(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
         entry["score over the best uncalibrated"] = _format_ratios(methods[BAND], others)
         entry["which covers"] = _format_range([_leading_percent(row["90 % covers"]) for row in _best_rows(others)],
                                               "{:.0f}", " %")
-        found.append(entry)
-    return found
+        summaries.append(entry)
+    return summaries
 
 
 def _format_ratios(band: Sequence[Mapping[str, str]], others: Mapping[str, Sequence[Mapping[str, str]]]) -> str:
@@ -68,8 +68,8 @@ def _best_rows(others: Mapping[str, Sequence[Mapping[str, str]]]) -> list[Mappin
 def _split_title(title: str) -> tuple[str, str, str]:
     """(held-out group, mode, method) of a title."""
     for mode in ("hindsight", "forecast"):
-        before, found, method = title.partition(f", {mode}, ")
-        if found:
+        before, separator, method = title.partition(f", {mode}, ")
+        if separator:
             return before, mode, method
     raise ValueError(f"{title}: no mode")
 
@@ -81,8 +81,8 @@ def _interval_scores(row: Mapping[str, str]) -> tuple[float, float]:
 
 def _leading_percent(cell: str) -> float | None:
     """The percentage at the beginning of a cell; None if there is none."""
-    number, found, _ = cell.partition("%")
-    return float(number) if found else None
+    number, separator, _ = cell.partition("%")
+    return float(number) if separator else None
 
 
 def _format_range(values: Sequence[float | None], form: str, unit: str) -> str:

@@ -26,12 +26,12 @@ def main(jobs: int) -> str:
     """The table of the page; prints each row as soon as it is ready."""
     settings: list[Setting] = [("unchanged", 1.0)]
     settings += [(field.name, factor) for field in fields(LIMITS) for factor in (0.5, 2.0)]
-    found: dict[Setting, str] = {}
+    verdicts: dict[Setting, str] = {}
     for setting, words in zip(settings, map_parallel(_score_setting, settings, jobs), strict=True):
-        found[setting] = words
+        verdicts[setting] = words
         print(*setting, words, flush=True)
-    rows = [("unchanged", "", found["unchanged", 1.0], "")]
-    rows += [(field.name, f"{getattr(LIMITS, field.name):g}", found[field.name, 0.5], found[field.name, 2.0])
+    rows = [("unchanged", "", verdicts["unchanged", 1.0], "")]
+    rows += [(field.name, f"{getattr(LIMITS, field.name):g}", verdicts[field.name, 0.5], verdicts[field.name, 2.0])
              for field in fields(LIMITS)]
     return format_table(("limit", "value", "at half", "at twice"), rows)
 

@@ -50,5 +50,5 @@ def list_real_files() -> list[Path]:
 
 def _file(name: str) -> Path:
     # A missing drive gets a path that the reader reports as missing.
-    found = [file for file in list_real_files() if file.stem == name]
-    return found[0] if found else NINE_DRIVES / f"{name}.csv"
+    files = [file for file in list_real_files() if file.stem == name]
+    return files[0] if files else NINE_DRIVES / f"{name}.csv"

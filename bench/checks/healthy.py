@@ -42,9 +42,9 @@ def main(seeds: int, seconds: float, jobs: int) -> tuple[str, int]:
 
 def _check_batch(task: tuple[str, range, float]) -> list[Findings]:
     scenario, seeds, seconds = task
-    found = []
+    rows = []
     for seed in seeds:
         result = run_check(virtual_drive(scenario, seed, seconds))
-        found.append((scenario, seed, [(f.severity, format_finding(f)) for f in result.findings
-                                       if f.severity is not Severity.NOTE]))
-    return found
+        rows.append((scenario, seed, [(f.severity, format_finding(f)) for f in result.findings
+                                      if f.severity is not Severity.NOTE]))
+    return rows

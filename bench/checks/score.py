@@ -98,8 +98,8 @@ def true_value(kind: Kind, size: Size, clean: Recording, change: float) -> tuple
 
 def estimate_as_recorded(kind: Kind, clean: Recording) -> float | None:
     """The estimate for the drive as recorded; None if there is none."""
-    found = check_as_recorded(clean).estimates
-    return next((found[name][0] for name in kind.findings if name in found), None)
+    estimates = check_as_recorded(clean).estimates
+    return next((estimates[name][0] for name in kind.findings if name in estimates), None)
 
 
 def choose_side(kind: Kind, clean: Recording) -> int:

@@ -64,8 +64,8 @@ def describe_failure(r: Record) -> str:
 def put_into(page: Path, mark: str, text: str) -> None:
     """Replaces the text between the comment `mark` and the next end. Raises ValueError for a page without them."""
     begin = f"<!-- {mark} -->"
-    before, found, rest = page.read_text().partition(begin)
+    before, separator, rest = page.read_text().partition(begin)
     _, end, after = rest.partition(END)
-    if not found or not end:
+    if not separator or not end:
         raise ValueError(f"{page}: the comments {begin} and {END} are missing")
     page.write_text(f"{before}{begin}\n\n{text}\n\n{END}{after}")

@@ -17,20 +17,20 @@ INDEX_5S = 4  # index of 5 s in ModelErrors.at_seconds
 INTERVAL = 0.25  # s between predictions
 
 
-def held_out_errors(folder: Path, found: Path) -> dict[str, float | None]:
+def held_out_errors(folder: Path, output: Path) -> dict[str, float | None]:
     """Mean position error after 5 s [m] on the held-out drives with the file of the owner, with vehicle.yaml of the
     answer alone, and with model.yaml; None for a file that was not written."""
     original = read_vehicle(folder / "car" / "vehicle.yaml")
-    new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else None
-    model = _model(found)
+    new = read_vehicle(output / "vehicle.yaml") if (output / "vehicle.yaml").exists() else None
+    model = _model(output)
     errors: dict[str, float | None] = {"original": _error(folder, "nonlinear", original)}
     errors["vehicle"] = _error(folder, "nonlinear", new) if new else None
     errors["model"] = _error(folder, model.model(), model.vehicle or original) if model else errors["vehicle"]
     return errors
 
 
-def _model(found: Path) -> ModelFile | None:
-    file = found / "model.yaml"
+def _model(output: Path) -> ModelFile | None:
+    file = output / "model.yaml"
     return ModelFile.from_yaml(file.read_text(), str(file)) if file.exists() else None
 
 
@@ -44,7 +44,7 @@ def _error(folder: Path, model: Any, vehicle: VehicleParameters) -> float:
     return float(np.mean(np.hypot(*np.concatenate(collected).T)))
 
 
-def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
+def implied_forces(truth: Mapping[str, Any], folder: Path, output: Path,
                    answer: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
     """By axle, in steady cornering over the measured slip angles: slip angle [rad] and lateral forces [N, against the
     slip].
@@ -55,8 +55,8 @@ def implied_forces(truth: Mapping[str, Any], folder: Path, found: Path,
     original = read_vehicle(folder / "car" / "vehicle.yaml")
     stated = {one["name"]: {key: p["value"] for key, p in one["parameters"].items()}
               for one in (*answer.get("effects", ()), *answer.get("minor", ())) if not one.get("effective")}
-    file = _model(found)
-    new = read_vehicle(found / "vehicle.yaml") if (found / "vehicle.yaml").exists() else original
+    file = _model(output)
+    new = read_vehicle(output / "vehicle.yaml") if (output / "vehicle.yaml").exists() else original
     models = {"file": (augment("nonlinear", {}), original), "answer": (augment("nonlinear", stated), original),
               "model": (file.model(), file.vehicle or new) if file else (augment("nonlinear", {}), new)}
     forces = {name: _forces(model.select_effects([e for e in model.effects if _is_of_the_car(e)]), vehicle, truth)
@@ -86,7 +86,7 @@ def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[st
     """
     grids, p, car = _grids(truth), model.parameters(vehicle), model.effective_vehicle(vehicle)
     (slip_f, force_f), (slip_r, force_r) = grids["front"], grids["rear"]
-    found: dict[str, list[float]] = {"front": [], "rear": []}
+    forces: dict[str, list[float]] = {"front": [], "rear": []}
     for a, b, total in zip(slip_f, slip_r, force_f + force_r, strict=True):
         r = total / truth["body"]["mass"] / SPEED  # left turn: the wheels slide to the right
         vy = car.cg_to_rear_axle * r - SPEED * np.tan(b)
@@ -95,6 +95,6 @@ def _forces(model: AugmentedModel, vehicle: VehicleParameters, truth: Mapping[st
         state = model.start_state((0.0, 0.0, SPEED, float(vy), 0.0, float(r)), w, p)
         rates = model.rhs(state, w, p)
         ay = rates[3] + SPEED * r
-        found["front"].append((car.mass * ay * car.cg_to_rear_axle + car.yaw_inertia * rates[5]) / car.wheelbase)
-        found["rear"].append((car.mass * ay * car.cg_to_front_axle - car.yaw_inertia * rates[5]) / car.wheelbase)
-    return {axle: np.array(values, float) for axle, values in found.items()}
+        forces["front"].append((car.mass * ay * car.cg_to_rear_axle + car.yaw_inertia * rates[5]) / car.wheelbase)
+        forces["rear"].append((car.mass * ay * car.cg_to_front_axle - car.yaw_inertia * rates[5]) / car.wheelbase)
+    return {axle: np.array(values, float) for axle, values in forces.items()}

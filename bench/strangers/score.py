@@ -17,7 +17,7 @@ def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     Effective corrections and minor effects are no statements.
     """
-    truth, found = result["truth"], []
+    truth, statements = result["truth"], []
     for one in named_effects(result["answer"]):
         name, present = one["name"], truth["effects"]
         in_car = name in present or any(name in group and set(group) & set(present) for group in truth["confounded"])
@@ -30,8 +30,8 @@ def list_statements(result: Mapping[str, Any]) -> list[dict[str, Any]]:
             if line["true"] and line["interval"] and None not in line["interval"]:
                 low, high = line["interval"]
                 line["inside"] = bool(low <= line["true"][1] and high >= line["true"][0])
-        found.append(line)
-    return found
+        statements.append(line)
+    return statements
 
 
 def named_effects(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -41,10 +41,7 @@ def named_effects(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def alternatives(effect: Mapping[str, Any]) -> set[str]:
     """Names that the answer does not distinguish from the effect."""
-    found = set()
-    for key in ("alternatives", "joint"):
-        found |= set(effect.get(key) or ())
-    return found
+    return {name for key in ("alternatives", "joint") for name in effect.get(key) or ()}
 
 
 def true_range(name: str, result: Mapping[str, Any]) -> list[float] | None:
@@ -80,13 +77,13 @@ def named_errors(result: Mapping[str, Any]) -> dict[str, bool]:
 def force_errors(result: Mapping[str, Any]) -> dict[str, float]:
     """By axle: rms error of the implied force of the answer over that of the file [1], over the measured slip;
     and `<axle>_file`, `<axle>_answer`, `<axle>_model`: rms errors over the largest true force [1]."""
-    found = {}
+    by_axle = {}
     for axle, curve in (result.get("forces") or {}).items():
         true, peak = np.array(curve["true"]), max(np.abs(curve["true"]))
         errors = {key: float(np.sqrt(np.mean((np.array(curve[key]) - true) ** 2)) / peak)
                   for key in ("file", "answer", "model") if key in curve}
-        found |= {axle: errors["answer"] / max(errors["file"], 1e-6), **{f"{axle}_{k}": v for k, v in errors.items()}}
-    return found
+        by_axle |= {axle: errors["answer"] / max(errors["file"], 1e-6), **{f"{axle}_{k}": v for k, v in errors.items()}}
+    return by_axle
 
 
 def count_in_band(result: Mapping[str, Any]) -> tuple[int, int]:
