@@ -66,27 +66,72 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
         w, state = layout.prepared[1], layout.extra[1]
         layouts.append(layout)
     signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
-    change_inputs = _chain_input_hooks(layouts, signals)
-    base_rhs = base.rhs
-    if not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS):
-        return Composition(acting, _make_base_inputs(base.inputs, change_inputs),
-                           lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
+    base_rhs, only_inputs = base.rhs, not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS)
+    inputs = _make_inputs(base.inputs, acting, signals, only_inputs)
+    if only_inputs:
+        return Composition(acting, inputs, lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
     base_begin = layouts[-1].prepared[1]
     geometric_slips, base_forces, base_rates = _make_dynamics(base, layouts, base_begin)
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
     rhs = _make_rhs(geometric_slips, slips, _chain(base_forces, _add_axle_forces, layouts, "axle_forces"), base_rates,
                     _chain(_no_acceleration, _add_acceleration, layouts, "acceleration"),
-                    _chain(_no_values, _add_rates, layouts, "rates"))
+                    _chain(_no_rates, _add_rates, layouts, "rates"))
     if base.axle_forces is None:
         rhs = _blend(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
     extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
-    start = _make_start(_chain(_no_values, _add_start, layouts, "extra_states"), geometric_slips)
-    force = _chain(lambda instant: (0.0 * instant.velocity_x,) * 2, _add_specific_force, layouts, "specific_force")
-    has_force = any(e.specific_force for e in acting)
-    inputs = _make_inputs(base.inputs, change_inputs, _chain_prepare_hooks(layouts, signals))
-    return Composition(acting, inputs, rhs, start if extra_states else None,
-                       (lambda state, w, p: force(_make_instant(state, w, p))) if has_force else None,
-                       extra_states, signals)
+    with_states, with_force = ([layout for layout in layouts if getattr(layout.effect, attribute)]
+                               for attribute in ("extra_states", "specific_force"))
+    return Composition(acting, inputs, rhs, _make_start(with_states, geometric_slips) if with_states else None,
+                       _make_specific_force(with_force) if with_force else None, extra_states, signals)
+
+
+def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], ...], signals: tuple[str, ...],
+                 only_inputs: bool) -> Callable[..., tuple]:
+    """Function inputs(road_wheel_angle, velocity_x_dot, p, *values of the signals) -> w.
+
+    only_inputs: no effect acts in the equations, and w is that of the base model.
+    """
+    # Each effect receives the signals that it declares.
+    hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])
+             for index, effect in enumerate(acting)]
+    changing = [(index, change, rows) for index, change, _, rows in hooks if change]
+    preparing = [(index, prepare, rows) for index, _, prepare, rows in hooks if prepare or rows]
+
+    def inputs(angle, acceleration, p, *values):
+        for index, change, rows in changing:
+            angle, acceleration = change(angle, acceleration, tuple([values[row] for row in rows]), p.effects[index])
+        if only_inputs:
+            return base_inputs(angle, acceleration, p.base)
+        prepared: list[Any] = []
+        for index, prepare, rows in preparing:
+            declared = tuple([values[row] for row in rows])
+            prepared += prepare(angle, acceleration, declared, p.effects[index]) if prepare else declared
+        return angle, acceleration, *prepared, *base_inputs(angle, acceleration, p.base)
+    return inputs
+
+
+def _make_start(layouts: list[_Layout], geometric_slips):
+    def start(state, w, p):
+        instant, values = _make_instant(state, w, p), []
+        slips = geometric_slips(instant)
+        for layout in layouts:
+            hook, (begin, end) = layout.effect.start, layout.prepared
+            values += (hook(slips, instant, w[begin:end], p.effects[layout.index]) if hook else
+                       [0.0 * instant.velocity_x] * len(layout.effect.extra_states))
+        return tuple(values)
+    return start
+
+
+def _make_specific_force(layouts: list[_Layout]):
+    def specific_force(state, w, p):
+        instant = _make_instant(state, w, p)
+        a_x = a_y = 0.0 * instant.velocity_x
+        for layout in layouts:
+            begin, end = layout.prepared
+            added_x, added_y = layout.effect.specific_force(instant, w[begin:end], p.effects[layout.index])
+            a_x, a_y = a_x + added_x, a_y + added_y
+        return a_x, a_y
+    return specific_force
 
 
 def _chain(function, add, layouts: list[_Layout], attribute: str):
@@ -99,7 +144,8 @@ def _conversion_layout(layouts: list[_Layout]) -> _Layout:
     return next(layout for layout in layouts if layout.effect.converts and layout.effect.converts[0] == "kinematic")
 
 
-# The functions below return functions that refer only to plain functions and integers, which compilers can inline.
+# Equations: the functions below return functions that refer only to plain functions and integers, which compilers can
+# inline. For each hook, there is the function without effects and a wrapper that adds one effect.
 
 def _make_instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
@@ -161,71 +207,6 @@ def _blend(kinematic, dynamic, base_begin, index):
     return rhs
 
 
-def _make_start(extra_states, geometric_slips):
-    def start(state, w, p):
-        instant = _make_instant(state, w, p)
-        return extra_states(geometric_slips(instant), instant)
-    return start
-
-
-def _no_values(*arguments):
-    return ()
-
-
-# Inputs: `signals` are the values of all declared signals; each effect receives the signals that it declares.
-
-def _make_base_inputs(base_inputs, change_inputs):
-    def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
-        angle, acceleration = change_inputs(road_wheel_angle, velocity_x_dot, p, signals)
-        return base_inputs(angle, acceleration, p.base)
-    return inputs
-
-
-def _make_inputs(base_inputs, change_inputs, prepared):
-    def inputs(road_wheel_angle, velocity_x_dot, p, *signals):
-        angle, acceleration = change_inputs(road_wheel_angle, velocity_x_dot, p, signals)
-        added = prepared(angle, acceleration, p, signals)
-        return angle, acceleration, *added, *base_inputs(angle, acceleration, p.base)
-    return inputs
-
-
-def _make_picker(signals: tuple[str, ...], selected: tuple[str, ...]):
-    """Function that picks the values of the selected signals from the values of all signals."""
-    def add(previous, index):
-        def pick(values):
-            return *previous(values), values[index]
-        return pick
-
-    return reduce(add, map(signals.index, selected), _no_values)
-
-
-def _chain_input_hooks(layouts: list[_Layout], signals: tuple[str, ...]):
-    def add(previous, layout):
-        hook, index, pick = layout.effect.inputs, layout.index, _make_picker(signals, layout.effect.signals)
-
-        def changed(angle, acceleration, p, signals):
-            angle, acceleration = previous(angle, acceleration, p, signals)
-            return hook(angle, acceleration, pick(signals), p.effects[index])
-        return changed
-
-    return _chain(lambda angle, acceleration, p, signals: (angle, acceleration), add, layouts, "inputs")
-
-
-def _chain_prepare_hooks(layouts: list[_Layout], signals: tuple[str, ...]):
-    def add(previous, layout):
-        hook, index, pick = layout.effect.prepare, layout.index, _make_picker(signals, layout.effect.signals)
-        hook = hook or (lambda angle, acceleration, signals, theta: signals)
-
-        def prepared(angle, acceleration, p, signals):
-            before = previous(angle, acceleration, p, signals)
-            return *before, *hook(angle, acceleration, pick(signals), p.effects[index])
-        return prepared
-
-    return reduce(add, (layout for layout in layouts if layout.effect.prepare or layout.effect.signals), _no_values)
-
-
-# Equations: for each hook, the function without effects and a wrapper that adds one effect.
-
 def _add_slip_angles(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.slip_angles, layout.index, layout.prepared, layout.extra
 
@@ -258,6 +239,10 @@ def _add_acceleration(previous, layout):
     return acceleration
 
 
+def _no_rates(*arguments):
+    return ()
+
+
 def _add_rates(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.prepared, layout.extra
 
@@ -265,22 +250,3 @@ def _add_rates(previous, layout):
         added = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.effects[index])
         return *previous(state, slips, forces, instant), *added
     return rates
-
-
-def _add_start(previous, layout):
-    count, index, (begin, end) = len(layout.effect.extra_states), layout.index, layout.prepared
-    hook = layout.effect.start or (lambda slips, instant, prepared, theta: (0.0 * instant.velocity_x,) * count)
-
-    def start(slips, instant):
-        return *previous(slips, instant), *hook(slips, instant, instant.w[begin:end], instant.p.effects[index])
-    return start
-
-
-def _add_specific_force(previous, layout):
-    hook, index, (begin, end) = layout.effect.specific_force, layout.index, layout.prepared
-
-    def specific_force(instant):
-        x, y = previous(instant)
-        a_x, a_y = hook(instant, instant.w[begin:end], instant.p.effects[index])
-        return x + a_x, y + a_y
-    return specific_force
