@@ -76,7 +76,6 @@ class Evaluator:
         self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
-        self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self._ahead_ns = max(view.ahead_ns for view in self._views.values())
         self._waiting: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
         self._abandoned: list[Score] = []
@@ -89,8 +88,6 @@ class Evaluator:
     def add_ins(self, sample: InsSample) -> bool:
         """Add an INS sample; False if it was refused. If time jumps back, pending predictions become incomplete."""
         generation = self.history.generation
-        for view in self._correcting_views:
-            view.add_ins(sample)
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
             self._abandon(list(self._waiting), "the time of the measurements jumped back")
@@ -98,8 +95,6 @@ class Evaluator:
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +; False if it was refused."""
-        for view in self._correcting_views:
-            view.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def view(self, model: str) -> ModelView:

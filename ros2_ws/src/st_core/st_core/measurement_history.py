@@ -15,7 +15,7 @@ test_position_jumps.py, test_frozen_steering.py.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from statistics import median_high
 from typing import NamedTuple
 
@@ -91,15 +91,22 @@ class MeasurementHistory:
         self.jumps = 0
         self.jump: PositionJump | None = None
         self._detects_jumps = True
+        self._corrected: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
-    def for_corrected_samples(self) -> "MeasurementHistory":
-        """An empty history for corrected samples, which shares the position jumps found in this history."""
+    def make_corrected(self, correct: Callable[[InsSample], InsSample]) -> "MeasurementHistory":
+        """An empty history that receives all later samples of this one, those of the INS as changed by `correct`.
+
+        It shares the position jumps found in this history.
+        """
         history = MeasurementHistory(*self._settings)
         history.ins.breaks, history._detects_jumps = self.ins.breaks, False
+        self._corrected.append((history, correct))
         return history
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it was refused."""
+        for history, correct in self._corrected:
+            history.add_ins(correct(sample))
         index, restarted = self.ins.add(sample.time_ns, sample[1:])
         if restarted:
             self.steering.clear()
@@ -124,6 +131,8 @@ class MeasurementHistory:
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +, measured at time_ns; False if it was refused."""
+        for history, _ in self._corrected:
+            history.add_steering(time_ns, road_wheel_angle)
         index, _ = self.steering.add(time_ns, (road_wheel_angle,))
         return index is not None
 

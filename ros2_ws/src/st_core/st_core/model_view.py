@@ -5,6 +5,7 @@ the steering; start state and inputs then depend on the model.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -15,16 +16,15 @@ from .log import OPTIONAL_INS_SIGNALS
 from .measurement_history import DERIVATIVE, MeasurementHistory
 from .models import Model
 from .timeseries import NANOSECOND, half_step_grid, interpolate
-from .types import ControlInput, InputSequence, InsSample, VehicleState, ins_to_cg
+from .types import ControlInput, InputSequence, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
 
 
 class ModelView:
     """One model's view of a MeasurementHistory that is shared between models.
 
-    A model that corrects the samples has a separate history, filled by `add_ins` and `add_steering` in parallel with
-    the shared one; other views need no samples. vehicle: as in its file. Raises ConfigurationError if the model needs a
-    quantity that is not measured live.
+    A model that corrects the samples of the INS has a history of corrected samples, filled in parallel with the shared
+    one. vehicle: as in its file. Raises ConfigurationError if the model needs a quantity that is not measured live.
     """
 
     def __init__(self, model: Model, vehicle: VehicleParameters, shared: MeasurementHistory):
@@ -36,22 +36,14 @@ class ModelView:
         self.car = model.effective_vehicle(vehicle)
         self.is_augmented = isinstance(model, AugmentedModel)
         self.has_steering_dynamics = readings.has_steering_dynamics(model)
-        self.corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
-        self._history = shared.for_corrected_samples() if self.corrects_samples else shared
+        corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
+        self._history = shared.make_corrected(partial(readings.correct_sample, model)) if corrects_samples else shared
         self.ahead_ns = readings.required_lookahead_ns(model)
 
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
         """Length of the history [s] for a time span [s]; it is longer if a model has steering memory."""
         return span + readings.MEMORY_TIME if any(readings.has_steering_dynamics(model) for model in models) else span
-
-    def add_ins(self, sample: InsSample) -> None:
-        """Correct an INS sample and add it to the history of a model with `corrects_samples`."""
-        self._history.add_ins(readings.correct_sample(self.model, sample))
-
-    def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
-        """Add a road wheel angle [rad] to the history of a model with `corrects_samples`."""
-        self._history.add_steering(time_ns, road_wheel_angle)
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.

@@ -153,7 +153,6 @@ class Predictor:
         span = ModelView.extend_span(resolved, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {model.name: ModelView(model, vehicle, self.history) for model in resolved}
-        self._correcting_views = [view for view in self._views.values() if view.corrects_samples]
         self.frozen_steering = FrozenSteeringDetector(vehicle)
 
     @property
@@ -170,15 +169,11 @@ class Predictor:
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add an INS sample; False if it was refused (see MeasurementHistory)."""
-        for view in self._correcting_views:
-            view.add_ins(sample)
         self.frozen_steering.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +; False if it was refused."""
-        for view in self._correcting_views:
-            view.add_steering(time_ns, road_wheel_angle)
         self.frozen_steering.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 

@@ -72,7 +72,7 @@ def test_plan_of_the_true_inputs_is_as_accurate_as_hindsight(recorded_drive) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault_number", "reason"), [
     (0, "road_wheel_angle is not finite"), (1, "header.frame_id is 'map', expected 'base_link'"), (2, "issued"),
-    (3, "it ends"), (4, "check sign, frame and unit"), (5, "issued"),
+    (3, "not the whole horizon"), (4, "check sign, frame and unit"), (5, "issued"),
 ])
 def test_unusable_plan_is_refused_and_inputs_are_held(recorded_drive, fault_number: int, reason: str) -> None:
     zero_ns, messages = recorded_drive
