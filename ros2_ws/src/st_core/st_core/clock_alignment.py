@@ -6,27 +6,97 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, find_peaks, fit, mean_correlation, resample
-from .clock_steps import MAX_WINDOWS, WindowLag, find_clock_step, measure_window_lags
+from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, Resampled, find_peaks, fit, mean_correlation, resample
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
-CUTOFFS = (0.5, 4.0)  # Hz, of the low-pass: the first while the drift is unknown, the second for the result
+COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass: while the drift is unknown, and for the result
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; a lower limit of the uncertainty
 GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
 MIN_OVERLAP = 20.0  # s
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
-MAX_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
+MAX_CLOCK_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, of the offsets of time frames from a straight line
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide if a signal fits poorly with one offset
+WINDOW_DURATION = 30.0  # s, length of a window
+MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
+MIN_CORRELATION, MAX_PEAK_RATIO = 0.9, 0.97  # of the highest peak; of the second peak to it, in a window that is used
+MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
+MIN_CLOCK_STEP = 0.01  # s, smallest step reported
+USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
+MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
+OUTLIER_LIMIT = 5.0  # standard deviations: scale of the robust weight of a window, and cap of its normalised residual
+
+
+@dataclass(frozen=True)
+class WindowLag:
+    """Offset of a window minus the common offset."""
+
+    time: float  # middle of the window [s, other clock]
+    lag: float  # s
+    deviation: float  # standard deviation [s]
+
+
+class ClockStep(NamedTuple):
+    time: float  # s, other clock
+    size: float  # increase of the lag [s]
+
+
+class _Prepared(NamedTuple):
+    """The usable signals of two recordings, resampled. Times as floats count from the first sample of the first signal
+    in each recording."""
+
+    coarse: list[Pair]  # at COARSE_CUTOFF
+    fine: list[Pair]  # at FINE_CUTOFF
+    reasons: tuple[str, ...]  # why other signals are not usable; never empty without pairs
+    reference_ns: int = 0  # origin of reference times
+    other_ns: int = 0  # origin of other times
+    latency_uncertainty: float = 0.0  # largest of the signals [s]
+
+
+def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
+    """Select and resample the signals that vary, and are known in both recordings."""
+    usable, reasons = [], []
+    for signal in signals:
+        known = [np.isfinite(v) for v in (signal.reference, signal.other)]
+        if min(k.sum() for k in known) < 2:
+            reasons.append(f"{signal.name} is missing in one recording")
+            continue
+        spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
+        if max(spans) > MAX_SPAN:
+            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days; probably a clock was set during it")
+            continue
+        values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
+        deviation = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
+        if deviation <= signal.min_deviation:
+            reasons.append(f"{signal.name} hardly varies (standard deviation {deviation:.3g})")
+            continue
+        usable.append(signal)
+    if not usable:
+        return _Prepared([], [], tuple(reasons or ["the recordings share no signal"]))
+    rows = []
+    reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
+    for signal in usable:
+        reference = (signal.reference_time_ns - reference_ns) * 1e-9
+        other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
+        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.angle),
+                    resample(other, signal.other, cutoff, signal.angle)) for cutoff in (COARSE_CUTOFF, FINE_CUTOFF)]
+        if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
+            rows.append(row)
+    if not rows:
+        return _Prepared([], [], (*reasons, "the shared signals were measured for only a few seconds"))
+    coarse, fine = map(list, zip(*rows, strict=True))
+    return _Prepared(coarse, fine, tuple(reasons), reference_ns, other_ns,
+                     max(signal.latency_uncertainty for signal in usable))
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
@@ -56,16 +126,13 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
-    usable, reasons = _select_usable(signals)
-    if not usable:
-        return refused_alignment(*reasons)
-    pairs = _resample_pairs(usable)
-    if not pairs[CUTOFFS[-1]]:
-        return refused_alignment(*reasons, "the shared signals were measured for only a few seconds")
-    result = _align_with_overlap(pairs, usable, reasons, _min_overlap(pairs[CUTOFFS[-1]]), search)
+    prepared = _prepare(signals)
+    if not prepared.fine:
+        return refused_alignment(*prepared.reasons)
+    result = _align_with_overlap(prepared, _min_overlap(prepared.fine), search)
     best = max((s.correlation for s in result.signals), default=0.0)
     if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
-        short = _align_with_overlap(pairs, usable, reasons, MIN_OVERLAP, search)
+        short = _align_with_overlap(prepared, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
     return result
@@ -78,29 +145,27 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
     return max(0.4 * shorter, 10.0)
 
 
-def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedSignal], reasons: Sequence[str],
-                        minimum_overlap: float, search: tuple[float, float] | None) -> Alignment:
-    fine_pairs = pairs[CUTOFFS[-1]]
-    reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-    between_origins = (reference_ns - other_ns) * 1e-9  # times as floats count from the origin of each clock
+def _align_with_overlap(prepared: _Prepared, minimum_overlap: float,
+                        search: tuple[float, float] | None) -> Alignment:
+    fine, reasons = prepared.fine, prepared.reasons
+    between_origins = (prepared.reference_ns - prepared.other_ns) * 1e-9
     span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
-    peaks = find_peaks(fine_pairs, minimum_overlap, span)
+    peaks = find_peaks(fine, minimum_overlap, span)
     if peaks is None:
         return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion at "
                                            "any offset")
     coarse = peaks[0].offset
     # The estimates of offset and drift are nearly uncorrelated in the middle of the overlap.
-    low = max(min(p.other.origin for p in fine_pairs), min(p.reference.origin for p in fine_pairs) - coarse)
-    high = min(max(p.other.time[-1] for p in fine_pairs), max(p.reference.time[-1] for p in fine_pairs) - coarse)
+    low = max(min(p.other.origin for p in fine), min(p.reference.origin for p in fine) - coarse)
+    high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
     middle = (low + high) / 2
     try:
-        solution = fit(pairs[CUTOFFS[0]], coarse, middle)
-        for cutoff in CUTOFFS[1:]:
-            solution = fit(pairs[cutoff], solution.offset, middle, solution.drift)
+        solution = fit(prepared.coarse, coarse, middle)
+        solution = fit(fine, solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
     lags = []  # of each signal alone
-    for pair, residual, correlation in zip(fine_pairs, solution.residual, solution.correlation, strict=True):
+    for pair, residual, correlation in zip(fine, solution.residual, solution.correlation, strict=True):
         single = fit([pair], solution.offset, middle, solution.drift, free_drift=False)
         difference = single.offset - solution.offset
         lags.append(SignalLag(pair.name, difference, single.offset_deviation, residual, correlation))
@@ -109,53 +174,17 @@ def _align_with_overlap(pairs: dict[float, list[Pair]], usable: Sequence[SharedS
         weights = np.array([s.deviation**-2 for s in lags])
         variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
         excess = max(variance - float(len(lags) / weights.sum()), 0.0)
-    latency = max(s.latency_uncertainty for s in usable)
-    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + latency**2 + STAMP_RESOLUTION**2 / 12))
+    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + prepared.latency_uncertainty**2
+                                     + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
     peak, second_peak = (p._replace(offset=p.offset + between_origins) for p in peaks)
     result = Alignment(
-        other_ns + round(middle * 1e9), reference_ns - other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
-        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, tuple(reasons), tuple(lags), peak,
+        prepared.other_ns + round(middle * 1e9),
+        prepared.reference_ns - prepared.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
+        offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, reasons, tuple(lags), peak,
         second_peak, max(high - low, 0.0))
-    return _add_verdict(result, solution, fine_pairs, other_ns)
-
-
-def _select_usable(signals: Sequence[SharedSignal]) -> tuple[list[SharedSignal], list[str]]:
-    usable, reasons = [], []
-    for signal in signals:
-        known = [np.isfinite(v) for v in (signal.reference, signal.other)]
-        if min(k.sum() for k in known) < 2:
-            reasons.append(f"{signal.name} is missing in one recording")
-            continue
-        spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
-        if max(spans) > MAX_SPAN:
-            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days; probably a clock was set during it")
-            continue
-        values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
-        deviation = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)
-        if deviation <= signal.min_deviation:
-            reasons.append(f"{signal.name} hardly varies (standard deviation {deviation:.3g})")
-            continue
-        usable.append(signal)
-    return usable, reasons or ([] if usable else ["the recordings share no signal"])
-
-
-def _resample_pairs(signals: Sequence[SharedSignal]) -> dict[float, list[Pair]]:
-    """Pairs of the signals with known samples in both recordings, by cut-off frequency.
-
-    Times count from the first sample of the first signal in each recording.
-    """
-    rows = []
-    reference_ns, other_ns = int(signals[0].reference_time_ns[0]), int(signals[0].other_time_ns[0])
-    for signal in signals:
-        reference = (signal.reference_time_ns - reference_ns) * 1e-9
-        other = (signal.other_time_ns - other_ns) * 1e-9 - signal.latency
-        row = [Pair(signal.name, resample(reference, signal.reference, cutoff, signal.angle),
-                    resample(other, signal.other, cutoff, signal.angle)) for cutoff in CUTOFFS]
-        if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
-            rows.append(row)
-    return {cutoff: [row[k] for row in rows] for k, cutoff in enumerate(CUTOFFS)}
+    return _add_verdict(result, solution, fine, prepared.other_ns)
 
 
 def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
@@ -189,7 +218,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     if step:
         reason = describe_step(step.size, other_ns * 1e-9 + step.time - result.at_ns * 1e-9)
         # All other doubts are consequences of the step.
-        refusals, doubts = ([reason], []) if abs(step.size) > MAX_STEP else ([], [reason])
+        refusals, doubts = ([reason], []) if abs(step.size) > MAX_CLOCK_STEP else ([], [reason])
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
     return result.with_doubts(*doubts)
@@ -201,31 +230,25 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
     return []
 
 
-def _make_fine_pairs(signals: Sequence[SharedSignal]) -> tuple[list[Pair], int, int]:
-    """(pairs of the usable signals at the higher cut-off, origins of their reference and other times [ns])."""
-    usable, _ = _select_usable(signals)
-    if not usable:
-        return [], 0, 0
-    return _resample_pairs(usable)[CUTOFFS[-1]], int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
-
-
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
     Empty if no signal is usable. Lags with an overlap of less than 40 % of the shorter recording are left out.
     """
-    fine_pairs, reference_ns, other_ns = _make_fine_pairs(signals)
-    curve = mean_correlation(fine_pairs, _min_overlap(fine_pairs), (-np.inf, np.inf)) if fine_pairs else None
-    return (curve[0] + (reference_ns - other_ns) * 1e-9, curve[1]) if curve else (np.zeros(0), np.zeros(0))
+    prepared = _prepare(signals)
+    curve = mean_correlation(prepared.fine, _min_overlap(prepared.fine), (-np.inf, np.inf)) if prepared.fine else None
+    return ((curve[0] + (prepared.reference_ns - prepared.other_ns) * 1e-9, curve[1]) if curve
+            else (np.zeros(0), np.zeros(0)))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
     """Offsets that remain in windows of 30 s with an alignment, searched within 2 s; time [s] since `at_ns`."""
-    fine_pairs, reference_ns, other_ns = _make_fine_pairs(signals)
-    if not fine_pairs:
+    prepared = _prepare(signals)
+    if not prepared.fine:
         return []
-    middle = (alignment.at_ns - other_ns) * 1e-9
-    lags = measure_window_lags(fine_pairs, (alignment.offset_ns - (reference_ns - other_ns)) * 1e-9, 2.0)
+    middle = (alignment.at_ns - prepared.other_ns) * 1e-9
+    offset = (alignment.offset_ns - (prepared.reference_ns - prepared.other_ns)) * 1e-9
+    lags = measure_window_lags(prepared.fine, offset, 2.0)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in lags]
 
@@ -293,7 +316,7 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     lags = [WindowLag(float(np.median(time[a:b])) - middle, float(np.median(offset[a:b]) - median), scale)
             for a, b in pairwise(edges)]
     step = find_clock_step(lags)
-    if step and abs(step.size) > MAX_STEP:
+    if step and abs(step.size) > MAX_CLOCK_STEP:
         return replace(result, verdict=Verdict.REFUSED, reasons=(describe_step(step.size, step.time),))
     doubts = []
     worst = int(np.argmax(np.abs(residual)))
@@ -302,3 +325,75 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
                       f"{time[worst] - middle:+.0f} s from the middle (a clock may have been set)")
     doubts += _describe_unusual_drift(result)
     return result.with_doubts(*doubts)
+
+
+def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> list[WindowLag]:
+    """Lags of windows of 30 s relative to `offset`, searched within +/- `search` [s].
+
+    Windows with a low or ambiguous correlation or an uncertain lag are left out.
+    """
+    lags = []
+    first = min(p.other.origin for p in pairs)
+    last = max(p.other.time[-1] for p in pairs)
+    for start in np.arange(first, last - WINDOW_DURATION / 2, max(WINDOW_DURATION, (last - first) / MAX_WINDOWS)):
+        middle = start + WINDOW_DURATION / 2
+        windows = [Pair(p.name, _cut(p.reference, start + offset - search, start + offset + WINDOW_DURATION + search),
+                        _cut(p.other, start, start + WINDOW_DURATION)) for p in pairs]
+        windows = [p for p in windows if p.other.known.sum() * STEP > WINDOW_DURATION / 3 and p.reference.known.any()]
+        peaks = find_peaks(windows, WINDOW_DURATION / 3) if windows else None
+        if peaks is None:
+            continue
+        best, second = peaks
+        if best.correlation < MIN_CORRELATION or second.correlation > MAX_PEAK_RATIO * best.correlation:
+            continue
+        try:
+            fine = fit(windows, best.offset, middle, free_drift=False)
+        except ValueError:
+            continue
+        if fine.offset_deviation < MAX_DEVIATION and abs(fine.offset - offset) <= search + 1.0:
+            lags.append(WindowLag(float(middle), fine.offset - offset, fine.offset_deviation))
+    return lags
+
+
+def _cut(signal: Resampled, start: float, end: float) -> Resampled:
+    low = int(np.clip(np.ceil((start - signal.origin) / STEP), 0, len(signal.values)))
+    high = int(np.clip(np.ceil((end - signal.origin) / STEP), low, len(signal.values)))
+    return Resampled(signal.origin + low * STEP, signal.values[low:high], signal.known[low:high])
+
+
+def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:
+    """The step that explains the window lags far better than a straight line; None if there is no such step.
+
+        lag(t) = a + b t     against     lag(t) = a + b t + size [t > time],     prior of b: 0 +/- 50 ppm
+
+    There must be at least two windows on each side; a step below 10 ms is ignored.
+    """
+    if len(lags) < 4:
+        return None
+    time = np.array([w.time for w in lags])
+    lag = np.array([w.lag for w in lags])
+    deviation = np.array([max(w.deviation, 1e-3) for w in lags])
+    time = time - time.mean()
+    line = np.stack([np.ones_like(time), time], axis=1)
+    cost_without_step, _ = _fit_with_drift_prior(line, lag, deviation)
+    fits = []
+    for k in range(2, len(lags) - 1):
+        after = (np.arange(len(lags)) >= k).astype(float)
+        cost, solution = _fit_with_drift_prior(np.column_stack([line, after]), lag, deviation)
+        fits.append((cost, ClockStep((lags[k - 1].time + lags[k].time) / 2, float(solution[2]))))
+    cost, step = min(fits, key=lambda fit: fit[0])
+    return step if cost_without_step - cost >= MIN_STEP_EVIDENCE and abs(step.size) >= MIN_CLOCK_STEP else None
+
+
+def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.ndarray) -> tuple[float, np.ndarray]:
+    """(sum of capped squares, solution) of a robust fit; the prior of the drift, column 1, is 0 +/- USUAL_DRIFT."""
+    prior = np.zeros((1, design.shape[1]))
+    prior[0, 1] = 1 / USUAL_DRIFT
+    weight = 1 / deviation
+    for _ in range(10):
+        rows = np.vstack([design * weight[:, None], prior])
+        solution = np.linalg.lstsq(rows, np.append(value * weight, 0.0), rcond=None)[0]
+        normalised = (value - design @ solution) / deviation
+        weight = 1 / deviation / np.sqrt(1 + (normalised / OUTLIER_LIMIT) ** 2)
+    drift = solution[1] / USUAL_DRIFT
+    return float(np.minimum(normalised**2, OUTLIER_LIMIT**2).sum() + drift**2), solution

@@ -112,7 +112,7 @@ def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], 
 
 def _make_start(layouts: list[_Layout], geometric_slips):
     def start(state, w, p):
-        instant, values = _make_instant(state, w, p), []
+        instant, values = _make_instant(state, w, p), list[Any]()
         slips = geometric_slips(instant)
         for layout in layouts:
             hook, (begin, end) = layout.effect.start, layout.prepared

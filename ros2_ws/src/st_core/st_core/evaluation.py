@@ -73,7 +73,6 @@ class Evaluator:
         self.vehicle, self._runners = vehicle, runners or {}
         self.settings = settings or PredictionSettings()
         span = ModelView.extend_span(models, max(span, 2.0 * self.settings.horizon + self.SIGNAL_TIMEOUT))
-        self._span_ns = round(span / NANOSECOND)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
         self._ahead_ns = max(view.ahead_ns for view in self._views.values())

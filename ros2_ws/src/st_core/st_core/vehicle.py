@@ -9,8 +9,6 @@ from functools import cached_property
 from typing import Any
 
 from .errors import ConfigurationError
-from .provenance import KEYS as PROVENANCE_KEYS
-from .provenance import Provenance, read_provenance
 from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, format_number, load, quote
@@ -85,6 +83,8 @@ TYRE_QUANTITIES = {
     "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
 }
 TYRES = ("tyre_front", "tyre_rear")
+PROVENANCE_TEXTS = ("method", "data", "date")
+PROVENANCE_KEYS = ("uncertainty", *PROVENANCE_TEXTS)
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,22 @@ DEFAULT_UNCERTAINTIES: Mapping[str, Uncertainty] = {
 """Used for entries of a vehicle file without `uncertainty`. Values of other keys, such as the steering ratio and the
 position of the INS, are often guesses: they constrain a fit only if the file states their `uncertainty`."""
 DERIVED_SOURCE = "derived: C / (2 abs(K)) at the static load of one tyre"  # of lambda_ky
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Provenance of an identified value."""
+
+    uncertainty: float | None = None  # standard deviation in SI, None if unknown
+    method: str = ""  # free text
+    data: str = ""  # free text
+    date: str = ""  # YYYY-MM-DD
+
+    def format_entries(self) -> str:
+        """The entries as text for a vehicle file, each preceded by a comma."""
+        parts = [] if self.uncertainty is None else [f"uncertainty: {format_number(self.uncertainty)}"]
+        parts += [f"{key}: {quote(getattr(self, key))}" for key in PROVENANCE_TEXTS if getattr(self, key)]
+        return "".join(f", {part}" for part in parts)
 
 
 def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
@@ -338,9 +354,32 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
         if not isinstance(source, str) or not source.strip():
             raise ConfigurationError(f"{key}: source {source!r} is not a string; state where the value comes from")
         values[name], sources[key] = float(value) * quantity.units[unit], source
-        if found := read_provenance(key, entry, quantity.units[unit]):
-            provenance[key] = found
+        if identified := _read_provenance(key, entry, quantity.units[unit]):
+            provenance[key] = identified
     return values
+
+
+def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Provenance | None:
+    """The provenance of an entry of a vehicle file; None if it has none. factor: converts the unit of the entry to SI.
+
+    Raises ConfigurationError, naming the key, for an invalid uncertainty or a text that is not a string.
+    """
+    if not any(name in entry for name in PROVENANCE_KEYS):
+        return None
+    uncertainty = entry.get("uncertainty")
+    if uncertainty is not None:
+        if isinstance(uncertainty, bool) or not isinstance(uncertainty, int | float):
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty!r} is not a number (write 1.0e+3, not 1e3)")
+        if not (math.isfinite(uncertainty) and uncertainty >= 0.0):
+            raise ConfigurationError(f"{key}.uncertainty: {uncertainty:g} is not a standard deviation (finite, >= 0)")
+        uncertainty = float(uncertainty) * factor
+    texts = {}
+    for name in PROVENANCE_TEXTS:
+        # YAML parses an unquoted day as a date object; its text is the same.
+        texts[name] = str(entry[name]) if name == "date" and name in entry else entry.get(name, "")
+        if not isinstance(texts[name], str):
+            raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a string")
+    return Provenance(uncertainty, **texts)
 
 
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:

@@ -9,8 +9,8 @@ from st_core.bands.shares import PARAMETERS, SENSORS, sum_squared_contributions
 from st_core.log import INS_SIGNALS, DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
-from st_core.provenance import Provenance
 from st_core.regression import white_noise
+from st_core.vehicle import Provenance
 from steady_circle import Circle
 
 SETTINGS = EvaluationSettings()

@@ -9,8 +9,7 @@ from st_core.discovery.evidence import compare_with_file, covariance
 from st_core.discovery.fit import Problem
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.space import FileQuantity, Space, find_file_quantities, prior_deviations
-from st_core.provenance import Provenance
-from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES
+from st_core.vehicle import DEFAULT_UNCERTAINTIES, TYRES, Provenance
 
 
 def test_uncertainty_in_the_vehicle_file_replaces_the_default(leaf):

@@ -18,9 +18,8 @@ from st_core.identification.result import (
     compare_with_file,
     describe_stale_scales,
 )
-from st_core.provenance import Provenance
 from st_core.tyres import stiffness_scale
-from st_core.vehicle import DERIVED_SOURCE, VehicleParameters
+from st_core.vehicle import DERIVED_SOURCE, Provenance, VehicleParameters
 
 
 def make_estimate(parameter, value, spread=1.0, status="identified"):

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from st_core.errors import ConfigurationError
-from st_core.provenance import Provenance
-from st_core.vehicle import OPTIONAL_QUANTITIES, TYRE_QUANTITIES, VEHICLE_QUANTITIES, VehicleParameters
+from st_core.vehicle import OPTIONAL_QUANTITIES, TYRE_QUANTITIES, VEHICLE_QUANTITIES, Provenance, VehicleParameters
 from support import GOLDEN_DATA, ROOT
 
 LEAF = (ROOT / "config" / "vehicle" / "leaf.yaml").read_text()

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..errors import StCoreError
-from ..provenance import Provenance
-from ..vehicle import DERIVED_SOURCE, VehicleParameters, find_quantity, value_of
+from ..vehicle import DERIVED_SOURCE, Provenance, VehicleParameters, find_quantity, value_of
 
 if TYPE_CHECKING:  # `checks` imports this module
     from ..checks.finding import Finding
