@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from command_line import st
 from mcap.reader import make_reader
+from rich.console import Console
 from ros_messages import STORE, definition, header, odometry, serialise, stamp
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_live import verification
-from st_live.replaying import describe_omissions
+from st_live import session, verification
+from st_live.replaying import describe_omissions, replay_bag
 from st_live.verification import verify
 from st_recordings.mcap import BagWriter
 from st_recordings.runs.bag import ODOMETRY, STEERING
@@ -48,6 +49,7 @@ class LiveBag:
         self.score_shift = 0.0  # m, added to the lateral scores of one model and mode
         self.without_predictions = False
         self.contains_its_car = True
+        self.model_text = ""  # of the recorded model file, if there is one
         self.velocity_factor = 1.0
         self.unreceived = range(0)  # numbers of the samples the predictor does not receive
         self._predictor, self._evaluator = Predictor(car, MODELS, SETTINGS), Evaluator(car, SETTINGS)
@@ -58,6 +60,7 @@ class LiveBag:
 
         parameters = yaml.safe_dump({node: {"ros__parameters": values} for node, values in NODES.items()})
         files = {"leaf.yaml": LEAF_TEXT} if self.contains_its_car else {}
+        files |= {"model.yaml": self.model_text} if self.model_text else {}
         writer = BagWriter(self.folder, {"configuration": {**files, "parameters.yaml": parameters}})
         topics = {name: writer.add_topic(topic, name, definition=definition(name),
                                          type_hash=STORE.hash_rihs01(name))
@@ -255,6 +258,18 @@ def test_different_vehicle_gives_different_predictions(bag, tmp_path):
 def test_recording_without_predictions_has_nothing_to_compare(live):
     live.without_predictions = True
     assert verify(live.write()) is None
+
+
+def test_replay_uses_the_recorded_model_file(live, tmp_path, monkeypatch):
+    """The file itself may have moved or changed."""
+    live.model_text = "recorded model"
+    monkeypatch.setitem(NODES["predictor"], "model_file", "/elsewhere/model.yaml")
+    runs = []
+    monkeypatch.setattr(session, "run", lambda *arguments: runs.append(arguments))
+    replay_bag(live.write(), tmp_path, None, 0.0, Console())
+    parameters, model = runs[0][1], tmp_path / "model.yaml"
+    assert model.read_text() == "recorded model" and str(model) in parameters["recorder"]["configuration_files"]
+    assert {parameters[node]["model_file"] for node in ("predictor", "evaluator")} == {str(model)}
 
 
 def test_invalid_recording_is_refused(tmp_path):

@@ -78,16 +78,21 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
     })
 
 
-def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: those of config/nodes.yaml, updated with the recorded ones."""
-    common = {"vehicle_file": str(vehicle), "use_sim_time": True}
+def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration,
+                           model: Path | None = None) -> dict[str, dict[str, Any]]:
+    """Parameters of REPLAY_NODES: those of config/nodes.yaml, updated with the recorded ones.
+
+    model: model file to use instead of the one named in the recording, which may have moved or changed.
+    """
+    model_file = {"model_file": str(model)} if model else {}
+    common = {"vehicle_file": str(vehicle), "use_sim_time": True, **model_file}
     nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
     merged = merge_parameters(config("nodes.yaml"), {
         # The files named in the recording may have moved or changed; `set_bands_and_course` sets those of this run.
         "predictor": {**nodes["predictor"], "bands_file": "", "course_file": ""},
         "evaluator": {**nodes["evaluator"], "output_directory": str(folder / "errors")},
         "recorder": {"use_sim_time": True, "output_directory": str(folder / "bag"),
-                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml")]},
+                     "configuration_files": [str(vehicle), str(folder / "parameters.yaml"), *model_file.values()]},
     })
     return {node: merged[node] for node in REPLAY_NODES}
 

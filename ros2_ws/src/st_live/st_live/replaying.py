@@ -40,14 +40,16 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     for line in describe_omissions(bag, drive.unknown):
         console.out(line, style="yellow", highlight=False)
     car, recorded, _ = find_configuration(drive.records, vehicle)
-    file = folder / "vehicle.yaml"
-    file.write_text(car.to_yaml())
-    course_text = recorded_text(drive.records, str(recorded.nodes.get("predictor", {}).get("course_file", "")))
-    if course is None and course_text is not None:
-        course = folder / "course.yaml"
-        course.write_text(course_text)
-    parameters = set_bands_and_course(make_replay_parameters(folder, file, recorded), bands, course, adaptive)
-    if "map_frame" not in recorded.nodes.get("predictor", {}):
+    recorded_predictor = recorded.nodes.get("predictor", {})
+    files = {"vehicle": folder / "vehicle.yaml"}
+    files["vehicle"].write_text(car.to_yaml())
+    for name in ("model", "course"):  # the files named in the recording may have moved or changed
+        if text := recorded_text(drive.records, recorded_predictor.get(f"{name}_file", "")):
+            files[name] = folder / f"{name}.yaml"
+            files[name].write_text(text)
+    parameters = make_replay_parameters(folder, files["vehicle"], recorded, files.get("model"))
+    parameters = set_bands_and_course(parameters, bands, course or files.get("course"), adaptive)
+    if "map_frame" not in recorded_predictor:
         for node in ("predictor", "evaluator"):  # external recordings may use another frame
             parameters[node]["map_frame"] = drive.frame
     predictor = parameters["predictor"]
@@ -83,5 +85,6 @@ def _play(suite: Suite, settings: Mapping[str, Any]) -> session.Progress:
 
 
 def _read_last_status(log: Path) -> dict[str, Any]:
-    lines = [line for line in log.read_text(errors="replace").splitlines() if line.startswith("{")]
-    return json.loads(lines[-1]) if lines else {}
+    """The newest status that the player has printed; empty before its first one."""
+    lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+    return next((json.loads(line) for line in reversed(lines) if line.startswith("{")), {})
