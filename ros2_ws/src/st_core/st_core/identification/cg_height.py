@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..regression import effective_degrees_of_freedom, symmetric_interval
-from .result import Coverage, Estimate, Identification, IdentificationError
+from ..vehicle import VehicleParameters
+from .result import Coverage, Estimate, Identification, IdentificationError, get_stated_uncertainty
 from .steering_ratio import Line, fit_line
 
 MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
@@ -43,16 +44,10 @@ class LiftRows:
     front_radius: np.ndarray  # m, height of the wheel centres; NaN where not measured; required for the level rows
     rear_radius: np.ndarray  # m, as front_radius
 
-
-@dataclass(frozen=True)
-class LiftedCar:
-    """The car in the state of the test, with standard uncertainties."""
-
-    mass: float  # kg
-    wheelbase: float  # m
-    cg_to_front_axle: float  # m
-    mass_uncertainty: float = 0.0
-    wheelbase_uncertainty: float = 0.0
+    @property
+    def level(self) -> np.ndarray:
+        """Mask (n,) of the rows in which the car is level."""
+        return np.abs(self.pitch) <= MAX_LEVEL_PITCH
 
 
 def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray, wheelbase: float) -> np.ndarray:
@@ -71,60 +66,61 @@ def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.nd
     return angle - angle[0]
 
 
-def identify_cg_height(data: LiftRows, car: LiftedCar) -> Identification:
-    """Estimate of cg_height [m]. Raises IdentificationError for unusable rows."""
-    level = _check_rows(data)
+def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass: float | None = None) -> Identification:
+    """Estimate of cg_height [m]. Raises IdentificationError for unusable rows.
+
+    vehicle: its wheelbase and CG position, with the uncertainty of the wheelbase. weighed_mass: exact mass of the
+    lifted car [kg]; None: mass of the vehicle, with its uncertainty.
+    """
+    _check_rows(data)
     line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
     if line.slope <= 0.0:
         raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
                                   "10 deg of pitch, but must rise when the front axle is lifted: was the rear axle "
                                   "lifted, or are columns exchanged?")
-    radius, deflection = _compute_radii(data, car, level)
-    height_difference = car.wheelbase * line.slope / car.mass
+    mass, wheelbase = weighed_mass or vehicle.mass, vehicle.wheelbase
+    mass_uncertainty = 0.0 if weighed_mass else get_stated_uncertainty(vehicle, "mass")
+    rear_share = vehicle.cg_to_front_axle / wheelbase  # of the load of the level car
+    radius, deflection_note = _compute_radii(data, rear_share)
+    height_difference = wheelbase * line.slope / mass
     height = radius + height_difference
-    rear_share = car.cg_to_front_axle / car.wheelbase  # of the load of the level car
+    slope_uncertainty = wheelbase / mass * line.uncertainty
     uncertainty = math.hypot(
-        car.wheelbase / car.mass * line.uncertainty, height_difference * car.mass_uncertainty / car.mass,
-        height_difference * car.wheelbase_uncertainty / car.wheelbase,
+        slope_uncertainty, height_difference * mass_uncertainty / mass,
+        height_difference * get_stated_uncertainty(vehicle, "wheelbase") / wheelbase,
         RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
-    single, usable = _compute_single_heights(data, car, level, radius, line)
-    average = float(single[usable].mean())
+    single = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
+    average = float(single[np.isfinite(single)].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
-    degrees_of_freedom = effective_degrees_of_freedom((car.wheelbase / car.mass * line.uncertainty) ** 2,
-                                                      uncertainty**2, line.degrees_of_freedom)
-    interval = symmetric_interval(height, uncertainty, degrees_of_freedom)
+    interval = symmetric_interval(height, uncertainty, effective_degrees_of_freedom(
+        slope_uncertainty**2, uncertainty**2, line.degrees_of_freedom))
     lifts = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(lifts)} lift{'s' * (len(lifts) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
-    deflection_note = "" if deflection is None else (
-        f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
-        "change the height of the level car.")
     estimate = Estimate(
         "cg_height", height, "m", uncertainty, interval, method, lifts,
         f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
         f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
-    counts = np.histogram(data.pitch, edges)[0]
-    coverage = Coverage("pitch", "deg", np.degrees(edges), counts, 1, 2)
-    warnings = [*_describe_unordered_rows(data), *_describe_load_difference(data, car, level)]
+    coverage = Coverage("pitch", "deg", np.degrees(edges), np.histogram(data.pitch, edges)[0], 1, 2)
+    warnings = _make_warnings(data, mass, rear_share)
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
-    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single, "usable": usable,
-              "average": average, "slope": line.slope, "intercepts": line.intercepts, "radius": radius}
+    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single,
+              "average": average, "slope": line.slope, "intercepts": line.intercepts}
     return Identification("cg-height", (estimate,), lifts, (), None, (coverage,), tuple(warnings), figure)
 
 
-def _check_rows(data: LiftRows) -> np.ndarray:
-    """Mask (n,) of the level rows. Raises IdentificationError for unusable rows."""
-    pitch = data.pitch
+def _check_rows(data: LiftRows) -> None:
+    """Raises IdentificationError for unusable rows."""
+    pitch, level = data.pitch, data.level
     if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
     if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
         raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
                                   f"{math.degrees(np.abs(pitch).max()):.0f} deg, limit 45 deg: is the unit in the "
                                   "header right, or are two columns exchanged?")
-    level = np.abs(pitch) <= MAX_LEVEL_PITCH
     span = float(np.ptp(pitch)) if len(pitch) else 0.0
     if span < MIN_PITCH_RANGE:
         raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
@@ -136,12 +132,11 @@ def _check_rows(data: LiftRows) -> np.ndarray:
     if pitch[~level].max() <= 0.0:
         raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
                                   "positive, with the front axle lifted")
-    return level
 
 
-def _compute_radii(data: LiftRows, car: LiftedCar, level: np.ndarray) -> tuple[float, float | None]:
-    """(height of the line between the wheel centres at the CG, further deflection of the lifted rear tyres) [m]."""
-    front, rear = (radius[level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
+def _compute_radii(data: LiftRows, rear_share: float) -> tuple[float, str]:
+    """(height of the line between the wheel centres at the CG [m], sentence on the deflection of the rear tyres)."""
+    front, rear = (radius[data.level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
         raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
                                   "centres above the ground with the car loaded and level")
@@ -149,47 +144,39 @@ def _compute_radii(data: LiftRows, car: LiftedCar, level: np.ndarray) -> tuple[f
         if not (values.min() > 0.1 and values.max() < 1.0):
             raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
                                       "0.1 to 1 m: is the unit in the header right?")
-    rear_share = car.cg_to_front_axle / car.wheelbase
-    height = float(front.mean() * (1.0 - rear_share) + rear.mean() * rear_share)
-    steepest = int(np.argmax(data.pitch))
-    lifted = data.rear_radius[steepest]
-    return height, float(rear.mean() - lifted) if math.isfinite(lifted) and not level[steepest] else None
+    deflection = float(rear.mean() - data.rear_radius[np.argmax(data.pitch)])
+    text = (f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
+            "change the height of the level car.") if math.isfinite(deflection) else ""
+    return float(front.mean() * (1.0 - rear_share) + rear.mean() * rear_share), text
 
 
-def _compute_single_heights(data: LiftRows, car: LiftedCar, level: np.ndarray, radius: float,
-                            line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """(height from each row alone (n,), mask of the rows that determine a height). The level load of a lift is the
-    mean of its level rows."""
-    groups = np.asarray(data.lifts)
-    level_load = np.array([data.rear_load[level & (groups == name)].mean() if (level & (groups == name)).any()
-                           else line.intercepts[name] for name in data.lifts])
-    usable = data.pitch >= MIN_PITCH_RANGE
-    if not usable.any():
-        usable = data.pitch == data.pitch.max()
-    single = np.full(len(data.pitch), np.nan)
-    transfer = (data.rear_load - level_load)[usable] / car.mass
-    single[usable] = radius + car.wheelbase * transfer / np.tan(data.pitch[usable])
-    return single, usable
+def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
+    """Rear load minus the level rear load of the lift (n,) [kg]; NaN in rows with a small pitch, unless all are small.
+
+    The level load of a lift is the mean of its level rows, or else the intercept of its line.
+    """
+    usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
+    transfers = np.full(len(data.pitch), np.nan)
+    for name, intercept in line.intercepts.items():
+        lift = np.asarray(data.lifts) == name
+        level_load = data.rear_load[data.level & lift].mean() if (data.level & lift).any() else intercept
+        transfers[usable & lift] = data.rear_load[usable & lift] - level_load
+    return transfers
 
 
-def _describe_unordered_rows(data: LiftRows) -> list[str]:
-    sentences, groups = [], np.asarray(data.lifts)
+def _make_warnings(data: LiftRows, mass: float, rear_share: float) -> list[str]:
+    sentences = []
     for name in dict.fromkeys(data.lifts):
-        pitch = np.degrees(data.pitch[groups == name])
-        back = np.flatnonzero(np.diff(pitch) < -0.05)
-        if len(back):
-            k = int(back[0])
+        pitch = np.degrees(data.pitch[np.asarray(data.lifts) == name])
+        falling = np.flatnonzero(np.diff(pitch) < -0.05)
+        if len(falling):
+            k = int(falling[0])
             sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
                              f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but friction "
                              "changes the load on the way down: enter such rows as a separate lift.")
+    measured, expected = float(data.rear_load[data.level].mean()), mass * rear_share
+    if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
+        sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "
+                         f"the vehicle file give {expected:.1f} kg: the car was loaded differently. The height applies "
+                         f"to the car as lifted, and only if its mass was {mass:.1f} kg.")
     return sentences
-
-
-def _describe_load_difference(data: LiftRows, car: LiftedCar, level: np.ndarray) -> list[str]:
-    measured = float(data.rear_load[level].mean())
-    expected = car.mass * car.cg_to_front_axle / car.wheelbase
-    if abs(measured - expected) <= MAX_LOAD_DIFFERENCE * car.mass:
-        return []
-    return [f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of the vehicle "
-            f"file give {expected:.1f} kg: the car was loaded differently. The height applies to the car as lifted, "
-            f"and only if its mass was {car.mass:.1f} kg."]

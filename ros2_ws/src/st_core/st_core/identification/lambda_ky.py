@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from ..regression import symmetric_interval
 from ..tyres import magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
-from .result import Estimate, Identification, IdentificationError, Status
+from .result import Estimate, Identification, IdentificationError, Status, get_stated_uncertainty
 
 LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K
 
@@ -30,8 +30,8 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
     for tyre in TYRES:
         axle = tyre.removeprefix("tyre_")
         key = f"cornering_stiffness_{axle}"
-        known = vehicle.provenance.get(key)
-        if known is None or known.uncertainty is None:
+        stated = vehicle.provenance.get(key)
+        if stated is None or stated.uncertainty is None:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
                                       "and use the resulting vehicle.yaml. (If a file has no lambda_ky, it is derived "
                                       "from the stiffness.)")
@@ -45,10 +45,10 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         # Relative standard uncertainty of F_z, which is proportional to m l_r (front) or m l_f (rear), with fixed l.
         distance = vehicle.cg_to_rear_axle if axle == "front" else vehicle.cg_to_front_axle
         load_uncertainty = math.hypot(*(
-            (vehicle.provenance[key].uncertainty or 0.0) / size
-            for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance)) if key in vehicle.provenance))
+            get_stated_uncertainty(vehicle, key) / size
+            for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance))))
         load_sensitivity = (up - down) / (2.0 * LOAD_STEP)  # d ln K / d ln F_z
-        relative_uncertainty = math.hypot(known.uncertainty / stiffness, table_uncertainty,
+        relative_uncertainty = math.hypot(stated.uncertainty / stiffness, table_uncertainty,
                                           load_sensitivity * load_uncertainty)
         uncertainty = value * relative_uncertainty
         cause = ("a possible cause is steering and suspension compliance." if value < 1.0 else "compliance cannot "
@@ -56,13 +56,11 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative_uncertainty else "doubtful"
-        runs = tuple(filter(None, (known.data, table_name)))
+        runs = tuple(filter(None, (stated.data, table_name)))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", uncertainty, symmetric_interval(value, uncertainty),
                                   method, runs, verdict, status))
         if tyre not in tables:
             warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is assumed exact.")
-    figure = {"scale": [e.value for e in estimates],
-              "stiffness": [vehicle.cornering_stiffness_front, vehicle.cornering_stiffness_rear]}
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))
-    return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings), figure)
+    return Identification("lambda", tuple(estimates), used, (), None, (), tuple(warnings))

@@ -11,12 +11,14 @@ Checked by: test_identification_experiments.py.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..regression import correlation_matrix, effective_degrees_of_freedom, symmetric_interval
-from .result import Estimate, Identification, IdentificationError
+from ..vehicle import VehicleParameters
+from .result import Estimate, Identification, IdentificationError, get_stated_uncertainty
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with steps of 0.5 kg
@@ -34,10 +36,11 @@ class Weighings:
     scale_uncertainty: float = SCALE_UNCERTAINTY  # standard uncertainty of one scale [kg]
 
 
-def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncertainty: float = 0.0) -> Identification:
+def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Identification:
     """Estimates of mass [kg] and cg_to_front_axle [m] for the most frequent loading (the first one in a tie).
 
-    wheelbase [m], with its standard uncertainty [m]. Raises IdentificationError for impossible or missing readings.
+    vehicle: its wheelbase, with uncertainty, is used; its CG position is only compared with the estimate. Raises
+    IdentificationError for impossible or missing readings.
     """
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
@@ -45,8 +48,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
     named = list(zip(weighings.names, weighings.loads, strict=True))
     used = tuple(name for name, other in named if other == load)
     rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in named if other != load)
-    chosen = readings[is_used]
-    all_masses = readings.sum(axis=1)
+    chosen, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[is_used], all_distances[is_used]
     n, mass, front = len(chosen), float(masses.mean()), float(distances.mean())
@@ -57,7 +59,7 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
     # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
     gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
     covariance = variation + weighings.scale_uncertainty**2 * gradient @ gradient.T
-    covariance[1, 1] += (front / wheelbase * wheelbase_uncertainty) ** 2
+    covariance[1, 1] += (front / wheelbase * get_stated_uncertainty(vehicle, "wheelbase")) ** 2
     uncertainties = np.sqrt(np.diag(covariance)).tolist()
     degrees_of_freedom = [effective_degrees_of_freedom(variation[i, i], covariance[i, i], n - 1) for i in (0, 1)]
     intervals = list(map(symmetric_interval, (mass, front), uncertainties, degrees_of_freedom))
@@ -70,25 +72,9 @@ def identify_mass_and_cg(weighings: Weighings, wheelbase: float, wheelbase_uncer
         Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
                  f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
                  f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = _describe_cross_weight(chosen.mean(axis=0))
-    if n == 1:
-        warnings.append("With one weighing, the interval does not include the scatter between weighings. Roll the car "
-                        "off and on, and weigh it at least three times.")
-    if rejected:
-        warnings.append(f"{len(rejected)} of {len(readings)} weighings have another loading and were left out.")
-    figure = {"readings": readings, "kept": is_used, "names": weighings.names, "masses": all_masses,
-              "distances": all_distances}
-    return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), tuple(warnings),
-                          figure)
-
-
-def describe_swapped_axles(outcome: Identification, wheelbase: float, expected: float) -> str:
-    """A sentence if front and rear readings seem exchanged, else "". expected: cg_to_front_axle of the file [m]."""
-    front = outcome["cg_to_front_axle"].value
-    if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
-        return (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front "
-                f"and rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
-    return ""
+    warnings = tuple(_make_warnings(chosen, len(rejected), front, vehicle))
+    figure = {"kept": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
+    return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)
 
 
 def _check_readings(weighings: Weighings) -> np.ndarray:
@@ -113,8 +99,20 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _describe_cross_weight(mean: np.ndarray) -> list[str]:
-    cross = (mean[0] + mean[3]) / mean.sum()
-    return [] if abs(cross - 0.5) <= 0.02 else [
-        f"The front left and rear right wheels together carry {100 * cross:.1f} % (cross weight): the springs are "
-        "preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG position remain valid."]
+def _make_warnings(readings: np.ndarray, rejected: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
+    """Warnings. readings: (n, 4) of the weighings used. rejected: number of others. front: cg_to_front_axle [m]."""
+    mean = readings.mean(axis=0)
+    cross_weight = (mean[0] + mean[3]) / mean.sum()
+    if abs(cross_weight - 0.5) > 0.02:
+        yield (f"The front left and rear right wheels together carry {100 * cross_weight:.1f} % (cross weight): the "
+               "springs are preloaded unequally, or the floor under the scales is uneven; mass and longitudinal CG "
+               "position remain valid.")
+    if len(readings) == 1:
+        yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
+               "on, and weigh it at least three times.")
+    if rejected:
+        yield f"{rejected} of {len(readings) + rejected} weighings have another loading and were left out."
+    wheelbase, expected = vehicle.wheelbase, vehicle.cg_to_front_axle
+    if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
+        yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
+               f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")

@@ -172,10 +172,16 @@ def describe_stale_scales(vehicle: VehicleParameters, outcomes: Iterable[Identif
     return tuple(sentences)
 
 
+def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
+    """Standard uncertainty of a value [SI] that the vehicle file states; 0 if it states none."""
+    provenance = vehicle.provenance.get(key)
+    return (provenance.uncertainty or 0.0) if provenance else 0.0
+
+
 def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
     """A sentence if the estimate differs significantly (5 %) from a file value with an uncertainty, else ""."""
-    known = vehicle.provenance.get(estimate.parameter)
-    if known is None or known.uncertainty is None or estimate.status == "unidentifiable":
+    stated = vehicle.provenance.get(estimate.parameter)
+    if stated is None or stated.uncertainty is None or estimate.status == "unidentifiable":
         return ""
-    origin = f"the vehicle file ({known.method or vehicle.sources[estimate.parameter]}, {known.date or 'no date'})"
-    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), known.uncertainty, origin)
+    origin = f"the vehicle file ({stated.method or vehicle.sources[estimate.parameter]}, {stated.date or 'no date'})"
+    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), stated.uncertainty, origin)

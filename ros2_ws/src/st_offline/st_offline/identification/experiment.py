@@ -29,11 +29,6 @@ class Setup:
     force: bool = False
     model: Model = MODELS["nonlinear"]
 
-    def get_uncertainty(self, parameter: str) -> float:
-        """Standard uncertainty of a value of the vehicle file, SI; 0 if the file does not state it."""
-        known = self.vehicle.provenance.get(parameter)
-        return (known.uncertainty or 0.0) if known else 0.0
-
 
 @dataclass(frozen=True)
 class Experiment:

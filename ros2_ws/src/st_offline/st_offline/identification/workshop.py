@@ -1,13 +1,12 @@
 """Experiments of `st identify` in the workshop: scales, turntables, axle lift, flat-plank tables of tyres."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification import mass_and_cg
-from st_core.identification.cg_height import LiftedCar, LiftRows, compute_pitch, identify_cg_height
+from st_core.identification.cg_height import LiftRows, compute_pitch, identify_cg_height
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
 from st_core.identification.result import Identification
@@ -42,11 +41,8 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         scales |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
     if len(scales) > 1:
         raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
-    vehicle = setup.vehicle
     weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    outcome = mass_and_cg.identify_mass_and_cg(weighings, vehicle.wheelbase, setup.get_uncertainty("wheelbase"))
-    swapped = mass_and_cg.describe_swapped_axles(outcome, vehicle.wheelbase, vehicle.cg_to_front_axle)
-    return (replace(outcome, warnings=(*outcome.warnings, *([swapped] if swapped else []))),)
+    return (mass_and_cg.identify_mass_and_cg(weighings, setup.vehicle),)
 
 
 @apply_style()
@@ -148,10 +144,8 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
     if len(masses) > 1:
         raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "give measurements of one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
-    weighed = masses.pop() if masses else None
-    car = LiftedCar(weighed or vehicle.mass, vehicle.wheelbase, vehicle.cg_to_front_axle,
-                    0.0 if weighed else setup.get_uncertainty("mass"), setup.get_uncertainty("wheelbase"))
-    return (identify_cg_height(LiftRows(pitch, load, tuple(names), front, rear), car),)
+    rows = LiftRows(pitch, load, tuple(names), front, rear)
+    return (identify_cg_height(rows, vehicle, masses.pop() if masses else None),)
 
 
 def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
@@ -179,8 +173,7 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
         marker = "os^Dv<>P"[k % 8]
         left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)
         left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-        use = row & data["usable"]
-        right.plot(pitch[use], data["single"][use], marker, color=TEXT, ms=4.5, mfc="none")
+        right.plot(pitch[row], data["single"][row], marker, color=TEXT, ms=4.5, mfc="none")
     left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
     left.legend(title="lift", fontsize=8)
     right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
