@@ -21,11 +21,13 @@ _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LE
 
 
 class Scorer:
-    """Accumulates the scores of bands on one run; errors are rotated into the predicted frame of the bands."""
+    """Accumulates the scores of bands on one run; errors are rotated into the predicted frame of the bands. files: of
+    the run, sha256 by path."""
 
-    def __init__(self, bands: Bands, signals: LogSignals):
+    def __init__(self, bands: Bands, signals: LogSignals, files: Mapping[str, str]):
         self._bands, self._signals = bands, signals
-        self._sums: list[Sums] = []
+        known = set(bands.recordings.values())
+        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in known]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted."""
@@ -41,11 +43,9 @@ class Scorer:
             entry["without_band"] = int((scored & ~inside).sum())
             self._sums.append({"models": {model: {mode: entry}}})
 
-    def get_sums(self, files: Mapping[str, str]) -> Sums:
-        """Sums over all blocks; known_recordings: files that were used in the calibration. files: sha256 by path."""
-        known = set(self._bands.recordings.values())
-        return pool_sums([*self._sums, {"known_recordings": [name for name, digest in files.items()
-                                                               if digest in known]}])
+    def get_sums(self) -> Sums:
+        """Sums over all blocks; known_recordings: files that were used in the calibration."""
+        return pool_sums(self._sums)
 
 
 class AdaptiveScorer:

@@ -81,29 +81,26 @@ def draw_segments(data: FigureData) -> PageFigure | None:
         return None
     starts, length = evaluation.starts_ns[rows], float(evaluation.horizon[-1])
     _, block = next(evaluate_blocks(data.models, data.vehicle, data.signals, starts, evaluation.settings))
-    figure = plt.figure(figsize=(WIDTH, 5.9))
-    layout = figure.add_gridspec(3, len(rows), height_ratios=(1.75, 1, 1))
-    first: list[plt.Axes | None] = [None, None]
+    figure, grid = plt.subplots(3, len(rows), figsize=(WIDTH, 5.9), height_ratios=(1.75, 1, 1), squeeze=False)
     for column, (row, start_ns) in enumerate(zip(rows, starts, strict=True)):
-        axes = figure.add_subplot(layout[0, column])
-        _draw_measured_path(axes, data, start_ns, length)
-        for model in data.models:
-            states = tuple(block.trajectories[model.name, "hindsight"][column].T)
-            predicted = predict_readings(model, data.vehicle, states)
-            axes.plot(predicted.x, predicted.y, **get_line_style(model.name))
-        axes.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {evaluation.conditions['speed'][row]:.1f} m/s",
-                       fontsize=9)
-        axes.set(xlabel="east, m", ylabel="" if column else "north, m")
-        for k, axis in enumerate(POSITIVE_SIDE):
-            axes = figure.add_subplot(layout[1 + k, column], sharey=first[k])
-            first[k] = first[k] or axes
+        path, *profiles = grid[:, column]
+        _draw_measured_path(path, data, start_ns, length)
+        speed = evaluation.conditions["speed"][row]
+        path.set_title(f"$t_0$ = {evaluation.time[row]:.1f} s, {speed:.1f} m/s", fontsize=9)
+        path.set(xlabel="east, m", ylabel="" if column else "north, m")
+        for axes, first, (axis, side) in zip(profiles, grid[1:, 0], POSITIVE_SIDE.items(), strict=True):
+            if column:
+                axes.sharey(first)
             axes.axhline(0, color=TEXT, lw=0.6)
-            for model in data.models:
-                errors = block.errors[model.name, "hindsight"][column]
-                axes.plot(evaluation.horizon, errors[:, k], **get_line_style(model.name))
-            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {POSITIVE_SIDE[axis]})",
-                     xlabel="horizon, s" if k else "")
+            axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {side})")
             axes.tick_params(labelleft=not column)
+        profiles[-1].set_xlabel("horizon, s")
+        for model in data.models:
+            states, errors = (of[model.name, "hindsight"][column].T for of in (block.trajectories, block.errors))
+            predicted = predict_readings(model, data.vehicle, tuple(states))
+            path.plot(predicted.x, predicted.y, **get_line_style(model.name))
+            for axes, error in zip(profiles, errors[:2], strict=True):
+                axes.plot(evaluation.horizon, error, **get_line_style(model.name))
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=5, alpha=0.45, label="measured over the horizon")
     add_legend(figure, data.models, [measured_line])
     ends = {m.name: float(np.linalg.norm(block.errors[m.name, "hindsight"][:, -1, :2], axis=1).max())

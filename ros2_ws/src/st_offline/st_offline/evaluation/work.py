@@ -101,21 +101,21 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
 
 
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
-    marks = [time.perf_counter()]
+    times = [time.perf_counter()]
     run = read(source, task.vehicle, task.read)
-    marks.append(time.perf_counter())
+    times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
     with in_background(lambda: (_check_run(source, run, task, models), segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
         check_bands(task, models)
         bands = task.bands[1] if task.bands else None
-        scorer = Scorer(bands, signals) if bands else None
-        adaptive = AdaptiveScorer(bands, signals, prediction) if task.adaptive else None
-        active_scorers: list[Any] = [s for s in (scorer, adaptive) if s]
+        scorers: list[Scorer | AdaptiveScorer] = [Scorer(bands, signals, run.provenance["files"])] if bands else []
+        if task.adaptive:
+            scorers.append(AdaptiveScorer(bands, signals, prediction))
 
         def score(starts: np.ndarray, block: Block) -> None:
-            for active in active_scorers:
-                active.add(starts, block)
+            for scorer in scorers:
+                scorer.add(starts, block)
 
         try:
             future_inputs = make_future_inputs(run, signals, task)
@@ -125,21 +125,20 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             findings, parts = checked()
             if isinstance(findings, RefusedRunError):
                 raise findings
-    marks.append(time.perf_counter())
+    times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
                                   _make_figure_output(task, source.name, evaluation)))
-    marks.append(time.perf_counter())
+    times.append(time.perf_counter())
     about = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
-    sums: dict[str, Any] = adaptive.get_sums() if adaptive else {}
-    if scorer:
-        shares = sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
-        sums = scorer.get_sums(run.provenance["files"]) | shares | sums
-    seconds = dict(zip(("read", "predict", "draw"), np.diff(marks).tolist(), strict=True))
+    sums = {key: value for scorer in scorers for key, value in scorer.get_sums().items()}
+    if bands:
+        sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
+    seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)

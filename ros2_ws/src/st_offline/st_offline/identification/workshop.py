@@ -115,8 +115,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
         right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
     right.axhline(0.0, color=MODEL_COLOUR["augmented"])
     right.set(xlabel="steering wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
-    handles = [pair for axes in (left, right) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-    figure.legend(*zip(*handles, strict=True), loc="outside lower left", ncols=4, fontsize=8)
+    figure.legend(loc="outside lower left", ncols=4, fontsize=8)
     low, high = estimate.interval95
     title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
     return save_figure(figure, output, "steering-ratio", title,
