@@ -126,10 +126,9 @@ class CanedgeBridge(Node):
             self._steering.publish(Steering(
                 header=_header(decoded.time_ns - self._latency_ns), valid=decoded.valid,
                 steering_wheel_angle=steering_wheel_angle, road_wheel_angle=road_wheel_angle))
-        now = time.monotonic()
-        if self._wheel_speeds.has_subscribers(now) and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
+        if self._wheel_speeds.has_subscribers() and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
             self._wheel_speeds.publish(WheelSpeeds(header=_header(decoded.time_ns), valid=decoded.valid, **fields))
-        if self._ins_on_can.has_subscribers(now) and (fields := _select_fields(decoded, _INS)):
+        if self._ins_on_can.has_subscribers() and (fields := _select_fields(decoded, _INS)):
             self._ins_on_can.publish(InsOnCan(header=_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:

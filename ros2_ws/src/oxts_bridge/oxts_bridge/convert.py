@@ -41,7 +41,7 @@ MESSAGE_TYPES = {
 class Publishers:
     """Publishes all topics of the bridge; frequent messages are filled only while their topic has subscribers.
 
-    Arguments of the methods: stamp_ns, utc_ns [ns since 1970]; now: monotonic clock [s].
+    Arguments of the methods: stamp_ns, utc_ns [ns since 1970].
     """
 
     def __init__(self, node: Node, settings: SimpleNamespace):
@@ -79,31 +79,30 @@ class Publishers:
         for publisher in self._publishers:
             self._node.destroy_publisher(publisher)
 
-    def publish_raw(self, received: ReceivedPacket, now: float) -> None:
+    def publish_raw(self, received: ReceivedPacket) -> None:
         """Publish st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
-        if received.received_ns is not None and self._out["ncom"].has_subscribers(now):
+        if received.received_ns is not None and self._out["ncom"].has_subscribers():
             _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
             self._out["ncom"].publish(self._ncom)
 
-    def publish_time_reference(self, received: ReceivedPacket, now: float) -> None:
+    def publish_time_reference(self, received: ReceivedPacket) -> None:
         """Publish sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
         received_ns, utc_ns = received.received_ns, received.utc_ns
-        if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers(now):
+        if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers():
             message = self._time_reference
             _set_time(message.header.stamp, received_ns)
             _set_time(message.time_ref, utc_ns)
             self._out["time_reference"].publish(message)
 
-    def publish_motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy,
-                       now: float) -> None:
+    def publish_motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy) -> None:
         """Publish odometry, the transform from odom to base_link, and velocity.
 
         Odometry: pose of the INS point in the map frame (ENU), twist in vehicle axes (FLU). position: ENU in the map
         frame [m]; None without an origin: only velocity is published.
         """
         if position is not None:
-            if self._out["odometry"].has_subscribers(now):
+            if self._out["odometry"].has_subscribers():
                 message = self._odometry
                 _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
@@ -113,21 +112,21 @@ class Publishers:
                 _set_block(message.pose.covariance, 21, orientation_covariance)
                 _set_block(message.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
                 self._out["odometry"].publish(message)
-            if self._tf.has_subscribers(now):
+            if self._tf.has_subscribers():
                 x, y, z = motion.attitude.to_enu(self._ins_to_base)
                 _set_time(self._transform.header.stamp, stamp_ns)
                 _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
                 _set_quaternion(self._transform.transform.rotation, motion.attitude.to_quaternion())
                 self._tf.publish(self._transforms)
-        if self._out["velocity"].has_subscribers(now):
+        if self._out["velocity"].has_subscribers():
             _set_time(self._velocity.header.stamp, stamp_ns)
             _set_twist(self._velocity.twist.twist, motion)
             _set_block(self._velocity.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
             self._out["velocity"].publish(self._velocity)
 
-    def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker, now: float) -> None:
+    def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker) -> None:
         """Publish sensor_msgs/NavSatFix; altitude above the ellipsoid, NaN while the geoid undulation is unknown."""
-        if not self._out["nav_sat_fix"].has_subscribers(now):
+        if not self._out["nav_sat_fix"].has_subscribers():
             return
         # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.get_number("Undulation")
@@ -141,15 +140,14 @@ class Publishers:
             NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
         self._out["nav_sat_fix"].publish(message)
 
-    def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy,
-                    now: float) -> None:
+    def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
         """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None without a valid attitude.
 
         The orientation covariance is zero if unknown; -1 in its first element means that the orientation is unknown.
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
-        if not is_valid or not self._out["imu"].has_subscribers(now):
+        if not is_valid or not self._out["imu"].has_subscribers():
             return
         _set_time(self._imu.header.stamp, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))

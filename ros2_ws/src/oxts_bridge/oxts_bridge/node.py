@@ -166,7 +166,7 @@ class OxtsBridge(LifecycleNode):
         now = time.monotonic()
         self._health.last_packet_at = now
         if publish and received.order != DUPLICATE:
-            publishers.publish_raw(received, now)
+            publishers.publish_raw(received)
         if received.order not in (NEW, SAME):
             return
         if received.rule.is_defined:
@@ -202,13 +202,13 @@ class OxtsBridge(LifecycleNode):
     def _publish_motion(self, publishers: Publishers, received: ReceivedPacket, motion: Motion | None,
                         position: Vector | None, now: float) -> None:
         stamp = received.utc_ns if self._settings.stamp_source == NCOM else received.received_ns
-        publishers.publish_time_reference(received, now)
+        publishers.publish_time_reference(received)
         if stamp is None:
             return
         if motion is not None:
-            publishers.publish_motion(stamp, motion, position, self._accuracy, now)
-            publishers.publish_fix(stamp, motion, self._accuracy, self._status, now)
-        publishers.publish_imu(stamp, received, motion, self._accuracy, now)
+            publishers.publish_motion(stamp, motion, position, self._accuracy)
+            publishers.publish_fix(stamp, motion, self._accuracy, self._status)
+        publishers.publish_imu(stamp, received, motion, self._accuracy)
         if received.utc_ns is not None and now - self._clock_at >= _CLOCK_PERIOD:
             self._clock_at = now
             publishers.publish_clock(received.utc_ns)

@@ -6,6 +6,7 @@ messages. The middleware queues the messages in order until they are read, each 
 """
 
 import importlib
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -100,9 +101,9 @@ class OnDemandPublisher:
         self._counted_at = float("-inf")
         self._has_subscribers = False
 
-    def has_subscribers(self, now: float) -> bool:
-        """Whether it has subscribers, counted every SUBSCRIBER_COUNT_PERIOD; False if disabled. now: monotonic [s]."""
-        if self._publisher is not None and now - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
+    def has_subscribers(self) -> bool:
+        """Whether it has subscribers, counted every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
+        if self._publisher is not None and (now := time.monotonic()) - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0
         return self._has_subscribers
