@@ -94,7 +94,7 @@ def decode_file(source: str | Path | bytes) -> Columns:
 def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
     """Byte offsets of all packets; counts packets, checksum_errors and skipped_bytes."""
     octets = np.frombuffer(data, np.uint8)
-    found: list[np.ndarray] = []
+    offsets: list[np.ndarray] = []
     start, size, rows = 0, len(data), _FIRST_ROWS
     while size - start >= PACKET_SIZE:
         count = min(rows, (size - start) // PACKET_SIZE)
@@ -102,19 +102,21 @@ def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
         good = block[:, 0] == ncom.SYNC
         good &= np.add.reduce(block[:, 1:ncom.CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, ncom.CHECKSUM_3_AT]
         run = count if good.all() else int(good.argmin())
-        found.append(np.arange(start, start + run * PACKET_SIZE, PACKET_SIZE))
+        offsets.append(np.arange(start, start + run * PACKET_SIZE, PACKET_SIZE))
         start += run * PACKET_SIZE
         rows = min(_MAX_ROWS, 4 * rows)
         if run < count:
             start, rows = find_next_packet(data, start, True, counters)[0], _FIRST_ROWS
     find_next_packet(data, start, True, counters)  # only to count the bytes after the last packet
-    offset = np.concatenate(found) if found else np.empty(0, np.int64)
+    offset = np.concatenate(offsets) if offsets else np.empty(0, np.int64)
     counters.packets = len(offset)
     return offset
 
 
 def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
-    raw = _join_rows(data, offset)
+    rows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), PACKET_SIZE)
+    is_contiguous = offset[-1] - offset[0] == (len(offset) - 1) * PACKET_SIZE
+    raw = np.ascontiguousarray(rows[offset[0] : offset[-1] + 1 : PACKET_SIZE] if is_contiguous else rows[offset])
     packets = raw.view(_FIELDS).ravel()
     status, channel = packets["status"].copy(), packets["channel"].copy()
     kind, gps_ns, order, jumps = _compute_times(raw, packets)
@@ -134,15 +136,6 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     _fill_counters(columns)
     _mask_invalid(columns)
     return columns
-
-
-def _join_rows(data: bytes, offset: np.ndarray) -> np.ndarray:
-    """The packets as (n, 72) bytes, without a copy if they are contiguous."""
-    octets = np.frombuffer(data, np.uint8)
-    breaks = np.flatnonzero(np.diff(offset) != PACKET_SIZE) + 1
-    starts, ends = [0, *breaks], [*breaks, len(offset)]
-    runs = [octets[offset[start] : offset[end - 1] + PACKET_SIZE] for start, end in zip(starts, ends, strict=True)]
-    return (runs[0] if len(runs) == 1 else np.concatenate(runs)).reshape(-1, PACKET_SIZE)
 
 
 def _decode_vectors(raw: np.ndarray, first: int, unit: float) -> np.ndarray:
