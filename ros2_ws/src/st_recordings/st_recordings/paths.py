@@ -89,18 +89,16 @@ def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[
 
     maxsize: number of files whose results are kept.
     """
+    def find_version(file: Path) -> tuple[int, int] | None:
+        try:
+            status = file.stat()
+            return status.st_mtime_ns, status.st_size
+        except OSError:
+            return None
+
     def decorate(function: Callable[[Path], T]) -> Callable[[Path], T]:
-        cached = lru_cache(maxsize)(lambda file, mtime_ns, size: function(file))
-
-        @wraps(function)
-        def call(file: Path) -> T:
-            try:
-                status = file.stat()
-            except OSError:
-                return function(file)  # it reports the error
-            return cached(file, status.st_mtime_ns, status.st_size)
-
-        return call
+        cached = lru_cache(maxsize)(lambda file, version: function(file))
+        return wraps(function)(lambda file: cached(file, find_version(file)))
 
     return decorate
 

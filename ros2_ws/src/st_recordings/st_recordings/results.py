@@ -89,12 +89,10 @@ def _read_track(bag: Storage) -> Track:
     topic = next((t for t in bag.topics if t.name == ODOMETRY_TOPIC), None)
     if topic is None:
         return Track(np.empty(0, np.int64), *(np.empty(0),) * 3)
-    position = [f"pose.pose.position.{axis}" for axis in "xy"]
-    quaternion = [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
-    fields = ["header.stamp", *position, *quaternion]
-    values = bag.read_fields(topic, fields)
-    x, y = (values[name] for name in position)
-    return Track(values["header.stamp"], x, y, np.unwrap(yaw_from_quaternion(*(values[name] for name in quaternion))))
+    pose = [*(f"position.{axis}" for axis in "xy"), *(f"orientation.{axis}" for axis in "xyzw")]
+    fields = ["header.stamp", *(f"pose.pose.{name}" for name in pose)]
+    time_ns, x, y, *quaternion = bag.read_fields(topic, fields).values()
+    return Track(time_ns, x, y, np.unwrap(yaw_from_quaternion(*quaternion)))
 
 
 def _read_last_message(bag: Storage, topic: str, type_name: str) -> Any:

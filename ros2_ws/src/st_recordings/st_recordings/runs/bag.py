@@ -246,11 +246,9 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
 def _select_odometry(
         odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
     """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes)."""
-    values = {
-        "x": odometry["pose.pose.position.x"], "y": odometry["pose.pose.position.y"],
-        "yaw": yaw_from_quaternion(*(odometry[f"pose.pose.orientation.{k}"] for k in "xyzw")),
-        "velocity_x": odometry["twist.twist.linear.x"], "velocity_y": odometry["twist.twist.linear.y"],
-        "yaw_rate": odometry["twist.twist.angular.z"]}
+    x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
+    values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
+              "velocity_y": velocity_y, "yaw_rate": yaw_rate}
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
