@@ -12,25 +12,10 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, BinaryIO, NamedTuple, Protocol
 
+from mcap import records as mcap_records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    McapRecord,
-    Message,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, MessageIndex, MetadataIndex, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 DROPPABLE_CHUNKS = 100
@@ -102,7 +87,7 @@ class Contents:
         self._older_messages: Counter[int] = Counter()
         self._older_times: list[int] = []
         self._metadata_indexes: list[MetadataIndex] = []
-        self._attachment_indexes: list[AttachmentIndex] = []
+        self._attachment_indexes: list[mcap_records.AttachmentIndex] = []
 
     def counts(self) -> Counter[int]:
         """Number of messages by channel id."""
@@ -151,11 +136,11 @@ class Contents:
                 self.channels[record.id] = record
             case Message():
                 self._add_older({record.channel_id: 1}, [record.log_time])
-            case Metadata():
+            case mcap_records.Metadata():
                 self.metadata[record.name] = record.metadata
                 self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=record.name))
-            case Attachment():
-                self._attachment_indexes.append(AttachmentIndex(
+            case mcap_records.Attachment():
+                self._attachment_indexes.append(mcap_records.AttachmentIndex(
                     offset=offset, length=length, log_time=record.log_time, create_time=record.create_time,
                     data_size=len(record.data), name=record.name, media_type=record.media_type))
 
@@ -235,12 +220,12 @@ class Contents:
             newest = self._chunks[-1]
             missing = newest.messages.keys() - newest.index.message_index_offsets.keys()
             self.append(stream, *(newest.messages[channel_id] for channel_id in missing))
-        data_end = _serialise(DataEnd(0))
+        data_end = _serialise(mcap_records.DataEnd(0))
         stream.write(data_end + self._summary(stream.tell() + len(data_end)) + MAGIC)
 
     def _summary(self, summary_start: int) -> bytes:
         counts, (start_ns, end_ns) = self.counts(), self.times()
-        statistics = Statistics(
+        statistics = mcap_records.Statistics(
             attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
             channel_message_counts=counts, chunk_count=self._older_count + len(self._chunks),
             message_count=counts.total(), metadata_count=len(self._metadata_indexes),
@@ -261,9 +246,10 @@ class Contents:
             for record in records:
                 record.write(builder)
             if builder.count > group_start:
-                offsets.append(SummaryOffset(opcode, summary_start + group_start, builder.count - group_start))
+                length = builder.count - group_start
+                offsets.append(mcap_records.SummaryOffset(opcode, summary_start + group_start, length))
         offset_start = summary_start + builder.count
         summary = builder.end() + _serialise(*offsets)
         crc = zlib.crc32(struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start), zlib.crc32(summary))
-        return summary + _serialise(Footer(summary_start=summary_start, summary_offset_start=offset_start,
-                                           summary_crc=crc))
+        return summary + _serialise(mcap_records.Footer(
+            summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc))

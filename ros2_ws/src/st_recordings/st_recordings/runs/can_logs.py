@@ -11,27 +11,13 @@ import can
 import numpy as np
 from scipy.ndimage import median_filter
 
+from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
 from .can_formats import FORMATS, UNSTAMPED_LINE, Format
 from .cdr import CAN_FRAME
 from .errors import RunError, check_readable, shorten
-from .frames import (
-    ERROR,
-    EXTENDED,
-    FD,
-    MAX_DATA_LENGTH,
-    REMOTE,
-    SENT,
-    CanLog,
-    Frames,
-    concatenate,
-    describe_clock_steps,
-    empty_frames,
-    merge_by_time,
-    remove_clock_steps,
-    remove_duplicates,
-)
+from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
 from .ins_log import LATEST_TIME
 from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreadable
 
@@ -62,7 +48,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise RunError(used[0], "some logs of the run have UTC times, but in others the times count from the start",
                        "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
-    frames, repeated = remove_duplicates(merge_by_time([log.frames for log in logs]))
+    frames, repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if repeated:
         warnings.append(f"{used[0]}: {repeated} frames are in the logs more than once; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used)
@@ -117,11 +103,12 @@ def _read_bag(path: Path) -> CanLog:
             time_ns, columns["id"].astype(np.uint32) | np.uint32(EXTENDED) * columns["is_extended"],
             np.where(np.arange(8) < length[:, None], columns["data"], 0).astype(np.uint8),
             np.minimum(length, 8).astype(np.uint8), np.full(len(length), bus, np.uint8), flags.astype(np.uint8))
-        frames, found = remove_clock_steps(frames.select(time_ns > 0))
+        frames, found = can_frames.remove_clock_steps(frames.select(time_ns > 0))
         parts.append(frames)
         steps += found
-    frames = merge_by_time(parts)
-    return CanLog(frames, (path,), int(frames.time_ns[0]), True, (*notes, *describe_clock_steps(steps)), tuple(steps))
+    frames = can_frames.merge_by_time(parts)
+    notes += can_frames.describe_clock_steps(steps)
+    return CanLog(frames, (path,), int(frames.time_ns[0]), True, tuple(notes), tuple(steps))
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:
@@ -139,7 +126,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
     except Exception as error:  # any, from the parsers
         raise RunError(file, f"cannot be read as a {kind.name} log ({shorten(error)})", "copy or export it again"
                        ) from None
-    frames = concatenate(parts) if parts else empty_frames()
+    frames = can_frames.concatenate(parts) if parts else can_frames.empty_frames()
     if len(frames) > 1:
         is_outlier = np.abs(frames.time_ns - median_filter(frames.time_ns, 3, mode="mirror")) > MAX_TIME_JUMP_NS
         frames, n_untimed = frames.select(~is_outlier), n_untimed + int(is_outlier.sum())
@@ -153,9 +140,9 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
     if kind.name == "candump" and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
-    frames, clock_steps = remove_clock_steps(frames)
-    notes += [*format_notes, *describe_clock_steps(clock_steps)]
-    return merge_by_time([frames]), clock_steps
+    frames, clock_steps = can_frames.remove_clock_steps(frames)
+    notes += [*format_notes, *can_frames.describe_clock_steps(clock_steps)]
+    return can_frames.merge_by_time([frames]), clock_steps
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:

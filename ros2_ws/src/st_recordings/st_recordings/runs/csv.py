@@ -12,14 +12,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .columns import (
-    UNITS,
-    Layout,
-    describe_unknown_units,
-    find_ambiguous_steering,
-    find_columns,
-    find_rivals,
-)
+from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous_steering, find_columns, find_rivals
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_share
 from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion

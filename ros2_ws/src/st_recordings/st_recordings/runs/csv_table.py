@@ -11,20 +11,9 @@ from pathlib import Path
 import numpy as np
 from st_core.sideslip import derive_yaw_rate
 
+from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, read_binary_table
-from .columns import (
-    COLUMNS,
-    UNITS,
-    ColumnSource,
-    Layout,
-    describe_unknown_units,
-    find_columns,
-    find_rivals,
-    find_stamp_columns,
-    find_times,
-    find_unit,
-    normalise,
-)
+from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
 from .errors import RunError, check_readable, format_share, shorten
 from .mdf_table import is_signal_table, read_names, read_signals
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
@@ -207,16 +196,16 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
             and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
-    warnings += [f"{file}: {sentence}" for sentence in describe_unknown_units(names, sources).values()]
+    warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]
     warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
-                 for channel, rivals in find_rivals(names).items() if channel not in sources]
+                 for channel, rivals in column_names.find_rivals(names).items() if channel not in sources]
     rows = [line.split(delimiter) for line in body.split("\n", ROWS_OF_TIMES)[:ROWS_OF_TIMES]]
 
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
     if "t" in sources and not {"t"} & {*layout.columns, *layout.units} and find_stamp_columns(names) is None:
-        finest = max(find_times(names), key=count_times, default=sources["t"])
+        finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
             sources["t"] = finest
     first = _split_first_row(body, delimiter)[:1]
