@@ -17,10 +17,8 @@ FILE_NAME = "metadata.yaml"
 INFINITE_NS = 2**63 - 1  # [ns], duration that is not set; start of an empty bag or file
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
-PRIMITIVE_TYPES = frozenset((
-    "bool", "byte", "char", "float32", "float64", "string", "wstring",
-    "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64",
-))
+PRIMITIVE_TYPES = {"bool", "byte", "char", "float32", "float64", "string", "wstring", "int8", "uint8", "int16",
+                   "uint16", "int32", "uint32", "int64", "uint64"}
 _FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
 
 
@@ -154,25 +152,25 @@ def read_definition(type_name: str) -> str:
     texts: dict[str, str] = {}
     waiting = [type_name]
     while waiting:
-        used = waiting.pop(0)
-        if used not in texts:
-            texts[used] = _find_interface_file(used, ".msg").read_text().rstrip("\n") + "\n"
-            waiting += _list_field_types(used, texts[used])
-    return "".join(text if used == type_name else f"{TYPE_SEPARATOR}\nMSG: {used}\n{text}"
-                   for used, text in texts.items())
+        name = waiting.pop(0)
+        if name not in texts:
+            texts[name] = _find_interface_file(name, ".msg").read_text().rstrip("\n") + "\n"
+            waiting += _list_field_types(name, texts[name])
+    return "".join(text if name == type_name else f"{TYPE_SEPARATOR}\nMSG: {name}\n{text}"
+                   for name, text in texts.items())
 
 
 def _list_field_types(owner: str, text: str) -> list[str]:
     """Lists the types (pkg/Type) of the fields in a definition, in order of appearance."""
-    used = []
+    field_types = []
     for line in text.splitlines():
         match = _FIELD.match(line.split("#", 1)[0])
         if match is None or (name := match.group(1)) in PRIMITIVE_TYPES:
             continue
         if "/" not in name:
             name = f"{'std_msgs' if name == 'Header' else owner.partition('/')[0]}/{name}"
-        used.append(name.replace("/msg/", "/"))
-    return used
+        field_types.append(name.replace("/msg/", "/"))
+    return field_types
 
 
 @cache

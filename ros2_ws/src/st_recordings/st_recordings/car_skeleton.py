@@ -133,14 +133,14 @@ def find_problems(folder: str) -> list[str]:
     path = Path(folder)
     if "/" in folder and not path.is_dir():
         raise RunError(path, "the folder does not exist", f"create it with st car new {folder}")
-    found = []
+    problems = []
     try:
         car = load_car(folder)
     except RunError as error:
         if not str(error.path).endswith("car.yaml"):
             raise
-        car, found = Car(Path(error.path).parent, 1, 0.0), [str(error)]
-    return [*found, *_find_vehicle_problems(car.vehicle), *_find_bus_problems(car)]
+        car, problems = Car(Path(error.path).parent, 1, 0.0), [str(error)]
+    return [*problems, *_find_vehicle_problems(car.vehicle), *_find_bus_problems(car)]
 
 
 def list_remarks(folder: str) -> list[str]:
@@ -225,10 +225,10 @@ def _list_bus_remarks(car: Car) -> list[str]:
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
-    used = [signal for message in table.messages.values() for signal in message.signals]
+    signals = [signal for message in table.messages.values() for signal in message.signals]
     notes = [f"{car.signals}: {signal.dbc.name}: {car.dbc.name} gives the unknown unit {signal.dbc.unit!r}; the unit "
-             f"{signal.unit!r} of the table is used" for signal in used if find_dbc_unit(signal.dbc.unit) is None]
-    if any(signal.name in SPEEDS for signal in used):
+             f"{signal.unit!r} of the table is used" for signal in signals if find_dbc_unit(signal.dbc.unit) is None]
+    if any(signal.name in SPEEDS for signal in signals):
         return notes
     unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and

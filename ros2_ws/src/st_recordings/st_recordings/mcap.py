@@ -225,8 +225,8 @@ class BagWriter:
                         self._file.truncate(length)
                     break
                 length = dropped
-        kept = self._contents.counts().total()
-        self.lost, self.message_count = self.lost + self.message_count - kept, kept
+        count = self._contents.counts().total()
+        self.lost, self.message_count = self.lost + self.message_count - count, count
         self._close_file()
 
 

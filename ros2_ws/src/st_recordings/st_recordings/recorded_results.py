@@ -45,9 +45,9 @@ class PlannedPredictions(Predictions):
     def inputs_at(self, starts_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inputs (m, 2 * points - 1) of the predictions at start times (m,) [ns]; NaN without a prediction."""
         index = np.searchsorted(self.starts_ns, starts_ns).clip(max=len(self.starts_ns) - 1)
-        found = (self.starts_ns[index] == starts_ns)[:, None]
-        return (np.where(found, self.road_wheel_angle[index], np.nan),
-                np.where(found, self.velocity_x_dot[index], np.nan))
+        has_prediction = (self.starts_ns[index] == starts_ns)[:, None]
+        return (np.where(has_prediction, self.road_wheel_angle[index], np.nan),
+                np.where(has_prediction, self.velocity_x_dot[index], np.nan))
 
 
 @dataclass(frozen=True, eq=False)

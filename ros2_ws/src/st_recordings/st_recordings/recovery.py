@@ -163,7 +163,7 @@ def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
 
 def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, report: FileReport) -> Iterator[bytes]:
     """Yields the undamaged records of the data section and adds them to `contents` at their new offsets."""
-    kept = end = len(MAGIC)
+    position = end = len(MAGIC)
     report.damaged_records = 0
     chunk_left_out = False
     for record in read_records(stream, size):
@@ -174,14 +174,14 @@ def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, rep
         end = record.offset + len(raw)
         if chunk_left_out and record.opcode == Opcode.MESSAGE_INDEX:
             continue
-        if not contents.add(record, kept):
+        if not contents.add(record, position):
             report.damaged_records += 1
             chunk_left_out = record.opcode == Opcode.CHUNK
             continue
         chunk_left_out = False
-        kept += len(raw)
+        position += len(raw)
         yield raw
-    report.lost_bytes = max(size, end) - kept
+    report.lost_bytes = max(size, end) - position
 
 
 def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, report: FileReport) -> Contents:

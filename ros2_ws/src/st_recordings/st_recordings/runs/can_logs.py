@@ -43,16 +43,16 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
             errors.append(error)
     if not logs:
         raise errors[0] if errors else RunError("CAN log", "no file given")
-    used = tuple(log.files[0] for log in logs)
+    used_files = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used[0], "some logs of the run have UTC times, but in others the times count from the start",
-                       "read them with separate commands")
+        raise RunError(used_files[0], "some logs of the run have UTC times, but in others the times count from the "
+                       "start", "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if repeated:
-        warnings.append(f"{used[0]}: {repeated} frames are in the logs more than once; each is used once")
-    warnings += [str(error) for error in errors] + _describe_missing_splits(used)
-    return CanLog(frames, used, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
+        warnings.append(f"{used_files[0]}: {repeated} frames are in the logs more than once; each is used once")
+    warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
+    return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))
 
 
@@ -73,8 +73,8 @@ def _read_log(file: Path) -> CanLog:
                            "correct its extension, or remove it from the command")
         if UNSTAMPED_LINE.search(head):
             raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")
-        known = ", ".join(["MF4", *(f.name for f in FORMATS)])
-        raise RunError(file, f"this is not a CAN log of a known format ({known})",
+        formats = ", ".join(["MF4", *(f.name for f in FORMATS)])
+        raise RunError(file, f"this is not a CAN log of a known format ({formats})",
                        "remove it from the command, or convert it")
     notes: list[str] = []
     if file.suffix.lower() not in kind.extensions:

@@ -79,19 +79,19 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             if spec.needed and (fault := _describe_similar_id(frames.id, key)):
                 faults[message] = fault
             continue
-        found = _decode_message(frames, rows, spec)
+        decoded = _decode_message(frames, rows, spec)
         buses = np.unique(frames.bus[rows])
-        if found.fault and len(buses) > 1:
+        if decoded.fault and len(buses) > 1:
             by_bus = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
-            best = max(by_bus, key=lambda decoded: decoded.n_valid)
-            if best.n_valid >= found.n_valid:
-                others = f"{len(rows) - best.n_frames} frames of this identifier on other buses are not used"
-                found = replace(best, fault="; ".join(filter(None, (best.fault, others))))
-        if found.fault:
-            faults[message] = found.fault
-        if len(found.rejected):
-            rejected[message] = found.rejected
-        signals |= {(signal.name, message): signal for signal in found.signals}
+            best_bus = max(by_bus, key=lambda of_bus: of_bus.n_valid)
+            if best_bus.n_valid >= decoded.n_valid:
+                others = f"{len(rows) - best_bus.n_frames} frames of this identifier on other buses are not used"
+                decoded = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, others))))
+        if decoded.fault:
+            faults[message] = decoded.fault
+        if len(decoded.rejected):
+            rejected[message] = decoded.rejected
+        signals |= {(signal.name, message): signal for signal in decoded.signals}
     return CanSignals(signals, faults, rejected)
 
 
@@ -105,9 +105,9 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
     same_group, counts = np.unique(ids[(ids ^ key) & J1939_GROUP == 0], return_counts=True)
     if bits == 11 or not len(same_group):
         return ""
-    found = ", ".join(f"0x{other & ~EXTENDED:X} ({count} frames)" for other, count in
-                      zip(same_group.tolist(), counts.tolist(), strict=True))
-    return f"the log has {found} instead, which differs only in the J1939 priority and source address"
+    identifiers = ", ".join(f"0x{other & ~EXTENDED:X} ({count} frames)" for other, count in
+                            zip(same_group.tolist(), counts.tolist(), strict=True))
+    return f"the log has {identifiers} instead, which differs only in the J1939 priority and source address"
 
 
 @dataclass(frozen=True)
@@ -134,22 +134,23 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
     keep, valid, fault = check_frames(spec, data, time_ns, columns)
     rejected = time_ns[~keep]
     keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
-    found = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
-                  for name, values in replace_gps_time(columns).items()
-                  if (good := keep & np.isfinite(values)).any())
-    return _DecodedMessage(found, "; ".join(filter(None, (length_fault, fault))), rejected, n_frames,
+    signals = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
+                    for name, values in replace_gps_time(columns).items()
+                    if (good := keep & np.isfinite(values)).any())
+    return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected, n_frames,
                            int((keep & valid).sum()))
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
     """Describes the frames that do not have the length in the DBC; empty if there are none."""
-    found = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes"
-             for size, count in zip(*np.unique(lengths, return_counts=True), strict=True) if size != spec.dbc.length]
-    if not found:
+    sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
+    deviations = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
+                  if size != spec.dbc.length]
+    if not deviations:
         return ""
     lost = len(lengths) - n_decoded
     consequence = f"{lost} frames are not used" if lost else "the additional bytes are padding and were ignored"
-    return f"{', '.join(found)} instead of {spec.dbc.length} as in the DBC; {consequence}"
+    return f"{', '.join(deviations)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:
@@ -165,9 +166,9 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
     if (fault := signals.faults.get(source[0].name)):
         raise RunError(file, f"the steering message {expected} cannot be used: {fault}",
                        "correct the DBC (identifier, length, byte order, factor) or the signal table")
-    found = "; ".join([", ".join(sorted({message for _, message in signals.signals})) or "none",
-                       *(note.removeprefix(f"{file}: ") for note in notes)])
-    raise RunError(file, f"the steering message {expected} is not in the log; known messages in the log: {found}",
+    messages = "; ".join([", ".join(sorted({message for _, message in signals.signals})) or "none",
+                          *(note.removeprefix(f"{file}: ") for note in notes)])
+    raise RunError(file, f"the steering message {expected} is not in the log; known messages in the log: {messages}",
                    "name the car of this log with --car DIR, or log the bus that carries the message")
 
 

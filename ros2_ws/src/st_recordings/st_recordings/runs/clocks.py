@@ -176,8 +176,9 @@ def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignm
 
 
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
-    known = np.isfinite(frames.values)
-    result = align_by_time_frame(frames.time_ns[known], np.round(frames.values[known] * 1e6).astype(np.int64) * 1000,
+    is_finite = np.isfinite(frames.values)
+    sent_ns = np.round(frames.values[is_finite] * 1e6).astype(np.int64) * 1000
+    result = align_by_time_frame(frames.time_ns[is_finite], sent_ns,
                                  TIME_FRAME_RESOLUTION.get(frames.message, 0.01), *latency)
     if not pairs:
         return result

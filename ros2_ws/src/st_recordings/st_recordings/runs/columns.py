@@ -218,11 +218,11 @@ class _Meaning(NamedTuple):
 
 def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, ColumnSource]:
     """Finds the channels in a header. Raises RunError if a column or a channel that the layout names is missing."""
-    found = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
-    sources = dict(found)
+    by_name = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
+    sources = dict(by_name)
     for channel, named in layout.columns.items():
-        if named not in names and named in found:  # a channel instead of a column: {x: y, y: x} interchanges the axes
-            column: int | None = found[named].column
+        if named not in names and named in by_name:  # a channel instead of a column: {x: y, y: x} interchanges the axes
+            column: int | None = by_name[named].column
         else:
             column = _find_column(names, named)
         if column is None:

@@ -159,18 +159,18 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
                       completed: bool = True) -> list[str]:
     """The needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may derive
     them."""
-    found = set(sources)
-    if found & {HEADING, COURSE} or found.issuperset(QUATERNION_CHANNELS):
-        found.add("yaw")
-    if found >= {"yaw", "velocity_east", "velocity_north"}:
-        found |= {"velocity_x", "velocity_y"}
-    if completed and found >= {"velocity_x", "yaw"}:
-        found |= {"velocity_y", "yaw_rate"}
-    if found >= {"latitude", "longitude"}:
-        found |= {"x", "y"}
-    if STEERING_WHEEL in found or find_ambiguous_steering(list(names)):
-        found.add(ROAD_WHEEL)
-    return [name for name in needed if name not in found]
+    channels = set(sources)
+    if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
+        channels.add("yaw")
+    if channels >= {"yaw", "velocity_east", "velocity_north"}:
+        channels |= {"velocity_x", "velocity_y"}
+    if completed and channels >= {"velocity_x", "yaw"}:
+        channels |= {"velocity_y", "yaw_rate"}
+    if channels >= {"latitude", "longitude"}:
+        channels |= {"x", "y"}
+    if STEERING_WHEEL in channels or find_ambiguous_steering(list(names)):
+        channels.add(ROAD_WHEEL)
+    return [name for name in needed if name not in channels]
 
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
@@ -235,8 +235,8 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
             without = format_share(int((~has_fix).sum()), len(has_fix), "rows")
             notes.append(f"{table.file}: {without} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
-        found = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
-        origin = (float(latitude[found[0]]), float(longitude[found[0]]), 0.0) if len(found) else None
+        fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
+        origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
         columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
         _check_distance(table, columns, latitude, longitude)
     _interpolate_lower_rates(table, columns, notes)
@@ -321,16 +321,16 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     """
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north")
              if name in columns]
-    known = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
+    sample_rows = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
     filled = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # number of channels with a number, by row
-    longest = max(map(len, known.values()), default=0)
-    rows = max((samples for samples in known.values() if len(samples) > MIN_SIMILAR_RATE * longest),
+    longest = max(map(len, sample_rows.values()), default=0)
+    rows = max((samples for samples in sample_rows.values() if len(samples) > MIN_SIMILAR_RATE * longest),
                key=lambda samples: filled[samples].sum(), default=np.empty(0, int))
     time = (table.time_ns - table.time_ns[:1]) * 1e-9
     if len(rows) < 3:
         return
     changed = []
-    for name, samples in known.items():
+    for name, samples in sample_rows.items():
         if len(samples) < 3:
             continue
         steps = np.diff(time[samples])
@@ -363,11 +363,11 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
         speed = np.hypot(columns["velocity_east"], columns["velocity_north"])
     else:
         return course
-    known = table.used & np.isfinite(course) & np.isfinite(speed)
-    slow = known & (speed < MIN_COURSE_SPEED)
+    has_course = table.used & np.isfinite(course) & np.isfinite(speed)
+    slow = has_course & (speed < MIN_COURSE_SPEED)
     if not slow.any():
         return course
-    moving = np.flatnonzero(known & ~slow) if (known & ~slow).any() else np.flatnonzero(known)[:1]
+    moving = np.flatnonzero(has_course & ~slow) if (has_course & ~slow).any() else np.flatnonzero(has_course)[:1]
     notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
                  f"{MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
     course = course.copy()

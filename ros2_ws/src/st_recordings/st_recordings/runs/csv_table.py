@@ -227,12 +227,12 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
         source = sources.get(channel)
         if source is None or source.stated or source.unit != "rad":
             continue
-        known = np.isfinite(columns[channel])
-        values = columns[channel][known]
+        has_value = np.isfinite(columns[channel])
+        values = columns[channel][has_value]
         wraps = np.abs(np.diff(values)).max(initial=0.0) > 180.0
         if not wraps and "yaw_rate" in columns and len(values):
             rate = np.nan_to_num(columns["yaw_rate"])
-            turned = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[known]
+            turned = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[has_value]
             if np.abs(rate).max() < MAX_YAW_RATE and np.ptp(turned) > 0.3 and np.ptp(values) < 3.0 * np.ptp(turned):
                 continue  # both are in radians
         if len(values) and values.min() > -180.5 and values.max() < 360.5 and (wraps or abs(values[0]) > MAX_RADIANS):
@@ -317,16 +317,16 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
                          layout: Layout) -> tuple[dict[str, ColumnSource], str]:
     """(sources with the units that follow the numbers in their cells, the body without these units)."""
     first = _split_first_row(body, delimiter)
-    found = {channel: text for channel, source in sources.items() if source.column < len(first)
-             and (text := _split_unit(channel, first[source.column]))}
-    if not found:
+    unit_texts = {channel: text for channel, source in sources.items() if source.column < len(first)
+                  and (text := _split_unit(channel, first[source.column]))}
+    if not unit_texts:
         return sources, body
     rows = [line.split(delimiter) for line in body.split("\n")]
-    for channel, text in found.items():
+    for channel, text in unit_texts.items():
         for row in rows:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"\'').removesuffix(text)
-    return _apply_stated_units(sources, found, layout), "\n".join(map(delimiter.join, rows))
+    return _apply_stated_units(sources, unit_texts, layout), "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:

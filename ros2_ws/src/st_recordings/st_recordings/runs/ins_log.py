@@ -96,8 +96,8 @@ def is_mostly_known(values: np.ndarray | None) -> bool:
 
 
 def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    known = np.isfinite(values)
-    return time_ns[known], values[known]
+    is_finite = np.isfinite(values)
+    return time_ns[is_finite], values[is_finite]
 
 
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:

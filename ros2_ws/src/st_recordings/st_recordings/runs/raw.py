@@ -230,8 +230,8 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
         raise RunError(", ".join(map(str, files)), f"{count} of INS recording and CAN logs is among these files",
                        "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
-    used = {*raw[0].files, *raw[0].can, raw[0].run_file}
-    if unused := [file for file in files if file.is_file() and file not in used]:
+    files_of_pair = {*raw[0].files, *raw[0].can, raw[0].run_file}
+    if unused := [file for file in files if file.is_file() and file not in files_of_pair]:
         raise RunError(unused[0], f"this is neither the INS recording {raw[0].where.name} nor one of its CAN logs "
                        f"({', '.join(log.name for log in raw[0].can)})", "give a log of CAN frames, or leave it out")
     return raw[0]

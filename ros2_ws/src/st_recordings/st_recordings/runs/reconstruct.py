@@ -214,15 +214,15 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
 
 def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
     """Finds the topic that the option names. Raises RunError if it has no messages or an unknown type."""
-    found = next((t for t in storage.topics if steering.is_of(t.name)), None)
-    if found is None:
+    topic = next((t for t in storage.topics if steering.is_of(t.name)), None)
+    if topic is None:
         names = ", ".join(sorted(t.name for t in storage.topics))[:300] or "no messages"
         raise RunError(storage.path, f"--steering-topic: topic {steering.topic} has no messages in this bag",
                        f"name one of the recorded topics: {names}")
-    if found.type_name not in storage.store.fielddefs:
-        raise RunError(storage.path, f"--steering-topic: the type {found.type_name} of topic {found.name} is unknown, "
+    if topic.type_name not in storage.store.fielddefs:
+        raise RunError(storage.path, f"--steering-topic: the type {topic.type_name} of topic {topic.name} is unknown, "
                        "and the bag does not contain its definition", "record it as MCAP, which includes definitions")
-    return found
+    return topic
 
 
 def extract_steering_angle(where: Any, message: Any, steering: SteeringField) -> float:

@@ -67,8 +67,8 @@ def _read_content(path: Path) -> dict[str, Any]:
 def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
     file_keys = [key for key in _FILE_KEYS if key in content]
     if len(file_keys) != 1:
-        known = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
-        raise RunError(path, f"exactly one of the keys {known} must name the file with the INS measurements",
+        keys = f"{', '.join(_FILE_KEYS[:-1])} and {_FILE_KEYS[-1]}"
+        raise RunError(path, f"exactly one of the keys {keys} must name the file with the INS measurements",
                        "use `each` instead to read several recordings in the same way")
     files = _find_parts(path, file_keys[0], content[file_keys[0]])
     default = path.parent.name if path.name == RUN_FILE else path.name.removesuffix(RUN_SUFFIX)
@@ -145,10 +145,10 @@ def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
     """Finds the files with the INS measurements. Only csv and vbo recordings may consist of several files."""
     if key not in TABLE_KEYS:
         return (_find_file(path, key, value),)
-    found = tuple(dict.fromkeys(_find_matching_files(path, key, value)))
-    if not found:
+    files = tuple(dict.fromkeys(_find_matching_files(path, key, value)))
+    if not files:
         raise RunError(path, f"{key}: no file matches {value!r}", "patterns are relative to the folder of the run.yaml")
-    return found
+    return files
 
 
 def _find_can_logs(path: Path, value: Any) -> list[Path]:

@@ -103,12 +103,12 @@ def _search_folder(folder: Path) -> list[RunSource]:
                 used.add(path)
                 files.append(path)
         elif is_run_file(path):
-            described = [run.run_file for run in runs]  # including runs of a run.yaml with `each`
-            found = _read_run_file_or_problem(path)
-            runs += [run for run in found if run.run_file not in described]
-            used.update(file for run in found for file in (*run.files, *run.can))
+            known_run_files = [run.run_file for run in runs]  # including runs of a run.yaml with `each`
+            described_runs = _read_run_file_or_problem(path)
+            runs += [run for run in described_runs if run.run_file not in known_run_files]
+            used.update(file for run in described_runs for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
-            if any(run.problem and run.run_file == path for run in found):
+            if any(run.problem and run.run_file == path for run in described_runs):
                 stem = path.name.removesuffix(RUN_SUFFIX)
                 used.update(f for f in path.parent.iterdir()
                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
@@ -174,9 +174,10 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 
 
 def _reject_unknown_file(file: Path) -> RunSource:
-    known = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
-    advice = UNKNOWN_ADVICE.get(file.suffix.lower(), f"give files with {', '.join(known)}, bag folders, or run.yaml")
-    return _make_unusable(file, f"recordings with the extension {file.suffix or '(none)'} are not supported", advice)
+    extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
+    usable = f"give files with {', '.join(extensions)}, bag folders, or run.yaml"
+    return _make_unusable(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
+                          UNKNOWN_ADVICE.get(file.suffix.lower(), usable))
 
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],

@@ -171,24 +171,24 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
                        "export seconds, or date and time with seconds such as 2026-05-04 10:11:12.3")
-    known = np.abs(seconds[np.isfinite(seconds)])
-    if len(known) and has_time.sum() < 0.5 * len(known):
+    magnitudes = np.abs(seconds[np.isfinite(seconds)])
+    if len(magnitudes) and has_time.sum() < 0.5 * len(magnitudes):
         unit = _guess_time_unit(seconds)
-        raise RunError(file, f"times such as {known.max():.3g} in column {source.name} cannot be in {source.unit}",
+        raise RunError(file, f"times such as {magnitudes.max():.3g} in column {source.name} cannot be in {source.unit}",
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
     # A float of seconds since 1970 resolves microseconds only.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
     usable, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
-    used = np.zeros(len(time_ns), dtype=bool)
-    used[usable] = True
+    is_used = np.zeros(len(time_ns), dtype=bool)
+    is_used[usable] = True
     warnings += [f"{file}: {note}" for note in notes]
-    if 2 * used.sum() < len(used) and not (time_ns % 10**9).any():
+    if 2 * is_used.sum() < len(is_used) and not (time_ns % 10**9).any():
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
-    if not source.stated and used.sum() > 2 and (step := float(np.median(np.diff(time_ns[used])) * 1e-9)) > 1.0:
+    if not source.stated and is_used.sum() > 2 and (step := float(np.median(np.diff(time_ns[is_used])) * 1e-9)) > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
                         f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
-    return has_time, time_ns, used
+    return has_time, time_ns, is_used
 
 
 def _guess_time_unit(times: np.ndarray) -> str:

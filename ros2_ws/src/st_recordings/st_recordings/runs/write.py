@@ -36,7 +36,6 @@ Stream = tuple[np.ndarray, Callable[[slice], Messages]]
 class ImportResult:
     """Result of an import."""
 
-    directory: Path  # of the bag
     counts: dict[str, int]  # messages by topic
     span: float  # time from the first to the last message [s]
     run: RawRun
@@ -89,7 +88,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
                         "run.yaml of the bag (bag: ...)")
-    return ImportResult(directory, counts, span_ns * 1e-9, run, tuple(warnings), findings)
+    return ImportResult(counts, span_ns * 1e-9, run, tuple(warnings), findings)
 
 
 def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser
