@@ -152,13 +152,13 @@ def looks_like_a_drive(file: Path) -> bool:
 def _missing_in_header(file: Path, needed: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
                        completed: bool = True) -> list[str]:
     names = read_header(file)
-    return _missing_channels(find_columns(file, names, Layout()), names, needed, completed)
+    return find_missing_channels(find_columns(file, names, Layout()), names, needed, completed)
 
 
-def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
-                      completed: bool = True) -> list[str]:
-    """The needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may derive
-    them."""
+def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
+                          completed: bool = True) -> list[str]:
+    """Finds the needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may
+    derive them."""
     channels = set(sources)
     if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
         channels.add("yaw")
@@ -175,7 +175,7 @@ def _missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iter
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing columns. can: line of a run.yaml for CAN logs, as part of the advice."""
-    missing = _missing_channels(table.sources, table.names, ("t", *needed))
+    missing = find_missing_channels(table.sources, table.names, ("t", *needed))
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")

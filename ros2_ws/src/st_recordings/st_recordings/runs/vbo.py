@@ -10,16 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .columns import (
-    COLUMNS,
-    ColumnSource,
-    Layout,
-    apply_units,
-    find_ambiguous_steering,
-    find_columns,
-    find_unit,
-    normalise,
-)
+from .columns import COLUMNS, ColumnSource, Layout, apply_units, find_columns, find_unit, normalise
+from .csv import find_missing_channels
 from .csv_table import Table, differentiate_yaw, parse_table, read_text
 from .errors import RunError, check_readable
 from .table_times import HHMMSS
@@ -70,8 +62,7 @@ def lacks_steering(file: Path) -> bool:
         sources = find_columns(file, names, Layout())
     except (RunError, OSError):  # read_vbo reports the error
         return False
-    return bool(names) and not (sources.keys() & {"road_wheel_angle", "steering_wheel_angle"}
-                                or find_ambiguous_steering(names))
+    return bool(names and find_missing_channels(sources, names, ["road_wheel_angle"]))
 
 
 def _split_sections(text: str) -> dict[str, str]:
