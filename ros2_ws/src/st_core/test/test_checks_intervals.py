@@ -68,16 +68,16 @@ def test_interval_is_wider_for_more_noise_and_for_less_driving():
 
 
 def test_systematic_uncertainty_is_added_in_quadrature():
-    estimate = add_systematic_uncertainty("yaw_rate_lag", Estimate(0.3, 0.006, (0.288, 0.312)))
+    estimate = add_systematic_uncertainty("yaw_rate_lag", Estimate(0.3, 0.006, 0.012))
     half_width = np.hypot(0.012, SYSTEMATIC_UNCERTAINTY["lag"])
     assert estimate.interval == pytest.approx((0.3 - half_width, 0.3 + half_width))
-    in_degrees = add_systematic_uncertainty("yaw_rate_scale", Estimate(57.3, 0.0, (57.3, 57.3)))
+    in_degrees = add_systematic_uncertainty("yaw_rate_scale", Estimate(57.3, 0.0, 0.0))
     assert in_degrees.interval[1] - 57.3 == pytest.approx(57.3 * SYSTEMATIC_UNCERTAINTY["scale"])
-    unknown = Estimate(1.0, 0.1, (0.8, 1.2))
+    unknown = Estimate(1.0, 0.1, 0.2)
     assert add_systematic_uncertainty("something_else", unknown).interval == pytest.approx(unknown.interval)
 
 
 def test_significance_requires_more_than_an_interval_without_zero():
-    assert Estimate(1.0, 0.1, (0.6, 1.4)).significant and Estimate(-1.0, 0.1, (-1.4, -0.6)).significant
-    assert not Estimate(1.0, 0.4, (0.2, 1.8)).significant
-    assert not Estimate(1.0, 0.6, (-0.2, 2.2)).significant
+    assert Estimate(1.0, 0.1, 0.4).significant and Estimate(-1.0, 0.1, 0.4).significant
+    assert not Estimate(1.0, 0.4, 0.8).significant
+    assert not Estimate(1.0, 0.6, 1.2).significant

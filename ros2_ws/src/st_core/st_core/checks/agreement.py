@@ -15,7 +15,7 @@ from .regression import Estimate, Regression
 
 MAX_LAG = 1.5  # s, in both directions
 MIN_COMMON_TIME = 15.0  # s
-NO_BIAS, UNIT_SCALE = Estimate(0.0, 0.0, (0.0, 0.0)), Estimate(1.0, 0.0, (1.0, 1.0))
+NO_BIAS, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
 LAG_TEST_LEVEL = 0.95
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
@@ -76,8 +76,8 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     if not abs(solution.offset) <= max_fitted_lag:
         return None
     degrees_of_freedom = max(len(reference.time) * STEP / DECORRELATION_TIME - 1.0, 1.0)
-    lag = Estimate(-solution.offset, solution.offset_deviation,
-                   symmetric_interval(-solution.offset, solution.offset_deviation, degrees_of_freedom))
+    _, half_width = symmetric_interval(0.0, solution.offset_deviation, degrees_of_freedom)
+    lag = Estimate(-solution.offset, solution.offset_deviation, half_width)
     rows, x = _select_common_samples(pair, solution.offset)
     if len(rows) * STEP < MIN_COMMON_TIME or not float(np.std(x)) > 0.0:
         return None

@@ -83,7 +83,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     estimates |= {f"{name}_scale": scale} | ({f"{name}_bias": bias} if bias.deviation else {})  # 0: no bias was fitted
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
-    explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half > 1.0
+    explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half_width > 1.0
     findings: list[Finding] = []
     scale_error = abs(scale.value - 1.0)
     wrong_unit = not explained_by_noise and not is_near(scale.value, 1.0, LIMITS.channel_unit_ratio)
@@ -147,8 +147,8 @@ def _make_advice(channel: str, key: str, value: float) -> Advice:
 
 def format_estimate(estimate: Estimate) -> str:
     """Value ± half-width of the 95 % interval, the latter with two significant digits."""
-    digits = min(max(1 - math.floor(math.log10(estimate.half)), 0), 6) if estimate.half > 0.0 else 3
-    return f"{estimate.value:.{digits}f} ± {estimate.half:.{digits}f}"
+    digits = min(max(1 - math.floor(math.log10(estimate.half_width)), 0), 6) if estimate.half_width > 0.0 else 3
+    return f"{estimate.value:.{digits}f} ± {estimate.half_width:.{digits}f}"
 
 
 def format_magnitude(estimate: Estimate) -> str:

@@ -134,8 +134,8 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
             abs(scale_error.value - 1.0) < WHEEL_SCALE_TOLERANCE):
         return motion, findings
     scale = estimates["position_scale"]
-    text = (f"x and y are {scale.value:.4f} ± {scale.half:.4f} times the integrated velocity, which agrees with the "
-            "wheel speed: is the scale of the projection wrong?")
+    text = (f"x and y are {scale.value:.4f} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
+            "the wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     of_positions = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                       interval=scale.interval, advice=advice)
@@ -251,7 +251,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
     positive = reported.value > 0.0
     spherical = name in AXIS_SCALES and abs(estimate.value) < SPHERICAL_EARTH_SCALE
     text = (SPHERE_TEXT if spherical else cause.text).format(
-        axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half,
+        axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half_width,
         degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
         grows="grows" if positive else "shrinks", high="high" if positive else "low")

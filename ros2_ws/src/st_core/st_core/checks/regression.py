@@ -6,7 +6,7 @@ refitted, until no further cause is significant and relevant.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,40 +27,36 @@ class Estimate:
 
     value: float
     deviation: float  # standard deviation
-    interval: tuple[float, float]  # 95 % confidence interval
+    half_width: float  # of the 95 % confidence interval
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval."""
+        return self.value - self.half_width, self.value + self.half_width
 
     @property
     def significant(self) -> bool:
         """Whether 0 is outside 1.5 times the 95 % interval; the factor accounts for the test of a dozen causes."""
-        low, high = self.interval
-        return min(abs(low), abs(high)) > 0.5 * (high - self.value) and low * high > 0.0
-
-    @property
-    def half(self) -> float:
-        """Half-width of the interval."""
-        return 0.5 * (self.interval[1] - self.interval[0])
+        return abs(self.value) > 1.5 * self.half_width
 
     def covers(self, value: float) -> bool:
-        return self.interval[0] <= value <= self.interval[1]
+        return abs(value - self.value) <= self.half_width
 
     def scaled(self, factor: float) -> "Estimate":
-        low, high = sorted(factor * end for end in self.interval)
-        return Estimate(factor * self.value, abs(factor) * self.deviation, (low, high))
+        return Estimate(factor * self.value, abs(factor) * self.deviation, abs(factor) * self.half_width)
 
     def inverse(self) -> "Estimate":
         """Estimate of 1 / value, to first order, since the exact interval is unbounded if the value may be 0."""
         value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
-        low, high = (value - (end - self.value) * value**2 for end in reversed(self.interval))
-        return Estimate(value, self.deviation * value**2, (low, high))
+        return Estimate(value, self.deviation * value**2, self.half_width * value**2)
 
-    def widened(self, half: float) -> "Estimate":
-        """The estimate with a further uncertainty added in quadrature. half: half-width of its 95 % interval."""
-        low, high = (self.value + sign * float(np.hypot(end - self.value, half))
-                     for sign, end in zip((-1.0, 1.0), self.interval, strict=True))
-        return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half)), (low, high))
+    def widened(self, half_width: float) -> "Estimate":
+        """The estimate with a further uncertainty added in quadrature; half_width: of its 95 % interval."""
+        return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half_width)),
+                        float(np.hypot(self.half_width, half_width)))
 
     def shifted(self, change: float) -> "Estimate":
-        return Estimate(self.value + change, self.deviation, (self.interval[0] + change, self.interval[1] + change))
+        return replace(self, value=self.value + change)
 
 
 class Regression:
@@ -117,8 +113,8 @@ class Regression:
         estimates = {}
         for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.degrees_of_freedom.tolist(),
                                             strict=True):
-            interval = symmetric_interval(theta[name], deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
-            estimates[name] = Estimate(theta[name], deviation, interval)
+            _, half_width = symmetric_interval(0.0, deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
+            estimates[name] = Estimate(theta[name], deviation, half_width)
         return estimates
 
     def compute_effect(self, name: str, count: int) -> float:
@@ -154,8 +150,8 @@ class Regression:
 def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:
     """The estimate with the systematic uncertainty (SYSTEMATIC_UNCERTAINTY) of the finding of this name."""
     kind = name.rpartition("_")[2]
-    half = SYSTEMATIC_UNCERTAINTY.get(name, SYSTEMATIC_UNCERTAINTY.get(kind, 0.0))
-    return estimate.widened(half * abs(estimate.value) if kind in ("scale", "sign") else half)
+    half_width = SYSTEMATIC_UNCERTAINTY.get(name, SYSTEMATIC_UNCERTAINTY.get(kind, 0.0))
+    return estimate.widened(half_width * abs(estimate.value) if kind in ("scale", "sign") else half_width)
 
 
 def is_relevant(estimate: Estimate, minimum: float) -> bool:

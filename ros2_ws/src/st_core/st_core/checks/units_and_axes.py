@@ -105,10 +105,10 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
         return None
     factor, difference = velocity.value, abs(velocity.value - turn.value)
     if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
-            np.hypot(np.hypot(velocity.half, turn.half), MAX_SCALE_ERROR)):
+            np.hypot(np.hypot(velocity.half_width, turn.half_width), MAX_SCALE_ERROR)):
         return None
-    text = (f"time runs {factor:.4f} ± {velocity.half:.4f} times too fast for positions and yaw: are the rows stamped "
-            "at a nominal rate that is not the true one?")
+    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast for positions and yaw: are the rows "
+            "stamped at a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")

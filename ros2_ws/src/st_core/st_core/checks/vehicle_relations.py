@@ -235,9 +235,9 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
     heading = add_systematic_uncertainty("heading_misaligned", estimates["heading"])
     point = add_systematic_uncertainty("measuring_point", estimates["point"].shifted(-declared))
-    low, high = (declared + end for end in point.interval)
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
-    is_mirrored = low < -declared < high and declared > LIMITS.ins_position and estimates["slip"].interval[1] < 0.0
+    is_mirrored = (point.covers(-2.0 * declared) and declared > LIMITS.ins_position
+                   and estimates["slip"].interval[1] < 0.0)
     findings = []
     if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
@@ -269,7 +269,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
         Regression(problem.time, problem.compute_residual({"slip": slip}), problem.columns).estimate(
             ("heading", "point", "roll"))
         for slip in (expected, 0.5 * expected, 1.5 * expected))
-    return {"slip": Estimate(expected, 0.25 * expected, (0.5 * expected, 1.5 * expected)), **{
+    return {"slip": Estimate(expected, 0.25 * expected, 0.5 * expected), **{
         name: estimate.widened(max(abs(other[name].value - estimate.value) for other in (low, high)))
         for name, estimate in middle.items()}}
 
@@ -283,8 +283,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
     text = (f"the measuring point lies {format_magnitude(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
             f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
-    low, high = (vehicle.cg_to_ins_x + vehicle.cg_to_rear_axle + end for end in point.interval)
-    if low < 0.0 < high:
+    if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
         text += ": at the rear axle?"
     value = vehicle.cg_to_ins_x + point.value
     advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
