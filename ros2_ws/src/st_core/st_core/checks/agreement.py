@@ -56,7 +56,8 @@ class Agreement:
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
                    expected_lag: float = 0.0, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
-    """Agreement of two estimates of a quantity; None if they overlap by less than MIN_COMMON_TIME or are constant.
+    """Agreement of two estimates of a quantity; None if they are constant, overlap by less than MIN_COMMON_TIME or span
+    more than MAX_SPAN, or if the lag exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
     whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the result

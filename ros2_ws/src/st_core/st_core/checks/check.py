@@ -50,7 +50,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     finding.
     """
     auxiliary = auxiliary or AuxiliaryData()
-    start_ns = next(iter(log.ins_time_ns.tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
+    start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
     log, implausible = drop_implausible(log, start_ns)
     # The reader has already reported the samples that it left out or kept.
     reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
@@ -224,14 +224,12 @@ def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
     """Factors that `correct_units` divided by, and the yaw offset that it subtracted, by name of the finding."""
     removed = {}
     for finding in unit_findings:
-        correct = finding.advice.entry.get("correct", {}) if finding.advice else {}
-        scale = next((entry["scale"] for entry in correct.values() if "scale" in entry), None)
-        if not correct and finding.value:
-            removed[finding.name] = finding.value
-        elif finding.name == "yaw_offset":
-            removed[finding.name] = -correct["yaw"]["add"]
-        elif scale:
-            removed[finding.name] = 1.0 / scale
+        corrections = finding.advice.entry.get("correct", {}).values() if finding.advice else ()
+        fields = {key: value for correction in corrections for key, value in correction.items()}
+        if finding.name == "yaw_offset":
+            removed[finding.name] = -fields["add"]
+        elif factor := 1.0 / fields["scale"] if "scale" in fields else finding.value:
+            removed[finding.name] = factor
     return removed
 
 

@@ -164,7 +164,8 @@ def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
 
 
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
-    """Compare yaw rate and change of yaw. An error of the initial yaw rate decays within LIMITS.yaw_settling_time."""
+    """(agreement of yaw rate and change of yaw, tolerances). The effect of a wrong initial yaw rate decays within
+    LIMITS.yaw_settling_time."""
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
     return compare_series(
         motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, derived_is_angle=True), Tolerances(

@@ -25,10 +25,10 @@ from .inertial import CheckResult, format_alternative_lags, format_magnitude
 from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
+from .units_and_axes import DEGREE
 
 CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
-DEGREE = 180.0 / np.pi
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
 MIN_REAR_AXLE_WINDOWS = 30
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
@@ -67,10 +67,10 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the steering responds to another yaw moment and determines no lag.
-    has_lag = agreement.correlation * gain.value >= 0.0
+    has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
     findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
-                _make_lag_finding(lag, agreement, speed, vehicle, response) if has_lag else None,
-                _make_offset_finding(agreement, speed, vehicle, wheel_measured))
+                _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
+                _make_offset_finding(agreement, vehicle, wheel_measured, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
     estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
@@ -132,19 +132,18 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
         ends: list[dict[str, Any]] = [{key: quantity.clip(end)} for end in (value / factor, value * factor)]
         low, high = (compute_response_time(replace(vehicle, **end), speed) for end in ends)
         changes.append(high - low)
-    half = np.hypot(changes[0], changes[1])
-    return float(np.sqrt(max(half**2 - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
+    return float(np.sqrt(max(np.square(changes).sum() - SYSTEMATIC_UNCERTAINTY["steering_lag"] ** 2, 0.0)))
 
 
-def _compute_lateral_shift(error: float, speed: float, vehicle: VehicleParameters) -> float:
-    """Lateral shift [m] of the predicted position due to a constant error [rad] of the road wheel angle."""
+def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
+    """Lateral shift of the predicted position per constant error of the road wheel angle [m/rad]."""
     a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
-    return abs(0.5 * speed * yaw_gain * error) * HORIZON**2
+    return abs(0.5 * speed * yaw_gain) * HORIZON**2
 
 
 def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
-                  wheel_measured: bool) -> Finding | None:
+                       wheel_measured: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
 
     understeer: expected and largest plausible gain; since stiffnesses may be rough, a gain of 1 is plausible as well.
@@ -175,14 +174,14 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
-def _make_lag_finding(lag: Estimate, agreement: Agreement, speed: float, vehicle: VehicleParameters,
-                      response: float) -> Finding | None:
-    """Finding of a lag beyond the response time [s] of the car; None if it is small."""
+def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, lateral_shift: float) -> Finding | None:
+    """Finding of a lag beyond the response time [s] of the car; None if it is small. lateral_shift: see
+    `_compute_lateral_shift`."""
     if not lag.significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
     # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
     missed = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
-    effect = _compute_lateral_shift(missed / HORIZON * 2.0, speed, vehicle)
+    effect = lateral_shift * 2.0 * missed / HORIZON
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {format_magnitude(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
@@ -190,8 +189,8 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, speed: float, vehicle
                          replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
-def _make_offset_finding(agreement: Agreement, speed: float, vehicle: VehicleParameters,
-                         wheel_measured: bool) -> Finding | None:
+def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel_measured: bool,
+                         lateral_shift: float) -> Finding | None:
     size = abs(agreement.scale.value)
     bias = agreement.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else agreement.bias
     offset = add_systematic_uncertainty("steering_offset", bias)
@@ -199,7 +198,7 @@ def _make_offset_finding(agreement: Agreement, speed: float, vehicle: VehiclePar
         return None
     text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
-    effect = _compute_lateral_shift(offset.value, speed, vehicle)
+    effect = lateral_shift * abs(offset.value)
     offset_left = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
     if wheel_measured:
         wheel = vehicle.steering_wheel_offset + offset_left * vehicle.steering_ratio
