@@ -209,7 +209,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
     exchanged = dict(zip(measured, reversed(measured), strict=True))
     if len(measured) == 2 and not any(a and a.correlates for a in agreements.values()) and all(
             (a := compare(name, measured[other])) and a.correlates for name, other in exchanged.items()):
-        text = "acceleration_x and acceleration_y are exchanged (x is forward, y left)"
+        text = "acceleration_x and acceleration_y are exchanged (x should be forward, y left)"
         return [([Finding("acceleration_axes", Severity.WARNING, (*measured,), text,
                           advice=Advice.for_run_yaml({"columns": exchanged}))], {}, None)]
     results = []

@@ -235,7 +235,7 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
         return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_to_course, advice)
     axes: dict[int, tuple[str, dict[str, Any]]] = {
         0: ("y is mirrored (it should count north)", {"correct": {"y": MIRRORED}}),
-        1: ("x and y are exchanged (x is east, y north)", {"columns": EXCHANGED}),
+        1: ("x and y are exchanged (x should be east, y north)", {"columns": EXCHANGED}),
         2: ("x is mirrored (it should count east)", {"correct": {"x": MIRRORED}}),
         3: ("x and y are exchanged and mirrored", {"columns": EXCHANGED, "correct": {"x": MIRRORED, "y": MIRRORED}}),
     }
@@ -309,7 +309,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
         motion = replace(motion, velocity_x=body.real, velocity_y=body.imag)
     elif distance > 0.0 and motion.moves_sideways and float(
             np.median(np.abs(measured - _compute_displacements(exchanged, exchanged.velocity_map)[1]))) <= max_misfit:
-        text, advice = "velocity_x and velocity_y are exchanged (x is forward, y left)", exchange
+        text, advice = "velocity_x and velocity_y are exchanged (x should be forward, y left)", exchange
     else:
         return motion, None
     return _correct(motion, "velocity_axes", ("velocity_x", "velocity_y"), text, None, advice)
