@@ -32,7 +32,7 @@ HEADER = "# Model file: base model, its effects (SI units, 95 % intervals), and 
 
 
 @dataclass(frozen=True)
-class Estimate:
+class EffectValue:
     """Value of one parameter of an effect [its unit], with its 95 % interval if known, and its source."""
 
     value: float
@@ -56,7 +56,7 @@ class ModelFile:
     """Content of a model.yaml."""
 
     base: str  # name of the base model
-    effects: Mapping[str, Mapping[str, Estimate]]  # by effect and parameter
+    effects: Mapping[str, Mapping[str, EffectValue]]  # by effect and parameter
     vehicle: VehicleParameters | None = None  # the car, if embedded
     vehicle_name: str = ""  # car for which the values are valid; "" if not stated
     vehicle_hash: str = ""  # hash of that car
@@ -67,7 +67,7 @@ class ModelFile:
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
            embed: bool = True) -> "ModelFile":
         """The file of a model. intervals: by (effect, parameter). source: of fitted values. embed: with `vehicle`."""
-        effects = {effect.name: {p.name: Estimate(model.values[effect.name][p.name],
+        effects = {effect.name: {p.name: EffectValue(model.values[effect.name][p.name],
                                                   (intervals or {}).get((effect.name, p.name)),
                                                   source if p.fit else p.source) for p in effect.parameters}
                    for effect in model.effects}
@@ -151,7 +151,7 @@ class ModelFile:
         return file
 
 
-def _read_effect(name: str, entry: Any) -> dict[str, Estimate]:
+def _read_effect(name: str, entry: Any) -> dict[str, EffectValue]:
     parameters = {p.name: p for p in get_effect(name).parameters}
     entry = _check_mapping(f"effects.{name}", entry)
     check_keys(f"effects.{name}.", entry, list(parameters), required=[k for k, p in parameters.items() if p.fit])
@@ -173,7 +173,7 @@ def _read_effect(name: str, entry: Any) -> dict[str, Estimate]:
         if ends is not None and not (is_pair and ends[0] <= value <= ends[1]):
             raise ConfigurationError(f"{where}.interval: {ends!r} is not [low, high] around the value {value:g}")
         interval = None if ends is None else (float(ends[0]), float(ends[1]))
-        estimates[key] = Estimate(value, interval, source, effective)
+        estimates[key] = EffectValue(value, interval, source, effective)
     return estimates
 
 

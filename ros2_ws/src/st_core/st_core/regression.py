@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MIN_RUNS = 8  # minimum number of runs for whole runs to be used as blocks
+MIN_RUN_BLOCKS = 8  # minimum number of runs for whole runs to be used as blocks
 BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
 WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
@@ -170,13 +170,13 @@ class Blocks:
 
 
 def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
-    """Whole runs as blocks if there are at least MIN_RUNS, else sections of runs, BLOCK_LENGTH long.
+    """Whole runs as blocks if there are at least MIN_RUN_BLOCKS, else sections of runs, BLOCK_LENGTH long.
 
     run_of: (n,) run number of each sample. time: (n,) time since the start of that run [s].
     """
     run_of = np.asarray(run_of)
     runs, number = np.unique(run_of, return_inverse=True)
-    if len(runs) >= MIN_RUNS:
+    if len(runs) >= MIN_RUN_BLOCKS:
         return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
     sections, section_of = np.unique(keys, axis=0, return_inverse=True)

@@ -8,7 +8,7 @@ import yaml
 from st_core.augmented import augment
 from st_core.effects import EFFECTS, find_applicable_effects
 from st_core.errors import ConfigurationError
-from st_core.model_file import Estimate, ModelFile, ModelProvenance
+from st_core.model_file import EffectValue, ModelFile, ModelProvenance
 from st_core.models import MODELS
 from st_core.prediction import predict
 from st_core.types import ControlInput, VehicleState
@@ -40,7 +40,7 @@ def test_file_round_trip(leaf, embed):
     assert reloaded == file and reloaded.hash == file.hash and reloaded.provenance == PROVENANCE
     assert (reloaded.vehicle.hash if reloaded.vehicle else "") == (leaf.hash if embed else "")
     assert reloaded.vehicle_hash == leaf.hash
-    assert reloaded.effects["steering_lag"]["time_constant"] == Estimate(0.08, (0.07, 0.09), "fit to two runs")
+    assert reloaded.effects["steering_lag"]["time_constant"] == EffectValue(0.08, (0.07, 0.09), "fit to two runs")
     assert reloaded.effects["crosswind"]["wind_x"].interval is None
     path = predict(reloaded.model(), leaf, STATE, INPUTS)
     np.testing.assert_array_equal(path.states, predict(file.model(), leaf, STATE, INPUTS).states)

@@ -81,7 +81,7 @@ def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[flo
 LEVELS = (0.5, 0.9)
 RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # of `Band.ratios` and the reliability diagram
 FOLDS = 5  # largest number of groups of runs in cross-fitting
-MIN_RUNS = 3  # the calibration domain of a scored run requires two other runs
+MIN_CALIBRATION_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +108,9 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     Raises a one-line StCoreError for too few runs with common conditions, as `check_levels`, and for errors not finite.
     """
     check_levels(levels, len(runs))
-    if len(runs) < MIN_RUNS:
+    if len(runs) < MIN_CALIBRATION_RUNS:
         raise StCoreError(f"{len(runs)} run{'' if len(runs) == 1 else 's'}: each run is scored with bands of two "
-                          f"others; give {MIN_RUNS} or more")
+                          f"others; give {MIN_CALIBRATION_RUNS} or more")
     for run in runs:
         if not np.isfinite(run.errors[pair]).all():
             raise StCoreError(f"{run.name}: errors of {pair[0]} are not finite; correct the model or leave the run out")

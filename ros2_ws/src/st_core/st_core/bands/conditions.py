@@ -57,7 +57,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 
 
 MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration: one second of driving
-MIN_RUNS = 2  # minimum number of runs with MIN_STARTS in a cell; one run does not show the variation between runs
+MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
 CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
               CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION_EDGES}
 """Edges of the cells by column of the conditions."""
@@ -73,7 +73,7 @@ def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class CalibrationDomain:
     """Conditions with enough calibration runs: cells of speed and lateral acceleration, and limits of the others."""
 
-    starts: np.ndarray  # number by (speed bin, lateral acceleration bin), 0 if fewer than MIN_RUNS runs had MIN_STARTS
+    starts: np.ndarray  # number by (speed, lateral acceleration) bin, 0 if fewer than MIN_RUNS_IN_CELL had MIN_STARTS
     largest: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod
@@ -82,7 +82,7 @@ class CalibrationDomain:
         starts = np.zeros((len(conditions), *map(len, CELL_EDGES.values())), int)
         for run, counts in zip(conditions, starts, strict=True):
             np.add.at(counts, find_cells(run), 1)
-        enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS
+        enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS_IN_CELL
         rows = np.concatenate(conditions)
         return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
 
@@ -104,4 +104,4 @@ class CalibrationDomain:
                 text = name.replace("_", " ").replace("forward acceleration", "|forward acceleration|")
                 return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration was driven in fewer than "
-                f"{MIN_RUNS} calibration runs")
+                f"{MIN_RUNS_IN_CELL} calibration runs")

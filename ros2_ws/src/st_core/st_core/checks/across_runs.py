@@ -11,7 +11,7 @@ from scipy.stats import binom, chi2
 from ..regression import random_effects, symmetric_interval
 from .finding import DriveCheck, neutral_value
 
-MIN_RUNS = 3
+MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
 CONFIDENCE = 0.95  # of the tests of consistency
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by their mean
 
@@ -51,12 +51,12 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparisons of the quantities of findings that at least MIN_RUNS runs estimate, the most often reported first."""
+    """Comparisons of the quantities of findings that at least MIN_COMPARED_RUNS estimate, most often reported first."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():
         rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
-        if len(rows) < MIN_RUNS:
+        if len(rows) < MIN_COMPARED_RUNS:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
         mean, interval, between, cochran_q = _random_effects(rows)

@@ -33,7 +33,7 @@ MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw r
 LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
-MIN_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
+MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
 
 def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
@@ -66,7 +66,7 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     spacing = np.diff(time)
     steps = np.abs(np.diff(values))[spacing < MAX_STEP_RATIO * float(np.median(spacing))]
     all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]
-    if len(steps) < MIN_STEPS:
+    if len(steps) < MIN_MEASURED_STEPS:
         return 0.0
     smallest = float(np.percentile(steps, 2))
     multiples = steps / smallest
@@ -97,7 +97,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
     keeps_row = channel.startswith("acceleration")  # a row that lacks only an acceleration is kept
     share, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
-    if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_STEPS:
+    if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
         # The sensor is slower than the rows if its samples are evenly spaced; one interval in a hundred may deviate.
         row = float(np.median(row_spacing))
         expected = row / max(1.0 - share, 1e-9)
@@ -218,7 +218,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     """Finding of a channel that changes only once in k samples, with a constant k."""
     first, last = find_groups(np.diff(values) != 0.0)
     lengths = last - first + 1
-    if len(lengths) < MIN_STEPS:
+    if len(lengths) < MIN_MEASURED_STEPS:
         return []
     median = float(np.median(lengths))
     regular_share = float(lengths[np.abs(lengths - median) <= max(0.1 * median, 0.5)].sum() / lengths.sum())

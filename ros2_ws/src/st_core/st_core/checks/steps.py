@@ -17,7 +17,7 @@ from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, 
 from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
-MIN_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
+MIN_JUDGED_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
 MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
@@ -31,7 +31,7 @@ MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a st
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
-    if len(motion.time) < MIN_STEPS:
+    if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
     errors = np.diff(motion.position) - np.diff(integrate(motion.time, motion.velocity_map))
@@ -46,7 +46,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     is_stale, findings = _check_stale(motion, errors, along, rounding)
     findings += _check_jumps(motion, errors, is_stale, rounding)
     within = np.diff(motion.time) <= MAX_GAP
-    if rounding == 0.0 and within.sum() >= MIN_STEPS:
+    if rounding == 0.0 and within.sum() >= MIN_JUDGED_STEPS:
         # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
         sigma = float(np.median(np.abs(errors[within]))) / 1.665
         if sigma >= MIN_NOISE:
@@ -62,7 +62,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     """(mask of the steps due to stale samples, the findings). along: see `check_position_steps`."""
     known = np.isfinite(along)
     no_steps = np.zeros(len(along), bool)
-    if known.sum() < MIN_STEPS:
+    if known.sum() < MIN_JUDGED_STEPS:
         return no_steps, []
     step = along - np.median(along[known])  # s, < 0: back along the track
     spacing = float(np.median(np.diff(motion.time)))
@@ -128,7 +128,7 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)
-    if inside.sum() < MIN_STEPS:
+    if inside.sum() < MIN_JUDGED_STEPS:
         return []
     uneven = (spacing - median)[inside]
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))

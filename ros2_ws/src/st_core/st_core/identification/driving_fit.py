@@ -46,7 +46,7 @@ Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Quantity:
+class FitQuantity:
     """A quantity that can be identified from driving, and the effect that represents it in the fit; SI units."""
 
     effect: str
@@ -56,28 +56,28 @@ class Quantity:
     max_uncertainty: float = 0.0  # otherwise, largest standard uncertainty of an identified value [unit]
 
 
-def _make_scaled_parameter(effect: str, key: str, unit: str) -> Quantity:
-    return Quantity(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
+def _make_scaled_parameter(effect: str, key: str, unit: str) -> FitQuantity:
+    return FitQuantity(effect, unit, lambda car, values: values[f"{effect}.factor"] * float(getattr(car, key)), True)
 
 
-QUANTITIES: Mapping[str, Quantity] = {
+QUANTITIES: Mapping[str, FitQuantity] = {
     "cornering_stiffness_front": _make_scaled_parameter(FrontStiffness.name, "cornering_stiffness_front", "N/rad"),
     "cornering_stiffness_rear": _make_scaled_parameter(RearStiffness.name, "cornering_stiffness_rear", "N/rad"),
     "yaw_inertia": _make_scaled_parameter(YawInertia.name, "yaw_inertia", "kg m^2"),
     "steering_ratio": _make_scaled_parameter(SteeringRatio.name, "steering_ratio", "1"),
     # delta = (delta_h - o_file) / (factor i_file) + angle, so o = o_file - angle factor i_file.
-    "steering_wheel_offset": Quantity(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
+    "steering_wheel_offset": FitQuantity(SteeringOffset.name, "rad", max_uncertainty=0.02, value=lambda car, values: (
         car.steering_wheel_offset - values[f"{SteeringOffset.name}.angle"] * car.steering_ratio
         * values.get(f"{SteeringRatio.name}.factor", 1.0))),
-    "cg_to_ins_x": Quantity(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
+    "cg_to_ins_x": FitQuantity(SensorLeverArm.name, "m", max_uncertainty=0.1, value=lambda car, values: (
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.
-    MISALIGNMENT: Quantity(HeadingMisalignment.name, "rad",
+    MISALIGNMENT: FitQuantity(HeadingMisalignment.name, "rad",
                                 lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay from the measured angle to the wheels.
-    DELAY: Quantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
+    DELAY: FitQuantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
-    RELAXATION: Quantity(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
+    RELAXATION: FitQuantity(RELAXATION, "m", lambda car, values: values[f"{RELAXATION}.length"], max_uncertainty=0.1),
 }
 
 

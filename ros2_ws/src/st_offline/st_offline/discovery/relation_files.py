@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from st_core.discovery.next_manoeuvre import REPETITIONS
 from st_core.effects import Effect, find_source_file, load_file, unload_folder
-from st_core.model_file import Estimate, ModelFile, ModelProvenance
+from st_core.model_file import EffectValue, ModelFile, ModelProvenance
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.relations.candidates import ALL_TERMS, FILTERED, QUANTITIES, SENSOR_READINGS
 from st_core.vehicle import VehicleParameters
@@ -191,7 +191,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
     active = {name: parts for name, parts in fitted.effects.items()
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
-    share = {"share": Estimate(1.0, None, "st discover --propose")}
+    share = {"share": EffectValue(1.0, None, "st discover --propose")}
     model = ModelFile(fitted.base, {**active, effect_name(relation): share}, fitted.vehicle, fitted.vehicle_name,
                       fitted.vehicle_hash, about)
     load_file(str(effects.absolute()), effect_name(relation))

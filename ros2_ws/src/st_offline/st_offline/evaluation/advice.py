@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate
-from st_core.bands.calibration import MIN_RUNS, compute_highest_level
+from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_highest_level
 from st_core.bands.file import make_times
 from st_core.bands.samples import compute_error_samples
 from st_core.batch import LogBatch
@@ -113,7 +113,7 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     at = [int(np.abs(time - second).argmin()) for second in seconds]
     lateral = [np.abs(run.errors[pair][:, :, LATERAL].astype(float)) for run in runs]
     rms = np.sqrt(np.mean([np.square(errors[:, at]).mean(axis=0) for errors in lateral], axis=0))
-    highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_RUNS else 0.0
+    highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_CALIBRATION_RUNS else 0.0
     level = next((level for level in BAND_LEVELS if level <= highest), None)
     width = None
     if level is not None:
