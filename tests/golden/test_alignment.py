@@ -172,15 +172,15 @@ def test_log_without_shared_signals_is_refused_and_accepts_a_specified_offset(pa
 
 
 def test_align_command_writes_result_and_figure(pair: Pair, tmp_path) -> None:
-    run = CliRunner().invoke(app, ["align", *map(str, pair.files), "--output", str(tmp_path / "out")])
+    run = CliRunner().invoke(app, ["align", *map(str, pair.files), "--output", str(tmp_path / "out[1]")])
     assert run.exit_code == 0, run.output
-    assert "good" in run.output
-    result = json.loads((tmp_path / "out/alignment.json").read_text())
+    assert "good" in run.output and "out[1]/alignment.json" in run.output.replace("\n", "")
+    result = json.loads((tmp_path / "out[1]/alignment.json").read_text())
     assert result["drift_ppm"] == pytest.approx(40, abs=5)
     elapsed = (result["at_ns"] - pair.log.start_ns) * 1e-9
     # The resolution of a float at 1.6e9 s is 0.2 us.
     assert result["offset_s"] + result["at_ns"] * 1e-9 == pytest.approx((elapsed + OFFSET) * (1 + DRIFT), abs=1e-3)
-    assert (tmp_path / "out/alignment.png").stat().st_size > 20_000
+    assert (tmp_path / "out[1]/alignment.png").stat().st_size > 20_000
     assert np.isclose(result["common_time_s"], 60, atol=1)
 
 

@@ -203,7 +203,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: 
     if result is None:
         reason = "--replay" if replayed else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
-        console.print(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
+        console.out(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
         outcome, _ = replay_bag(find_bag(bag), folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
             raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")

@@ -35,7 +35,7 @@ def align(
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
     """
     from st_offline.alignment_figure import draw_alignment
-    from st_offline.terminal import print_line
+    from st_offline.terminal import list_files, print_line
     from st_recordings.paths import new_folder
     from st_recordings.runs.raw import read_pair, summarise_alignment
 
@@ -52,11 +52,12 @@ def align(
     print_alignment(pair)
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
-    print_line(f"  {folder / 'alignment.json'}", console)
+    results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared and alignment.offset_ns:
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
         draw_alignment(pair.shared, alignment, title, folder / "alignment.png")
-        print_line(f"  {folder / 'alignment.png'}  [dim]both signals, aligned[/dim]", console)
+        results[folder / "alignment.png"] = "both signals, aligned"
+    list_files(results, console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
 
@@ -78,7 +79,7 @@ def print_alignment(pair: "RawRun") -> None:
     alignment = pair.alignment
     style = VERDICT_STYLE[alignment.verdict]
     method = {"by hand": "set by hand", "none": ""}.get(alignment.method, f"by {alignment.method}")
-    console.print(f"[bold]{pair.name}[/bold]  [{style}]{alignment.verdict}[/{style}] {method}", highlight=False)
+    console.print(f"[bold]{escape(pair.name)}[/bold]  [{style}]{alignment.verdict}[/{style}] {method}", highlight=False)
     if alignment.method != "none":
         start_ns = pair.can.start_ns
         middle = (alignment.at_ns - start_ns) * 1e-9
@@ -102,7 +103,7 @@ def print_alignment(pair: "RawRun") -> None:
             table.add_row("common time", f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
-        print_line(f"  [{style}]·[/{style}] {reason}", console)
+        print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
@@ -167,7 +168,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     from st_offline.alignment_figure import draw_alignment
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import check_for_use
-    from st_offline.terminal import print_line
+    from st_offline.terminal import list_files, print_line
     from st_recordings.runs.write import import_run
 
     started = time.perf_counter()
@@ -187,10 +188,10 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     if imported.run.shared:
         draw_alignment(imported.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
-    print_line(f"[bold]{source.name}[/bold]  [{style}]{text}[/{style}]", console)
+    print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]", console)
     print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()), console)
-    print_line(f"  {folder}  [dim]{imported.span:.0f} s of driving in {duration:.1f} s, "
-               f"{imported.span / duration:.0f} times real time[/dim]", console)
+    speed = f"{imported.span:.0f} s of driving in {duration:.1f} s, {imported.span / duration:.0f} times real time"
+    list_files({folder: speed}, console)
 
 
 def ncom(

@@ -37,7 +37,7 @@ def view(
             file = save or Path(name, "view.rrd")
             with console.status("drawing"):
                 n_frames = draw_recording(recording, file, vehicle)
-            console.print(f"{n_frames} frames of {recording.name}", highlight=False)
+            console.out(f"{n_frames} frames of {recording.name}", highlight=False)
         elif save:
             raise SuiteError(f"--save {save}: {recording} is already a saved view; leave out --save")
         if not save:
