@@ -30,9 +30,8 @@ class Health:
         self._rates: dict[str, float] = {}
 
     def checks(self) -> list[Check]:
-        implausible = self._decoder.implausible_signals()
         plausibility = Check("plausibility", OK, "all decoded signals are plausible")
-        if implausible:
+        if implausible := self._decoder.implausible_signals():
             plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
         return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
 
@@ -65,12 +64,12 @@ class Health:
             age = None if last_seen_ns is None else (now_ns - last_seen_ns) * 1e-9
             for signal in message.signals:
                 values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
-            names = ", ".join(s.name for s in message.signals)
             fault = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
-            if age is None and message.needed:
-                missing.append(f"{names} ({message.name}): {fault}")
+            text = f"{', '.join(s.name for s in message.signals)} ({message.name}): {fault}"
+            if message.needed and (age is None or age > message.timeout):
+                missing.append(text)
             elif age is not None and age > message.timeout:
-                (missing if message.needed else stale).append(f"{names} ({message.name}): {fault}")
+                stale.append(text)
         if missing and time.monotonic() - self._started_at > _START_UP_TIME:
             return Check("signals", ERROR, "; ".join(missing), values)
         if stale:

@@ -105,9 +105,8 @@ class Origin:
         if self.frame is not None:
             return self.frame
         if self.source == UNIT:
-            local_frame = status.local_frame
-            if local_frame is not None:
-                return self._set(UNIT, *local_frame[:3])
+            if (local_origin := status.local_origin) is not None:
+                return self._set(UNIT, *local_origin)
             if self._waiting_since_ns is None:
                 self._waiting_since_ns = now_ns
             if 0 <= now_ns - self._waiting_since_ns < LOCAL_FRAME_TIMEOUT_NS:

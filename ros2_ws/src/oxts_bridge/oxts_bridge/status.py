@@ -95,10 +95,10 @@ class StatusTracker:
         return float("nan") if value is None else float(value)
 
     @property
-    def local_frame(self) -> tuple[float, float, float, float] | None:
-        """Latitude, longitude [deg], altitude [m], heading [deg] of the unit's newest local frame; None if unknown."""
-        # All four are set together.
-        return None if self.get("RefLat") is None else tuple(self.values[name] for name in LOCAL_FRAME)
+    def local_origin(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude [deg], altitude [m] of the origin of the unit's newest local frame; None if unknown."""
+        # All three are set together.
+        return None if self.get("RefLat") is None else (self.get("RefLat"), self.get("RefLon"), self.get("RefAlt"))
 
     def _has_local_frame(self) -> bool:
         return all(self._local_frame.get(name) is not None for name in LOCAL_FRAME)

@@ -62,11 +62,12 @@ def test_wheel_speed_count_is_dated_in_the_nearest_minute_and_unwrapped():
 def test_local_frame_requires_all_four_values_and_keeps_the_last_complete_ones():
     status = StatusTracker()
     status.update(66, encode_channel(66, {"RefLat": 52.0, "RefLon": -1.25}))
-    assert status.local_frame is None
+    assert status.local_origin is None
     status.update(67, encode_channel(67, {"RefAlt": 100.0, "RefHeading": 270.0 - 360.0}))
-    assert status.local_frame == pytest.approx((52.0, -1.25, 100.0, -90.0))
+    assert status.local_origin == pytest.approx((52.0, -1.25, 100.0))
+    assert status.get("RefHeading") == pytest.approx(-90.0)
     status.update(66, encode_channel(66, {"RefLat": 53.0}))
-    assert status.local_frame == pytest.approx((52.0, -1.25, 100.0, -90.0))
+    assert status.local_origin == pytest.approx((52.0, -1.25, 100.0))
 
 
 def test_channel_25_is_used_only_without_66_and_67():
@@ -74,18 +75,18 @@ def test_channel_25_is_used_only_without_66_and_67():
     position = (math.radians(52), math.radians(-1.25), 100.0)
     status = StatusTracker()
     status.update(25, old, None, position)
-    assert status.local_frame[0] == pytest.approx(52.0 - 120.0 / 111_260, abs=1e-5)
+    assert status.local_origin[0] == pytest.approx(52.0 - 120.0 / 111_260, abs=1e-5)
     status.update(66, encode_channel(66, {"RefLat": 50.0, "RefLon": 1.0}))
     status.update(67, encode_channel(67, {"RefAlt": 1.0, "RefHeading": 90.0}))
     status.update(25, encode_channel(25, {"OldRefX": 1.2, "OldRefY": 0.0, "OldRefHeading": 0.0}), None, position)
-    assert status.local_frame == pytest.approx((50.0, 1.0, 1.0, 90.0))
+    assert status.local_origin == pytest.approx((50.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize("data", ["8000000080000000", "000080000000ffff", "0000000000000080", "ffff7f0000000000"])
 def test_invalid_channel_25_gives_no_local_frame(data):
     status = StatusTracker()
     status.update(25, bytes.fromhex(data), None, (0.9, 0.0, 0.0))
-    assert status.local_frame is None
+    assert status.local_origin is None
 
 
 def receive(parser, data):
