@@ -58,15 +58,15 @@ class SignalLag:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Conversion of the other clock to the reference clock."""
+    """Conversion of the other clock to the reference clock; by default that of recordings on one clock."""
 
-    at_ns: int  # instant on the other clock at which `offset_ns` applies
-    offset_ns: int
-    drift_ppm: float  # rate of the reference clock relative to the other, minus 1
-    offset_deviation: float  # standard deviation, latency included [s]
-    drift_deviation: float  # standard deviation [ppm]
-    method: str  # "time frame", "shared signals", "by hand" or "none"
-    verdict: Verdict
+    at_ns: int = 0  # instant on the other clock at which `offset_ns` applies
+    offset_ns: int = 0
+    drift_ppm: float = 0.0  # rate of the reference clock relative to the other, minus 1
+    offset_deviation: float = 0.0  # standard deviation, latency included [s]
+    drift_deviation: float = 0.0  # standard deviation [ppm]
+    method: str = "none"  # "time frame", "shared signals", "by hand" or "none"
+    verdict: Verdict = Verdict.NOT_NEEDED
     reasons: tuple[str, ...] = ()
     signals: tuple[SignalLag, ...] = ()
     peak: Peak | None = None  # of the coarse search; None if it was not run
@@ -94,11 +94,6 @@ class Alignment:
             return self
         verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict
         return replace(self, verdict=verdict, reasons=(*self.reasons, *reasons))
-
-
-def alignment_not_needed() -> Alignment:
-    """Alignment of recordings on one clock."""
-    return Alignment(0, 0, 0.0, 0.0, 0.0, "none", Verdict.NOT_NEEDED)
 
 
 def refused_alignment(*reasons: str) -> Alignment:

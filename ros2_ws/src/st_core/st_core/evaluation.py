@@ -8,10 +8,9 @@ from typing import Literal
 import numpy as np
 
 from .measurement_history import DERIVATIVE, YAW, MeasurementHistory
-from .model_view import ModelView
 from .models import MODELS, Model, get_model
 from .prediction import PredictionSettings, Runner, predict
-from .readings import predict_readings
+from .readings import ModelView, predict_readings
 from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
@@ -118,8 +117,9 @@ class Evaluator:
         ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
         timeout_ns = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
         for key in sorted(self._waiting):
-            end = key[0] + round(key[1] * key[2] / NANOSECOND)
-            if end <= min(ins, steering - self._ahead_ns) or end <= timeout_ns:
+            start_ns, steps, step = key
+            end_ns = start_ns + round(steps * step / NANOSECOND)
+            if end_ns <= min(ins, steering - self._ahead_ns) or end_ns <= timeout_ns:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
 

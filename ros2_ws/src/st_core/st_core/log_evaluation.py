@@ -5,10 +5,12 @@ which `st verify` checks. Trajectories of only a few blocks of starts are in mem
 mean, mean square and largest error over the horizon and the errors at whole seconds are kept.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -32,6 +34,11 @@ AXES = ("longitudinal", "lateral", "yaw")
 BLOCK_SIZE = 1024  # starts predicted together; each model and mode then takes 7 MB
 PREFETCHED_BLOCKS = 2  # blocks computed in advance, each in a thread
 CONDITIONS = ("speed", "lateral_acceleration", "velocity_x_dot", "steering_rate", "heading_change")
+# Lower edges of the bins, chosen around the scenarios of the paper: 4 and 16 m/s; 1.5, 4 and 6 m/s^2.
+SPEED_EDGES = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 25.0)  # m/s
+LATERAL_ACCELERATION_EDGES = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # m/s^2, magnitude
+STEERING_RATE_EDGES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad/s at the road wheel, root mean square
+MAX_STRAIGHT_TURN = math.radians(5.0)  # largest change of heading within the horizon that counts as straight
 ALL_ROWS = slice(None)
 Progress = Callable[[int, int], None]  # (starts evaluated, all starts)
 BlockCallback = Callable[[np.ndarray, "Block"], None]
@@ -148,7 +155,7 @@ class LogEvaluation:
 
     name: str
     settings: EvaluationSettings
-    start_ns: int  # first INS sample of the drive
+    log_start_ns: int  # first INS sample of the drive
     starts_ns: np.ndarray  # (n,) starts of the predictions
     skipped: dict[str, int]  # number of starts without a prediction, by reason
     incomplete: dict[str, int]  # number of starts not scored to the end in hindsight, by reason
@@ -167,7 +174,7 @@ class LogEvaluation:
     @property
     def time(self) -> np.ndarray:
         """Start times since the beginning of the drive [s]."""
-        return (self.starts_ns - self.start_ns) * NANOSECOND
+        return (self.starts_ns - self.log_start_ns) * NANOSECOND
 
 
 def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log: DriveLog | LogSignals,
@@ -261,9 +268,6 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
         planned = {mode: tuple(v[rows] for v in values) for mode, values in inputs.items()}
         return _evaluate_block(models, vehicle, signals, starts_ns[rows], settings, planned)
 
-    if len(blocks) == 1:
-        yield blocks[0], evaluate(blocks[0])
-        return
     with ThreadPoolExecutor(PREFETCHED_BLOCKS) as pool:
         waiting: deque[tuple[slice, Future[Block]]] = deque()
         for rows in blocks:
@@ -343,3 +347,36 @@ def predict_held_per_step(model: Model, vehicle: VehicleParameters, signals: Log
             state = integrate.rk4_step(model.rhs, state, w, w, w, p, step)
             columns.append(state)
     return np.array([c[:len(STATE_NAMES)] for c in columns]).transpose(2, 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Bin:
+    """Starts within a range of one quantity."""
+
+    quantity: str
+    label: str  # for tables, with the unit
+    low: float | None  # edge in SI, None if open
+    high: float | None  # edge in SI, None if open
+    mask: np.ndarray  # (n,), True for the starts in the bin
+
+
+def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
+    """All bins that are not empty; a start with unknown conditions (NaN) is in no bin."""
+    conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
+    lateral_acceleration = np.abs(conditions["lateral_acceleration"])
+    bins = [
+        *_bin_by_edges("speed", "m/s", conditions["speed"], SPEED_EDGES),
+        *_bin_by_edges("lateral acceleration", "m/s²", lateral_acceleration, LATERAL_ACCELERATION_EDGES),
+        *_bin_by_edges("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE_EDGES),
+        Bin("direction", "left", MAX_STRAIGHT_TURN, None, turn >= MAX_STRAIGHT_TURN),
+        Bin("direction", "straight", -MAX_STRAIGHT_TURN, MAX_STRAIGHT_TURN, np.abs(turn) < MAX_STRAIGHT_TURN),
+        Bin("direction", "right", None, -MAX_STRAIGHT_TURN, turn <= -MAX_STRAIGHT_TURN),
+    ]
+    return [bin_ for bin_ in bins if bin_.mask.any()]
+
+
+def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
+    """Bins between consecutive edges, and an open bin above the last edge."""
+    bounded = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
+               for low, high in pairwise(edges)]
+    return [*bounded, Bin(quantity, f"above {edges[-1]:g} {unit}", edges[-1], None, values >= edges[-1])]

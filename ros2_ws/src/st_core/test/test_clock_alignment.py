@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter
 from st_core.clock_alignment import align, align_by_time_frame, manual_alignment, mask_standstill
-from st_core.clock_types import SharedSignal, Verdict, alignment_not_needed
+from st_core.clock_types import Alignment, SharedSignal, Verdict
 
 EPOCH_NS = 1_700_000_000_000_000_000
 
@@ -70,8 +70,8 @@ def test_mapping_is_exact_to_the_nanosecond() -> None:
     times = EPOCH_NS + np.array([0, 1_000_000_000, -25_000_000_000])
     assert (result.to_reference_ns(times) - times).tolist() == [3_217_000_001, 3_217_040_001, 3_216_000_001]
     assert result.to_reference_ns(EPOCH_NS) == EPOCH_NS + 3_217_000_001
-    assert alignment_not_needed().to_reference_ns(times).tolist() == times.tolist()
-    assert (alignment_not_needed().method, alignment_not_needed().verdict) == ("none", "not needed")
+    assert Alignment().to_reference_ns(times).tolist() == times.tolist()
+    assert (Alignment().method, Alignment().verdict) == ("none", "not needed")
 
 
 def test_errors_agree_with_the_stated_standard_deviations() -> None:

@@ -16,10 +16,9 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Evaluator
 from st_core.log import DriveLog
 from st_core.measurement_history import MeasurementHistory
-from st_core.model_view import ModelView
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, Predictor, Start, predict
-from st_core.readings import predict_readings
+from st_core.readings import ModelView, predict_readings
 from st_core.timeseries import NANOSECOND
 from st_core.types import ControlInput, InputSequence, InsSample, VehicleState
 

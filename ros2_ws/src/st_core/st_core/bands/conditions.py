@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES
+from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 

@@ -25,9 +25,9 @@ import numpy as np
 from scipy import stats
 
 from ..augmented import AugmentedModel
-from ..binning import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from ..channels import CHANNEL_OF_COLUMN
 from ..log import DriveLog
+from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters

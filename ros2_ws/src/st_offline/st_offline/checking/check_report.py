@@ -12,7 +12,7 @@ from rich.markup import escape
 from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, compare_runs
 from st_core.checks.finding import SCHEMA
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
-from st_core.clock_types import alignment_not_needed
+from st_core.clock_types import Alignment
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
@@ -178,7 +178,7 @@ class CheckedRun:
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
-    alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(alignment_not_needed()))
+    alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(Alignment()))
     where: str = "RUN"
 
 

@@ -17,10 +17,9 @@ from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_highest_leve
 from st_core.bands.file import make_times
 from st_core.bands.samples import compute_error_samples
 from st_core.batch import LogBatch
-from st_core.binning import SPEED_EDGES
 from st_core.compiled import compile_models
 from st_core.errors import ConfigurationError, StCoreError
-from st_core.log_evaluation import AXES, EvaluationSettings, regular_starts, usable_starts
+from st_core.log_evaluation import AXES, SPEED_EDGES, EvaluationSettings, regular_starts, usable_starts
 from st_core.log_signals import LogSignals
 from st_core.models import Model
 from st_core.prediction import predict

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 from rich.text import Text
-from st_core.binning import bin_starts
-from st_core.log_evaluation import ALL_ROWS, AXES, LogEvaluation, ModelErrors
+from st_core.log_evaluation import ALL_ROWS, AXES, LogEvaluation, ModelErrors, bin_starts
 from st_core.palette import MODEL_COLOUR
 
 from .drive_parts import DrivePart, assign_horizons
@@ -59,7 +58,7 @@ def summarise_by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[s
 
 
 def summarise_by_bin(evaluation: LogEvaluation) -> list[Entry]:
-    """One entry for each bin that contains a start; see st_core.binning."""
+    """One entry for each bin that contains a start; see `st_core.log_evaluation.bin_starts`."""
     return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
              "models": summarise_by_model(evaluation, b.mask)} for b in bin_starts(evaluation)]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from st_core.checks import AuxiliaryData, Finding
 from st_core.checks.sampling import make_rejected_frames_finding
-from st_core.clock_types import Alignment, SharedSignal, Verdict, alignment_not_needed
+from st_core.clock_types import Alignment, SharedSignal, Verdict
 from st_core.log import OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
@@ -83,7 +83,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
         # a bag with the frames on the clock of its odometry
-        alignment, shared = alignment_not_needed(), list[SharedSignal]()
+        alignment, shared = Alignment(), list[SharedSignal]()
     else:
         alignment, shared = align_clocks(ins, signals, **options)
     notes = []

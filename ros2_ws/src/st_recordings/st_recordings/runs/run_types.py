@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from st_core.checks import AuxiliaryData
-from st_core.clock_types import Alignment, alignment_not_needed
+from st_core.clock_types import Alignment
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
@@ -104,7 +104,7 @@ class LoadedRun:
     provenance: Mapping[str, Any]
     labels: tuple[Label, ...] = ()
     warnings: tuple[str, ...] = ()
-    alignment: Alignment = field(default_factory=alignment_not_needed)
+    alignment: Alignment = field(default_factory=Alignment)
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
 
 
