@@ -118,7 +118,7 @@ def test_names_of_repeated_and_decoded_signals(tmp_path):
     assert is_signal_table(file)
     names, body = read_signals(file, Layout(units={"t": "s"}), [])
     assert names == ["t [s]", "YawRate [rad/s]", "x [m]"]
-    assert body.splitlines()[0] == "-0.01,0.0,0.0"
+    assert body.splitlines()[0] == "-0.010000,0,0"
 
 
 def test_logs_of_frames_remain_can_logs(tmp_path):
@@ -140,7 +140,7 @@ def test_texts_arrays_and_repeated_names(tmp_path):
     time = np.arange(60) * 0.1
     values = dict.fromkeys(("x", "y", "yaw", "velocity_y", "yaw_rate", "road_wheel_angle"), np.zeros(60))
     vectors = np.rec.fromarrays([np.zeros((60, 2))], dtype=[("yaw", "<f8", (2,))])
-    for name, samples, text in (("velocity_x", np.array([b"SNA"] * 60), "SNA"), ("yaw", vectors, "array")):
+    for name, samples, text in (("velocity_x", np.array([b"S,NA"] * 60), "S NA"), ("yaw", vectors, "array")):
         with MDF() as mdf:
             mdf.append([Signal(np.zeros(3), time[:3], name="x")])
             mdf.append([Signal(samples, time, name=name, encoding="utf-8")])
