@@ -1,7 +1,6 @@
 """Draws the figures of a discovery: error by step, axle forces, error map, local estimates of effects, relation."""
 
 import textwrap
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -203,26 +202,26 @@ def _aspect_ratio(log: DriveLog) -> float:
 @apply_style()
 def draw_agreement(data: FigureData) -> PageFigure | None:
     """Draw the ratio of the local estimate to the overall estimate of each effect, for each part of the driving."""
-    effects = [e for e in data.discovery.effects if any(e.agreement.values())]
+    effects = report_text.sort_by_size([e for e in data.discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
     if not effects:
         return None
-    effects = report_text.sort_by_size(effects)[:MAX_PANELS]
-    estimates = {e.name: [(partition, v) for partition, entries in e.agreement.items() for v in entries]
-                 for e in effects}
-    parts = dict.fromkeys((partition, v.where) for entries in estimates.values() for partition, v in entries)
-    count = Counter(partition for partition, _ in parts)
-    crowded = {partition for partition in count if partition == "place" or count[partition] > MAX_ROWS}
-    names = {(partition, where): (partition, f"{count[partition]} {partition}s") if partition in crowded
-             else (partition, where) for partition, where in parts}
-    labels = sorted(dict.fromkeys(names.values()), key=lambda label: list(count).index(label[0]))
-    rows = {key: labels.index(label) for key, label in names.items()}
+    parts: dict[str, dict[str, None]] = {}  # their names, by partition, in order
+    for e in effects:
+        for partition, entries in e.agreement.items():
+            parts.setdefault(partition, {}).update(dict.fromkeys(v.where for v in entries))
+    crowded = {partition: f"{len(names)} {partition}s" for partition, names in parts.items()
+               if partition == "place" or len(names) > MAX_ROWS}
+    labels = [(partition, where) for partition, names in parts.items()
+              for where in ([crowded[partition]] if partition in crowded else names)]
     figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                   squeeze=False)
     for axes, effect in zip(panels[0], effects, strict=True):
-        ratios = [(partition, rows[partition, v.where], v) for partition, v in estimates[effect.name]]
-        _draw_ratios(axes, [(row, v) for partition, row, v in ratios if partition not in crowded])
-        for row, v in ((row, v) for partition, row, v in ratios if partition in crowded):
-            axes.plot(np.clip(v.ratio, *axes.get_xlim()), row, "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
+        _draw_ratios(axes, [(labels.index((partition, v.where)), v) for partition, entries in effect.agreement.items()
+                            if partition not in crowded for v in entries])
+        for partition in crowded.keys() & effect.agreement.keys():
+            ratios = np.clip([v.ratio for v in effect.agreement[partition]], *axes.get_xlim())
+            row = labels.index((partition, crowded[partition]))
+            axes.plot(ratios, np.full(len(ratios), row), "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
         title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
         axes.set_title(title, fontsize=8)
     for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
