@@ -204,7 +204,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
-    if "t" in sources and not {"t"} & {*layout.columns, *layout.units} and find_stamp_columns(names) is None:
+    if "t" in sources and "t" not in {*layout.columns, *layout.units} and find_stamp_columns(names) is None:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
             sources["t"] = finest
