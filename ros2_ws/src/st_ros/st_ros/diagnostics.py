@@ -37,11 +37,8 @@ class Diagnostics:
     def publish(self) -> None:
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
-        current = scheduling.read_scheduling()
-        values = {"policy": current.policy, "priority": current.priority, "nice": current.nice}
-        if current.autogroup_nice is not None:
-            values["autogroup"] = current.autogroup_nice
-        for check in (*self._collect(), Check("scheduling", OK, current.text, values)):
+        values = scheduling.read_scheduling()
+        for check in (*self._collect(), Check("scheduling", OK, scheduling.describe_scheduling(values), values)):
             status = DiagnosticStatus(name=f"{self._node.get_name()}: {check.name}", message=check.message,
                                       hardware_id=self._hardware_id, level=bytes([check.level]))
             status.values = [KeyValue(key=str(k), value=f"{v:.6g}" if isinstance(v, float) else str(v))

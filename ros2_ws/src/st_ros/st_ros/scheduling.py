@@ -8,8 +8,9 @@ import contextlib
 import os
 import re
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 BACKGROUND_NICE = 5
 """For nodes other than bridges and predictor; it gives them a third of the CPU share of those under contention."""
@@ -20,31 +21,22 @@ _AUTOGROUP_FILE = Path("/proc/self/autogroup")
 _ATTEMPTS, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts one change per 0.1 s from a user
 
 
-@dataclass(frozen=True)
-class Scheduling:
-    """Scheduling parameters of a process.
-
-    priority: of a real-time policy; 0 for other policies. autogroup_nice: None without an autogroup.
-    """
-
-    policy: str
-    priority: int
-    nice: int
-    autogroup_nice: int | None
-
-    @property
-    def text(self) -> str:
-        if self.priority:
-            return f"real time, {self.policy}, priority {self.priority}"
-        group = "" if self.autogroup_nice is None else f", autogroup {self.autogroup_nice}"
-        return f"{self.policy}, nice {self.nice}{group}"
-
-
-def read_scheduling() -> Scheduling:
+def read_scheduling() -> dict[str, Any]:
+    """Scheduling of this process: policy, priority (0 unless the policy is real time), nice, and the nice value of its
+    autogroup, which is missing without an autogroup."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-    priority = os.sched_getparam(0).sched_priority if policy in _REALTIME else 0
-    return Scheduling(_POLICIES.get(policy, f"policy {policy}"), priority, os.getpriority(os.PRIO_PROCESS, 0),
-                      _read_autogroup())
+    values = {"policy": _POLICIES.get(policy, f"policy {policy}"),
+              "priority": os.sched_getparam(0).sched_priority if policy in _REALTIME else 0,
+              "nice": os.getpriority(os.PRIO_PROCESS, 0), "autogroup": _read_autogroup()}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def describe_scheduling(values: Mapping[str, Any]) -> str:
+    """The values of `read_scheduling` as text."""
+    if values["priority"]:
+        return f"real time, {values['policy']}, priority {values['priority']}"
+    group = f", autogroup {values['autogroup']}" if "autogroup" in values else ""
+    return f"{values['policy']}, nice {values['nice']}{group}"
 
 
 def lower_priority(nice: int) -> None:
