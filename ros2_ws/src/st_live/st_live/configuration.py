@@ -14,7 +14,7 @@ from st_core.model_file import ModelFile
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.car import read_vehicle
+from st_recordings.car import read_model, read_vehicle
 from st_recordings.paths import config, project_root
 from st_recordings.recorded_results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
@@ -110,7 +110,7 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 
 
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
-    """The model in a model file; without a file, the nonlinear model. effects: folder of its user-defined effects.
+    """The model in a model file (.yaml), nonlinear without one. effects: folder of its user-defined effects.
 
     origin: source of `car`, for errors. Raises SuiteError and StCoreError for a file that is not a model or belongs to
     another car, and for effects without a model file.
@@ -121,12 +121,7 @@ def load_model(model: Path | None, effects: Path | None, car: VehicleParameters,
         return MODELS["nonlinear"]
     if effects is not None:
         load_folder(str(effects.absolute()))
-    file = _read_option("--model", model, ModelFile.from_yaml)
-    try:
-        file.check_vehicle(car, origin)
-    except StCoreError as error:
-        raise SuiteError(f"{model}: {error}") from None
-    return file.model()
+    return read_model(str(model), car, origin)[0]
 
 
 def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Path | None,
