@@ -1,13 +1,12 @@
 """Writes the page of `st check`: findings, corrections, and a figure of each comparison."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from st_core.checks import Comparison, DriveCheck, Severity
+from st_core.checks import Comparison, Severity
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 
 from ..evaluation import drawing
@@ -25,9 +24,9 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 @drawing.apply_style()
-def draw_panel(pair: Comparison, checked: DriveCheck, output: drawing.FigureOutput) -> drawing.PageFigure:
-    """Draw one comparison, with the stretches of its findings shaded."""
-    findings = sorted((finding for finding in checked.findings if finding.name in pair.findings),
+def draw_panel(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
+    """Draw one comparison, with the stretches of its findings shaded. prefix: start of the title."""
+    findings = sorted((finding for finding in run.checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
     time = np.asarray(pair.time, float)
@@ -50,12 +49,13 @@ def draw_panel(pair: Comparison, checked: DriveCheck, output: drawing.FigureOutp
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
     figure.legend(loc="outside lower left", ncols=2)
-    key = f"comparison-{pair.name}"
+    output = drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-")
     shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
     caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
     size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
     found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-    return drawing.save_figure(figure, output, key, f"{pair.title[0].upper()}{pair.title[1:]}: {found}", caption)
+    title = f"{prefix}{pair.title[0].upper()}{pair.title[1:]}: {found}"
+    return drawing.save_figure(figure, output, f"comparison-{pair.name}", title, caption)
 
 
 def page_title(good: Sequence[CheckedRun]) -> str:
@@ -114,7 +114,5 @@ def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
             worst = min(map(check_report.severity_rank, concerned), default=len(check_report.SEVERITY_ORDER))
             largest = max((finding.effect or 0.0 for finding in concerned), default=0.0)
             ranked.append((worst, -largest, len(ranked), run, comparison))
-    return [replace(drawn, title=f"{run.name}: {drawn.title}" if len(runs) > 1 else drawn.title)
-            for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]
-            for drawn in [draw_panel(comparison, run.checked,
-                                     drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-"))]]
+    return [draw_panel(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
+            for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]]

@@ -133,7 +133,7 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
         progress.update(bar, description=escape(stage), completed=done, total=total)
 
     logs, reference, sensors = _logs(request.drives), _logs(request.reference_drives), sensor_estimates(request.drives)
-    clocks = clock_deviations((*request.drives, *request.reference_drives))
+    clocks = clock_deviations(request.all_drives)
     key = result_key(logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
     folder = cache_folder() if request.cached else None
     file = folder / f"{key}.json" if folder else None

@@ -17,7 +17,6 @@ from .relation_files import effect_name, full_title
 from .vehicle_update import changed_keys
 
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
-SQUARES = str.maketrans({"^": None, "2": "²"})
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from another starting point and once in the opposite direction, and "
                     "add these runs: only then can the effects of place, heading and time in the run be separated")
 Groups = list[tuple[str, list[str]]]  # (heading, sentences)
@@ -77,9 +76,9 @@ def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps {f.retained:.0%} "
              "of the curve's held-out gain when simulated in its place)" for k, f in enumerate(relation.formulas)
              ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
-    return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.translate(SQUARES)}; u: "
+    return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.replace('^2', '²')}; u: "
             f"{quantities.QUANTITY_NAMES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
-            f"{QUANTITIES[c.quantity].translate(SQUARES)}",
+            f"{QUANTITIES[c.quantity].replace('^2', '²')}",
             *filter(None, [quantities.explain_unit(c, vehicle)])]
 
 
