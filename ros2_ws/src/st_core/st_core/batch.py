@@ -32,7 +32,7 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive with the corrections of a model."""
+    """A drive as corrected by a model."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -208,4 +208,4 @@ class LogBatch:
             column[:block.count] = value
         offsets = block.offsets if len(block.offsets) > 1 else np.zeros(2 * self.steps * substeps + 1, np.int64)
         out = self._backend.advance(model, p, columns, w, offsets, self.step / substeps, self.points * substeps)
-        return out[:, :, :block.count] if len(block.selected) == block.count else out[:, :, block.selected]
+        return out[:, :, :block.count] if len(block.start_columns) == block.count else out[:, :, block.start_columns]

@@ -17,7 +17,7 @@ RATE = 100.0  # Hz, sampling rate at which signals are filtered
 DECIMATION = 5  # filtered signals contain nothing above a few hertz, so 20 Hz suffice for the fit
 STEP = DECIMATION / RATE  # s, between the samples of a resampled signal
 MAX_GAP = 0.15  # s, longest gap that is interpolated
-FILTER_SETTLING = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
+FILTER_SETTLING_PERIODS = 0.5  # periods of the cut-off frequency, masked on both sides of a gap
 DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks differ by 20 to 50 ppm
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
@@ -56,7 +56,7 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
     sos = butter(4, cutoff, fs=RATE, output="sos")
     if len(grid) > 50:
         sampled = sosfiltfilt(sos, sampled, padtype="odd", padlen=min(len(grid) - 1, int(3 * RATE / cutoff)))
-    margin = int(FILTER_SETTLING / cutoff * RATE)
+    margin = int(FILTER_SETTLING_PERIODS / cutoff * RATE)
     if angle:
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-AMBIGUOUS_PEAK_RATIO = 0.9  # ratio of the second peak of the correlation to the first
+AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation divided by the first
 MAX_SPAN = 48 * 3600.0  # s, duration of a recording; a longer one means that a clock was set while recording
 
 
@@ -47,13 +47,13 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Fit of one signal alone."""
+    """Agreement of one signal with an alignment by all signals."""
 
     name: str
-    difference: float  # its offset minus the common offset [s]
-    deviation: float  # standard deviation [s]
-    residual: float  # RMS divided by the standard deviation of the signal
-    correlation: float
+    difference: float  # offset fitted to this signal alone minus the common offset [s]
+    deviation: float  # standard deviation of its offset [s]
+    residual: float  # with the common offset: RMS divided by the standard deviation of the signal
+    correlation: float  # with the common offset
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from .effects import Effect, Instant
 from .effects._base import EQUATION_HOOKS
 from .models import Model, linear_tyre, motion, slip_angles
 
-STATES = 6  # number of states of every base model
+N_STATES = 6  # number of states of every base model
 
 
 class AugmentedParameters(NamedTuple):
@@ -59,7 +59,7 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
     if not acting:
         return Composition((), base.inputs, base.rhs)
     layouts: list[_Layout] = []
-    w, state = 2, STATES
+    w, state = 2, N_STATES
     for index, effect in enumerate(acting):
         layout = _Layout(effect, index, (w, w + len(effect.prepared or effect.signals)),
                          (state, state + len(effect.extra_states)))
@@ -199,11 +199,11 @@ def _blend(kinematic, dynamic, base_begin, index):
     def rhs(state, w, p):
         share = p.effects[index].share
         remainder = 1.0 - share
-        k = kinematic(state[:STATES], w[base_begin:], p.base)
+        k = kinematic(state[:N_STATES], w[base_begin:], p.base)
         d = dynamic(state, w, p)
         return (remainder * k[0] + share * d[0], remainder * k[1] + share * d[1], remainder * k[2] + share * d[2],
                 remainder * k[3] + share * d[3], remainder * k[4] + share * d[4], remainder * k[5] + share * d[5],
-                *d[STATES:])
+                *d[N_STATES:])
     return rhs
 
 

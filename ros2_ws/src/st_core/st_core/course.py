@@ -31,7 +31,7 @@ MAX_GAP = 0.1  # s, maximum time between samples of a pass
 MIN_LENGTH = 20.0  # m, minimum length of a pass; above 4 m/s, a shorter pass ends within the horizon of 5 s
 MAX_ORIGIN_DISTANCE = 5000.0  # m between map origins; beyond it the axes differ by 1 mrad at latitude 50 deg
 SCHEMA = 1
-POINTS = "\npoints: |\n"
+POINTS_KEY = "\npoints: |\n"
 COLUMNS = ("x", "y", "direction", "curvature", "speed")
 
 
@@ -121,7 +121,7 @@ class Course:
                  "units.",
                  *(f"{key}: {json.dumps(value)}" for key, value in header.items()), "passes:",
                  *(f"- {json.dumps(entry)}" for entry in passes)]
-        body = "\n".join([*lines, POINTS.strip("\n"), *rows])
+        body = "\n".join([*lines, POINTS_KEY.strip("\n"), *rows])
         return body.replace("passes:\n", f"hash: {_digest(body)}\npasses:\n", 1) + "\n"
 
     @classmethod
@@ -136,7 +136,7 @@ class Course:
 
     @classmethod
     def _read(cls, text: str) -> "Course":
-        head, _, rows = text.partition(POINTS)
+        head, _, rows = text.partition(POINTS_KEY)
         document = load(head)
         keys = ["schema", "spacing", "columns", "origin", "hash", "passes"]
         if not isinstance(document, dict):

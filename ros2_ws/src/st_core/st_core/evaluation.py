@@ -15,7 +15,7 @@ from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
 
-_NEVER = -(2**62)  # ns, before all stamps
+_EARLIEST = -(2**62)  # ns, before all stamps
 Mode = Literal["forecast", "hindsight", "plan", "course"]
 """Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
 from a motion planner; course = from earlier drives at the same place."""
@@ -74,7 +74,7 @@ class Evaluator:
         span = ModelView.extend_span(models, max(span, 2.0 * self.settings.horizon + self.SIGNAL_TIMEOUT))
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
-        self._ahead_ns = max(view.ahead_ns for view in self._views.values())
+        self._lookahead_ns = max(view.lookahead_ns for view in self._views.values())
         self._waiting: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
         self._abandoned: list[Score] = []
 
@@ -114,18 +114,18 @@ class Evaluator:
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """
         scores, self._abandoned = self._abandoned, []
-        ins, steering = (_NEVER if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
+        ins, steering = (_EARLIEST if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
         timeout_ns = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
         for key in sorted(self._waiting):
             start_ns, steps, step = key
             end_ns = start_ns + round(steps * step / NANOSECOND)
-            if end_ns <= min(ins, steering - self._ahead_ns) or end_ns <= timeout_ns:
+            if end_ns <= min(ins, steering - self._lookahead_ns) or end_ns <= timeout_ns:
                 scores += self._score(key, self._waiting.pop(key))
         return scores
 
     def flush(self) -> list[Score]:
         """Scores of all pending predictions, at the end of the data; horizons beyond the end are incomplete."""
-        return self.poll(-_NEVER)
+        return self.poll(-_EARLIEST)
 
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:

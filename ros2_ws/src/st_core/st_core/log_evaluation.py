@@ -307,7 +307,8 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
-    complete, known_ins, ended = known[:, -1], np.isfinite(acceleration).all(axis=1), times[:, -1] > signals.end_ns
+    complete, ended = known[:, -1], times[:, -1] > signals.common_end_ns
+    known_ins = np.isfinite(acceleration).all(axis=1)
     incomplete = {"the recording ends before the horizon": ended,
                   "INS not known over the horizon": ~known_ins & ~ended,
                   "steering not known over the horizon": known_ins & ~complete & ~ended}

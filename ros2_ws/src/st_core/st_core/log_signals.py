@@ -45,7 +45,7 @@ class LogSignals:
         return other
 
     @property
-    def end_ns(self) -> int:
+    def common_end_ns(self) -> int:
         """The last instant at which INS and steering can both be known [ns]; 0 if one of them is empty."""
         times = self.log.ins_time_ns, self.log.steering_time_ns
         return min(int(t[-1]) if len(t) else 0 for t in times)

@@ -7,7 +7,7 @@ integrated velocity does not explain,
 
 Frozen steering angle: the sensor repeats one value while the yaw motion changes. The steady-state steering angle
 
-    delta' = l (1 + K v^2) r / v
+    delta' = l (1 + K v^2) r / v,   l: wheelbase, K: `handling.stability_factor`, r: yaw rate, v: forward speed
 
 is, after a low-pass, nearly constant at any speed if the steering angle is constant. The bounds are wide because bank,
 wind, braking and tyres at their limit also change delta'. Checked by: test_measurement_history.py,
@@ -77,8 +77,8 @@ class MeasurementHistory:
     Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
-    are unknown between samples further apart than maximum_gap and across a position jump. jumps: number of position
-    jumps since the start. jump: the jump found last; None after a restart.
+    are unknown between samples further apart than maximum_gap and across a position jump. jump_count: position
+    jumps since the start. last_jump: the one found last; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -88,8 +88,8 @@ class MeasurementHistory:
         self.ins = TimeSeries(INS_COLUMNS, span, maximum_gap, angles=("yaw",))
         self.steering = TimeSeries(("road_wheel_angle",), span, maximum_gap)
         self.generation = 0
-        self.jumps = 0
-        self.jump: PositionJump | None = None
+        self.jump_count = 0
+        self.last_jump: PositionJump | None = None
         self._detects_jumps = True
         self._corrected: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
@@ -110,7 +110,7 @@ class MeasurementHistory:
         index, restarted = self.ins.add(sample.time_ns, sample[1:])
         if restarted:
             self.steering.clear()
-            self.jump = None
+            self.last_jump = None
             self.generation += 1
         if index is None:
             return False
@@ -151,8 +151,8 @@ class MeasurementHistory:
                 is_jump = size > NOISE_FACTOR * median_high(noise)
             if is_jump:
                 self.ins.breaks[times[1]] = f"position jumps by {size:.2f} m"
-                self.jump = PositionJump(times[1], size)
-            self.jumps += is_jump - was_jump
+                self.last_jump = PositionJump(times[1], size)
+            self.jump_count += is_jump - was_jump
 
     def ins_at(self, time_ns: int) -> InsSample | None:
         """The INS sample at an instant, interpolated; None where it is unknown."""

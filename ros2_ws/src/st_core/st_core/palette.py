@@ -6,9 +6,9 @@ MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
 OTHER_COLOUR = "#d55e00"  # any other model
-# Position along its path at which a model is labelled [s after the start]; different, so that labels do not overlap.
-LABEL_AT = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
-OTHER_LABEL_AT = 2.2
+# Time after the start at which the path of a model is labelled [s]; different, so that the labels do not overlap.
+LABEL_TIMES = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
+OTHER_LABEL_TIME = 2.2
 # Settings of matplotlib (rcParams) for all figures.
 RC: dict[Any, Any] = {
     "figure.dpi": 100,
@@ -39,4 +39,4 @@ def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
 
 def label_index(model: str, step: float, points: int) -> int:
     """Index of the point at which the path of a model is labelled. points: number of points, `step` [s] apart."""
-    return min(round(LABEL_AT.get(model, OTHER_LABEL_AT) / step), points - 1)
+    return min(round(LABEL_TIMES.get(model, OTHER_LABEL_TIME) / step), points - 1)

@@ -56,7 +56,7 @@ class PlannedInputs:
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
-        K: `handling.stability_factor` of the linear car; models without tyres use atan(L k) instead. The steering angle
+        L: wheelbase, K: `handling.stability_factor`; models without tyres use atan(L k) instead. The steering angle
         assumes a steady turn: after a fast change of curvature the path lags by the car's response time, about 0.1 s.
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
@@ -81,7 +81,9 @@ class PlannedInputs:
 def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
     """Road wheel angle [rad] of the linear car in a steady turn of curvature k [1/m], left +, at speed v [m/s].
 
-        delta = L (1 + K v^2) k            Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
+        delta = L (1 + K v^2) k,   L: wheelbase, K: `handling.stability_factor`
+
+    Source: Guiggiani, The Science of Vehicle Dynamics, ch. 6.
     """
     return vehicle.wheelbase * (1.0 + stability_factor(vehicle) * speed * speed) * curvature
 

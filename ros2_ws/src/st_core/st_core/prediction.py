@@ -210,7 +210,7 @@ class Predictor:
             reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{old}"
                        for name, series in self._series.items() if series.known_until(newest) != newest]
             return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
-        jump = self.history.jump
+        jump = self.history.last_jump
         if jump and time_ns < jump.time_ns:
             return Skip("stale", f"INS: position jumps by {jump.size:.2f} m after the newest common instant")
         inputs = self.history.inputs_at(time_ns)

@@ -183,7 +183,7 @@ class ModelView:
         self.has_steering_dynamics = has_steering_dynamics(model)
         corrects_samples = isinstance(model, AugmentedModel) and model.has_sensor_effects
         self._history = shared.make_corrected(partial(correct_sample, model)) if corrects_samples else shared
-        self.ahead_ns = required_lookahead_ns(model)
+        self.lookahead_ns = required_lookahead_ns(model)
 
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
@@ -214,7 +214,7 @@ class ModelView:
             return InputSequence(self._history.steering.sample(times_ns)[:, 0], acceleration)
         series = self._history.steering
         gap_ns = series.maximum_gap_ns
-        span = times_ns[0] - MEMORY_NS, times_ns[-1] + gap_ns + self.ahead_ns
+        span = times_ns[0] - MEMORY_NS, times_ns[-1] + gap_ns + self.lookahead_ns
         rows = slice(*np.searchsorted(series.times, span).tolist())
         wheels = correct_steering(self.model, series.times[rows], series.rows[rows, 0], gap_ns * NANOSECOND)
         return InputSequence(interpolate(*wheels, times_ns, gap_ns), acceleration)

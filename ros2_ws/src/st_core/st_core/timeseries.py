@@ -25,7 +25,7 @@ from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
 REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more than this are refused as late
-JUMP_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
+SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
 
 
@@ -91,7 +91,7 @@ class TimeSeries:
         if self._late and not 0 < time_ns - self._late[-1][0] <= REORDER_WINDOW_NS:
             self._late.clear()
         self._late.append((time_ns, tuple(row)))
-        if len(self._late) < JUMP_SAMPLES:
+        if len(self._late) < SETBACK_SAMPLES:
             return None, False
         restart = list(self._late)
         self.clear()

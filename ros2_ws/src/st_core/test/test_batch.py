@@ -223,7 +223,7 @@ def test_starts_on_a_common_grid_share_its_instants():
     block, = plan_blocks(regular_starts(0, 1000), instants, 1)
     assert block.shared and block.spacing == 4 and len(block.times_ns) == 4 * (1000 + 50)
     block, = plan_blocks(np.delete(regular_starts(0, 1000), slice(100, 140)), instants, 1)
-    assert block.shared and block.count == 1000 and len(block.selected) == 960
+    assert block.shared and block.count == 1000 and len(block.start_columns) == 960
     blocks = list(plan_blocks(regular_starts(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
     assert max(b.times_ns.size for b in blocks) <= start_grid.SEPARATE_BLOCK
@@ -237,7 +237,8 @@ def test_starts_on_a_common_grid_share_its_instants():
               for b in plan_blocks(starts, instants, 48)):
         times = b.times_ns.reshape(-1, b.spacing).T.ravel()
         for k in (0, 1, 77, 200):
-            np.testing.assert_array_equal(times[b.offsets[k] + b.selected], b.starts_ns[b.selected] + instants[k])
+            np.testing.assert_array_equal(times[b.offsets[k] + b.start_columns],
+                                          b.starts_ns[b.start_columns] + instants[k])
 
 
 @pytest.mark.skipif(not has_numba(), reason="numba is not installed")
@@ -252,4 +253,4 @@ def test_sparse_starts_with_long_horizons_are_covered_once():
     for lanes in (1, 4 * start_grid.SHARED_BLOCK):  # the latter permits the shared grid
         blocks = list(plan_blocks(starts_ns, instants_ns, lanes))
         assert [block.rows.start for block in blocks] == [0, *(block.rows.stop for block in blocks[:-1])]
-        assert np.array_equal(np.concatenate([block.starts_ns[block.selected] for block in blocks]), starts_ns)
+        assert np.array_equal(np.concatenate([block.starts_ns[block.start_columns] for block in blocks]), starts_ns)

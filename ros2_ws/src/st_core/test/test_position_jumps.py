@@ -40,28 +40,28 @@ def history():
 def test_jump_is_found_at_its_time_and_nothing_is_interpolated_across_it(size, period):
     live = history()
     drive(live, 2000, 1000, size, period=period)
-    assert (live.jumps, live.jump.time_ns) == (1, T0 + 1000 * MS)
-    assert live.jump.size == pytest.approx(size, abs=0.05)
+    assert (live.jump_count, live.last_jump.time_ns) == (1, T0 + 1000 * MS)
+    assert live.last_jump.size == pytest.approx(size, abs=0.05)
     inside = T0 + 1000 * MS - 1
     assert live.ins_at(inside) is None
     assert np.isnan(live.ins.sample(np.array([inside]))).all()
     assert live.ins.known_until(inside) == T0 + (1000 - period) * MS
-    assert live.ins.describe_unknown(inside) == f"position jumps by {live.jump.size:.2f} m"
-    assert live.ins_at(live.jump.time_ns) is not None
+    assert live.ins.describe_unknown(inside) == f"position jumps by {live.last_jump.size:.2f} m"
+    assert live.ins_at(live.last_jump.time_ns) is not None
 
 
 def test_jump_away_and_back_counts_as_two():
     live = history()
     for ms in range(0, 2000, 10):
         live.add_ins(circle(ms, 6.4 if 800 <= ms < 1200 else 0.0))
-    assert (live.jumps, live.jump.time_ns) == (2, T0 + 1200 * MS)
+    assert (live.jump_count, live.last_jump.time_ns) == (2, T0 + 1200 * MS)
 
 
 def test_jump_across_a_gap_is_found():
     live = history()
     drive(live, 1000)
     drive(live, 2000, 0, 640.0, since=1500)
-    assert (live.jumps, live.jump.time_ns) == (1, T0 + 1500 * MS)
+    assert (live.jump_count, live.last_jump.time_ns) == (1, T0 + 1500 * MS)
 
 
 @pytest.mark.parametrize("speed", [0.0, 5.0, 40.0])
@@ -77,7 +77,7 @@ def test_hard_driving_is_no_jump(speed):
             x, y = x + 0.001 * v_x * math.cos(yaw), y + 0.001 * v_x * math.sin(yaw)
             v_x, yaw = max(0.0, v_x + 0.001 * acceleration), yaw + 0.001 * rate
         t += interval
-    assert live.jumps == 0
+    assert live.jump_count == 0
 
 
 @pytest.mark.parametrize("deviation", [0.02, 0.2, 0.5])
@@ -87,7 +87,7 @@ def test_noise_is_no_jump_and_a_jump_is_found_in_noise(deviation):
     live = history()
     for ms in range(0, 4000, 10):
         live.add_ins(circle(ms, 6.4 if ms >= 3000 else 0.0, draw.normal(0.0, deviation, 2)))
-    assert (live.jumps, live.jump.time_ns) == (1, T0 + 3000 * MS)
+    assert (live.jump_count, live.last_jump.time_ns) == (1, T0 + 3000 * MS)
 
 
 def test_jumps_do_not_depend_on_the_order_of_arrival():
@@ -98,7 +98,7 @@ def test_jumps_do_not_depend_on_the_order_of_arrival():
     for k in range(0, len(samples), 2):
         mixed.add_ins(samples[k + 1])
         mixed.add_ins(samples[k])
-    assert mixed.jumps == ordered.jumps == 1
+    assert mixed.jump_count == ordered.jump_count == 1
     assert mixed.ins.breaks == ordered.ins.breaks
 
 

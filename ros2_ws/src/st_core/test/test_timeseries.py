@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from st_core import timeseries
-from st_core.timeseries import JUMP_SAMPLES, MAXIMUM_SAMPLES, TimeSeries
+from st_core.timeseries import MAXIMUM_SAMPLES, SETBACK_SAMPLES, TimeSeries
 
 MS = 1_000_000
 T0 = 1_700_000_000_000_000_000
@@ -95,13 +95,13 @@ def test_single_outlier_time_stamps_are_ignored():
     outliers = range(-9000, -2000, 1000)  # too far apart for a clock that stepped back
     for outlier in outliers:
         assert samples.add(T0 + outlier * MS, (0.0, 0.0)) == (None, False)
-    assert len(outliers) > JUMP_SAMPLES and len(samples) == 100
+    assert len(outliers) > SETBACK_SAMPLES and len(samples) == 100
 
 
 def test_buffer_restarts_after_a_few_samples_of_a_clock_that_stepped_back():
     samples = filled(range(0, 1000, 10))
-    results = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(JUMP_SAMPLES)]
-    assert results == [(None, False)] * (JUMP_SAMPLES - 1) + [(0, True)]
+    results = [samples.add(T0 - 3_600_000 * MS + i * 10 * MS, (float(i), 0.0)) for i in range(SETBACK_SAMPLES)]
+    assert results == [(None, False)] * (SETBACK_SAMPLES - 1) + [(0, True)]
     assert samples.rows[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 

@@ -17,7 +17,7 @@ import urllib.request
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
-from st_core.palette import LABEL_AT, MODEL_COLOUR, label_index, rgb
+from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
@@ -118,8 +118,8 @@ def test_ribbon_has_the_width_of_its_band_and_extends_beyond_the_path() -> None:
 
 
 def test_labels_of_coinciding_predictions_do_not_overlap() -> None:
-    places = [label_index(model, 0.05, 101) for model in LABEL_AT]
-    assert LABEL_AT.keys() == MODEL_COLOUR.keys()
+    places = [label_index(model, 0.05, 101) for model in LABEL_TIMES]
+    assert LABEL_TIMES.keys() == MODEL_COLOUR.keys()
     assert min(np.abs(np.diff(sorted(places)))) >= 10  # half a second of driving apart
     assert label_index("kinematic", 0.05, 21) == 20  # a shorter horizon: at its end
     assert rgb("#1f77b4") == (31, 119, 180) and rgb("#000000", 0.5) == (128, 128, 128)

@@ -104,7 +104,7 @@ def test_position_jump_gives_no_warning(road: np.ndarray, size: float) -> None:
     rows = road.copy()
     rows[rows[:, 0] >= FAULT_BEGIN, 1] += size
     drive = CheckedDrive().drive(rows)
-    assert drive.history.jumps == 1
+    assert drive.history.jump_count == 1
     assert {verdict.severity for _, verdict in drive.verdicts} <= {"", "note"}
     assert "agree" in drive.verdicts[-1][1].message
 

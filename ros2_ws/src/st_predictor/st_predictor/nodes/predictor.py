@@ -162,8 +162,8 @@ class PredictorNode(Node):
         if self._skip and self._simulated:
             self._publish_status()  # the player of `st replay` waits for a message from every tick
         changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
-        if changed or self._reported_jumps != self._core.history.jumps:
-            self._reported_jumps = self._core.history.jumps
+        if changed or self._reported_jumps != self._core.history.jump_count:
+            self._reported_jumps = self._core.history.jump_count
             self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - started)
 
@@ -269,11 +269,11 @@ class PredictorNode(Node):
 
     def _make_position_check(self) -> Check:
         history = self._core.history
-        values = {"jumps": history.jumps}
-        if history.jump is None:
+        values = {"jumps": history.jump_count}
+        if history.last_jump is None:
             return Check("position", diagnostics.OK, "no jump yet", values)
-        age = (self.get_clock().now().nanoseconds - history.jump.time_ns) * NANOSECOND
-        text = f"jump of {history.jump.size:.2f} m not explained by velocity; {history.jumps} since start-up"
+        age = (self.get_clock().now().nanoseconds - history.last_jump.time_ns) * NANOSECOND
+        text = f"jump of {history.last_jump.size:.2f} m not explained by velocity; {history.jump_count} since start-up"
         if age < JUMP_WARNING_DURATION:
             return Check("position", diagnostics.WARN, f"{text}; no prediction or score extends across it", values)
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": age})
