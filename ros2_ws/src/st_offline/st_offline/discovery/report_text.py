@@ -138,7 +138,7 @@ def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
         return ""
     finding, names = serious[0]
     more = f" and {len(serious) - 1} more" if len(serious) > 1 else ""
-    correction = ("The recordings contain errors: correct them as st check proposes, and run st discover again"
+    correction = ("The recordings contain faults: correct them as st check proposes, and run st discover again"
                   if finding.advice is None or finding.advice.kind != "look" else f"Advice: {finding.advice.line}")
     return f"{finding.text} ({', '.join(filter(None, (*names, describe_effect(finding))))}){more}. {correction}"
 
