@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import check_bag
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.can_logs import read_can_logs
-from st_recordings.runs.cdr import CAN_FRAME, ODOMETRY
+from st_recordings.runs.cdr import CAN_MSGS_FRAME, ODOMETRY
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import EXTENDED, Frames
 from st_recordings.runs.raw import read_pair
@@ -33,7 +33,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> tuple[DriveLog, Frames]:
 
 
 def serialise_frame(frames: Frames, k: int, stamp_ns: int, bus: str) -> bytes:
-    return serialise(CAN_FRAME, header=header(stamp_ns, bus.split("/")[1]), id=int(frames.id[k]) & ~EXTENDED,
+    return serialise(CAN_MSGS_FRAME, header=header(stamp_ns, bus.split("/")[1]), id=int(frames.id[k]) & ~EXTENDED,
                      is_rtr=False, is_extended=bool(frames.id[k] & EXTENDED), is_error=False,
                      dlc=int(frames.length[k]), data=frames.payload[k, :8])
 
@@ -43,7 +43,7 @@ def write_bag(folder: Path, log: DriveLog, frames: Frames, storage: StoragePlugi
     """Frames of odd identifiers are on the second bus."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         odom = writer.add_connection("/odom", ODOMETRY, typestore=STORE)
-        buses = [writer.add_connection(bus, CAN_FRAME, typestore=STORE) for bus in BUSES]
+        buses = [writer.add_connection(bus, CAN_MSGS_FRAME, typestore=STORE) for bus in BUSES]
         for k, time_ns in enumerate(log.ins_time_ns.tolist()):
             pose = odometry(time_ns, log.x[k], log.y[k], log.yaw[k], log.velocity_x[k], log.velocity_y[k],
                             log.yaw_rate[k])

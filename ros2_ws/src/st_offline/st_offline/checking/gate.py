@@ -15,7 +15,7 @@ from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.bag import is_own_can_log, may_carry_steering
 from st_recordings.runs.bag_storage import open_bag
-from st_recordings.runs.cdr import CAN_FRAME
+from st_recordings.runs.cdr import CAN_MSGS_FRAME
 
 from . import check_report
 
@@ -61,7 +61,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     if not (settings and settings.steering) and is_own_can_log(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""
-        raise RunError(bag, f"its steering is only in CAN frames ({CAN_FRAME}), which the nodes do not receive",
+        raise RunError(bag, f"its steering is only in CAN frames ({CAN_MSGS_FRAME}), which the nodes do not receive",
                        f"use st check, evaluate or discover, which decode them{other}")
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)

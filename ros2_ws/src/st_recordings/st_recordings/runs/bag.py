@@ -13,7 +13,7 @@ from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
 from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_bag, storage_files
-from .cdr import CAN_FRAME, CAN_FRAMES, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
+from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_share
 from .ins_log import InsLog, build_planar_ins_log, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
@@ -76,14 +76,14 @@ def lacks_steering(path: Path) -> bool:
 
 def is_own_can_log(path: Path) -> bool:
     """Whether the steering of a bag may be in its own CAN frames, recorded by a bridge of another make."""
-    return lacks_steering(path) and CAN_FRAME in _read_types(path)
+    return lacks_steering(path) and CAN_MSGS_FRAME in _read_types(path)
 
 
 def may_carry_steering(topic: Topic) -> bool:
     """Whether --steering-topic may name a topic: its messages are not odometry, raw data or text, and it is not one of
     KNOWN_TOPICS."""
     return not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
-        ODOMETRY, NCOM, CAN_FRAME, CAN_FRAMES, "std_msgs/msg/String")
+        ODOMETRY, NCOM, CAN_MSGS_FRAME, CAN_FRAMES, "std_msgs/msg/String")
 
 
 def _read_types(path: Path) -> set[str]:

@@ -15,7 +15,7 @@ from . import frames as can_frames
 from .bag import is_bag
 from .bag_storage import open_bag
 from .can_formats import FORMATS, UNSTAMPED_LINE, Format
-from .cdr import CAN_FRAME
+from .cdr import CAN_MSGS_FRAME
 from .errors import RunError, check_readable, shorten
 from .frames import ERROR, EXTENDED, FD, MAX_DATA_LENGTH, REMOTE, SENT, CanLog, Frames
 from .ins_log import LATEST_TIME
@@ -87,10 +87,10 @@ def _read_log(file: Path) -> CanLog:
 def _read_bag(path: Path) -> CanLog:
     """Reads the can_msgs/Frame messages of a bag; each of its topics is a bus. Raises RunError."""
     storage = open_bag(path)
-    storage.use_definitions([CAN_FRAME])
-    topics = sorted((t for t in storage.topics if t.type_name == CAN_FRAME), key=lambda t: t.name)
+    storage.use_definitions([CAN_MSGS_FRAME])
+    topics = sorted((t for t in storage.topics if t.type_name == CAN_MSGS_FRAME), key=lambda t: t.name)
     if not topics:
-        raise RunError(path, f"this bag contains no CAN frames ({CAN_FRAME})", "remove it from the command")
+        raise RunError(path, f"this bag contains no CAN frames ({CAN_MSGS_FRAME})", "remove it from the command")
     parts, notes, steps = list[Frames](), list[str](), list[tuple[int, float]]()
     for bus, topic in enumerate(topics, start=1):
         columns = storage.read_fields(topic, _BAG_FIELDS)
@@ -98,6 +98,8 @@ def _read_bag(path: Path) -> CanLog:
         if 2 * np.count_nonzero(time_ns) < len(time_ns):
             time_ns = storage.read_log_times(topic.name, time_ns)
             notes.append(f"frames of {topic.name} have no stamp; the times of reception are used")
+        if not (time_ns > 0).any():
+            continue
         flags = REMOTE * columns["is_rtr"] + ERROR * columns["is_error"]
         frames = Frames(
             time_ns, columns["id"].astype(np.uint32) | np.uint32(EXTENDED) * columns["is_extended"],
@@ -106,6 +108,8 @@ def _read_bag(path: Path) -> CanLog:
         frames, found = can_frames.remove_clock_steps(frames.select(time_ns > 0))
         parts.append(frames)
         steps += found
+    if not parts:
+        raise RunError(path, f"its CAN frames ({CAN_MSGS_FRAME}) have no times after 1970", "record it again")
     frames = can_frames.merge_by_time(parts)
     notes += can_frames.describe_clock_steps(steps)
     return CanLog(frames, (path,), int(frames.time_ns[0]), True, tuple(notes), tuple(steps))

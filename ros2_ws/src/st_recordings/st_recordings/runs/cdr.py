@@ -35,7 +35,7 @@ ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
 NCOM, WHEEL_SPEEDS, CAN_FRAMES = "st_msgs/msg/Ncom", "st_msgs/msg/WheelSpeeds", "st_msgs/msg/CanFrames"
 INS_ON_CAN, INS_STATUS = "st_msgs/msg/InsOnCan", "st_msgs/msg/InsStatus"
 # Frames as recorded by other bridges; an SQLite bag may lack the definition.
-CAN_FRAME = "can_msgs/msg/Frame"
+CAN_MSGS_FRAME = "can_msgs/msg/Frame"
 _CAN_FRAME_DEFINITION = """std_msgs/Header header
 uint32 id
 bool is_rtr
@@ -62,7 +62,7 @@ _MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
 def load_typestore() -> Typestore:
     """Loads the message types of ROS 2 Jazzy, can_msgs/Frame, and the suite's own messages, st_msgs."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    types: dict[str, Any] = dict(get_types_from_msg(_CAN_FRAME_DEFINITION, CAN_FRAME))
+    types: dict[str, Any] = dict(get_types_from_msg(_CAN_FRAME_DEFINITION, CAN_MSGS_FRAME))
     for file in sorted((project_root() / "ros2_ws/src/st_msgs/msg").glob("*.msg")):
         types.update(get_types_from_msg(file.read_text(), f"st_msgs/msg/{file.stem}"))
     store.register(types)
