@@ -110,13 +110,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted relation t_reference = t_other + offset + drift (t_other - middle)."""
+    """Fitted relation t_reference = t_other + offset + drift (t_other - middle); middle: see `fit`."""
 
     offset: float  # s
     drift: float  # s/s
     offset_deviation: float  # standard deviation [s]
     drift_deviation: float  # standard deviation [s/s]
-    middle: float  # instant at which the offset applies [s, other clock]
     residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
 
@@ -126,6 +125,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
         residual_k(t) = (reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k) / scale_k
 
+    middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm)
     limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the signals do not vary.
@@ -153,7 +153,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse
     unclustered = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
     return Fit(float(parameters[0]), float(parameters[1]), float(np.sqrt(max(covariance[0, 0], unclustered))),
-               float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))), middle,
+               float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
                tuple(d.residual for d in details), tuple(d.correlation for d in details))
 
 

@@ -117,8 +117,7 @@ class Course:
                   "origin": None if self.origin is None else list(self.origin)}
         rows = [f"  {x:.2f} {y:.2f} {direction:.4f} {curvature:.6f} {speed:.3f}"
                 for pass_ in self.passes for x, y, direction, curvature, speed in pass_.points.tolist()]
-        lines = ["# Course: speed and curvature along the path of earlier drives. Written by `st course build`. SI "
-                 "units.",
+        lines = ["# Course: speed and curvature along the path of earlier drives, SI units; by `st course build`.",
                  *(f"{key}: {json.dumps(value)}" for key, value in header.items()), "passes:",
                  *(f"- {json.dumps(entry)}" for entry in passes)]
         body = "\n".join([*lines, POINTS_KEY.strip("\n"), *rows])

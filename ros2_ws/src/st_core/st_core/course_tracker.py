@@ -79,7 +79,6 @@ class CourseForecast:
     inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
     curvature_share: float = 0.0  # weight of the course in the curvature, 0 to 1
     speed_share: float = 0.0  # weight of the course in the speed, 0 to 1
-    speed_deviation: float = math.nan  # standard deviation of the candidates at the end of the horizon [m/s]
     reason: str = ""  # why the course is not used, or ""
 
 
@@ -202,12 +201,9 @@ class CourseTracker:
     def _mix(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
         """The forecast from weighted candidates, mixed with the other forecasts by their errors."""
         length = min(len(candidate.speed) for candidate in candidates)
-        speeds, curvatures = (np.stack([getattr(candidate, name)[:length] for candidate in candidates])
-                              for name in ("speed", "curvature"))
-        course_speed, curvature = weights @ speeds, weights @ curvatures
+        course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
+                                   for name in ("speed", "curvature"))
         arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
-        end = min(int(np.searchsorted(arrival, self._time[-1])), length - 1)
-        speed_deviation = float(np.sqrt(weights @ np.square(speeds[:, end] - course_speed[end])))
         t, acceleration = self._time, ego.velocity_x_dot
         speed_forecasts = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
                                     ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
@@ -229,7 +225,7 @@ class CourseTracker:
         inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
                                acceleration + share * (path.velocity_x_dot - acceleration),
                                {name: angle + share * (values - angle) for name, values in path.signals.items()})
-        return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]), speed_deviation)
+        return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]))
 
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
