@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE
-from st_sim.plant import STEP, Plant, Truth
+from st_sim.plant import STEP, Plant
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve_settings
 from vehiclemodels.init_mb import init_mb
@@ -97,11 +97,7 @@ def simulate_in_python(settings, p: Programme):
     steering_angle = pedal = 0.0
     states, readings, angles = [], [], []
     for k in range(len(p.steering_wheel)):
-        s, f, surroundings = plant.state, plant.observe(NOMINAL.mass * pedal), plant.surroundings
-        truth = Truth(0.01 * k, *s[:4], s[VX], s[VY], s[YAW_RATE], f.acceleration_x, f.acceleration_y,
-                      f.yaw_acceleration, steering_angle, 0.0, velocity_z=f.velocity_z,
-                      roll=plant.body_roll + surroundings.bank_angle, pitch=plant.body_pitch + surroundings.grade_angle,
-                      roll_rate=settings["roll_gradient"] * s[14])
+        s, truth = plant.state, plant.observe(NOMINAL.mass * pedal, 0.01 * k, steering_angle)
         r = ins.read(truth)
         states.append(s)
         readings.append((r.x, r.y, r.z, r.velocity_x, r.velocity_y, r.velocity_z, r.yaw, r.roll, r.pitch, *r.rates,

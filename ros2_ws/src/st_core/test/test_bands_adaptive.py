@@ -59,12 +59,12 @@ def test_scores_count_only_after_their_horizon():
 
 def test_non_finite_errors_unknown_starts_and_time_jumps_change_nothing():
     adaptive = AdaptiveBand(TIME, unit_band())
-    adaptive.issue(1000, CONDITION)
-    adaptive.issue(2000, CONDITION)
+    adaptive.issue(1000, np.ones((10, 3)))
+    adaptive.issue(2000, np.ones((10, 3)))
     assert adaptive.observe(500, np.zeros((10, 3))) == {}
     assert adaptive.observe(1000, np.full((10, 3), np.nan)) == {} and adaptive.factors == {0.5: 2.0, 0.9: 4.0}
     assert adaptive.observe(2000, np.full((10, 3), 3.0)) == {0.5: False, 0.9: True}
-    adaptive.issue(1500, CONDITION)
+    adaptive.issue(1500, np.ones((10, 3)))
     before = adaptive.factors
     assert adaptive.observe(1500, np.full((10, 3), 99.0)) == {0.5: False, 0.9: False} and adaptive.factors == before
 

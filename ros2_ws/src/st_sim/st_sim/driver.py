@@ -38,7 +38,6 @@ class Driver:
         self.car, self.plan = car, plan
         self.steering_wheel_angle = self.drive_force = 0.0
         self.distance = plan.start
-        self._mass = car.mass * settings["mass_factor"]
         self._tremor_deviation = settings["driver_tremor"]
         self._draw = make_normal_source(np.random.default_rng([seed, 2]))
         self._tremor = self._offset_integral = self._speed_integral = self._pedal = self._target = 0.0
@@ -49,7 +48,6 @@ class Driver:
         """Start at a distance along the road [m] with the steering-wheel angle of the plant."""
         self.distance = distance
         self.steering_wheel_angle = self._target = plant.rack_steering_wheel_angle
-        self._mass = plant.mass
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
@@ -106,7 +104,7 @@ class Driver:
     def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
         s = plant.state
         if plant.parked and acceleration <= 0.0:
-            self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * self._mass, 0.0, 0.0
+            self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * plant.mass, 0.0, 0.0
             return
         error = target_speed - s[VX]
         if abs(acceleration) < STEADY_ACCELERATION:
@@ -118,4 +116,4 @@ class Driver:
         target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
         max_change = MAX_PEDAL_JERK * SAMPLING_TIME
         self._pedal += min(max(target - self._pedal, -max_change), max_change)
-        self.drive_force = self._mass * self._pedal
+        self.drive_force = plant.mass * self._pedal

@@ -43,13 +43,12 @@ TRUTH_SCHEMA = {
 
 def make_truth_record(truth: Truth) -> dict[str, object]:
     record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
-    outputs = truth.outputs
-    if outputs is not None:
+    if truth.load:
         for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
-            record[f"lateral_force_{axle}"] = outputs.lateral[left] + outputs.lateral[right]
-            record[f"longitudinal_force_{axle}"] = outputs.longitudinal[left] + outputs.longitudinal[right]
-            record[f"load_{axle}"] = outputs.load[left] + outputs.load[right]
-            record[f"slip_angle_{axle}"] = (outputs.slip_angle[left] + outputs.slip_angle[right]) / 2
+            record[f"lateral_force_{axle}"] = truth.lateral[left] + truth.lateral[right]
+            record[f"longitudinal_force_{axle}"] = truth.longitudinal[left] + truth.longitudinal[right]
+            record[f"load_{axle}"] = truth.load[left] + truth.load[right]
+            record[f"slip_angle_{axle}"] = (truth.slip_angle[left] + truth.slip_angle[right]) / 2
     record.update(truth.surroundings)
     return record
 

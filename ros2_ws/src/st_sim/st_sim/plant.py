@@ -17,11 +17,10 @@ Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.
 from collections import deque
 from dataclasses import dataclass, field
 from math import atan, atan2, cos, sin
-from typing import NamedTuple
 
 from . import dynamics
 from .car import Car
-from .dynamics import A_X, A_Y, MIN_SLIP_SPEED, RACK, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z, derivative
+from .dynamics import A_X, A_Y, A_Y_RATE, MIN_SLIP_SPEED, RACK, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z, derivative
 from .environment import Environment
 from .settings import Settings
 
@@ -30,28 +29,14 @@ STANDSTILL_SPEED = 0.02  # m/s; at lower v_x without a positive drive force, the
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 
 
-class PlantOutputs(NamedTuple):
-    """Forces in wheel axes, loads, slip angles and speeds of FL, FR, RL, RR, and acceleration of the body [SI]."""
-
-    acceleration_x: float
-    acceleration_y: float
-    yaw_acceleration: float
-    velocity_z: float
-    road_wheel_angle: float
-    lateral: tuple[float, ...]
-    longitudinal: tuple[float, ...]
-    load: tuple[float, ...]
-    slip_angle: tuple[float, ...]
-    wheel_speed: tuple[float, ...]
-
-
 @dataclass(slots=True)
 class Truth:
     """True motion at the CG in a simulated or recorded drive [SI]; time since the start of the drive.
 
     Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each of body
     plus road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
-    acceleration_x, _y: of the motion, not the specific force. wheel_speed: FL, FR, RL, RR.
+    acceleration_x, _y: of the motion, not the specific force. wheel_speed and, in wheel axes and only of a simulated
+    car, lateral and longitudinal force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
     """
 
     time: float
@@ -74,7 +59,10 @@ class Truth:
     roll_rate: float = 0.0
     wheel_speed: tuple[float, ...] = (0.0,) * 4
     gear: int = DRIVE
-    outputs: PlantOutputs | None = None
+    lateral: tuple[float, ...] = ()
+    longitudinal: tuple[float, ...] = ()
+    load: tuple[float, ...] = ()
+    slip_angle: tuple[float, ...] = ()
     surroundings: dict[str, float] = field(default_factory=dict)
 
     def motion_at(self, x: float, y: float) -> tuple[float, float, float, float]:
@@ -124,16 +112,6 @@ class Plant:
         """Steering-wheel angle that corresponds to the current rack position [rad]."""
         return self.state[RACK] * self._ratio
 
-    @property
-    def body_roll(self) -> float:
-        """Roll relative to the road [rad], right side down positive (outwards in a left turn)."""
-        return self.settings["roll_gradient"] * self.state[A_Y]
-
-    @property
-    def body_pitch(self) -> float:
-        """Pitch relative to the road [rad], nose up positive."""
-        return self.settings["pitch_gradient"] * self.state[A_X]
-
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
         """Advance by one time step.
 
@@ -156,21 +134,26 @@ class Plant:
         self.parked = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
         self.state = dynamics.bring_to_rest(s, dt) if self.parked else s
 
-    def observe(self, drive_force: float) -> PlantOutputs:
-        """Forces and accelerations in the current state; accelerations are zero at rest. drive_force: as for `step`."""
-        s, moving = self.state, not self.parked
+    def observe(self, drive_force: float, time: float = 0.0, steering_wheel_angle: float = 0.0,
+                steering_wheel_rate: float = 0.0) -> Truth:
+        """True motion and forces in the current state; accelerations are zero at rest. drive_force: as for `step`."""
+        s, settings, road, moving = self.state, self.settings, self.surroundings, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
         slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))
                 for across, along in zip(across_speeds, along_speeds, strict=True)]
         speeds = [along * (1 + self._wheel_slip_compliance * force / wheel_load)
                   for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]
-        return PlantOutputs(
+        return Truth(
+            time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY], yaw_rate=s[YAW_RATE],
             acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
             acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
             yaw_acceleration=rates[YAW_RATE] if moving else 0.0, velocity_z=rates[Z] if moving else 0.0,
-            road_wheel_angle=road_wheel_angle, lateral=lateral, longitudinal=longitudinal, load=load,
-            slip_angle=tuple(slip), wheel_speed=tuple(speeds))
+            steering_wheel_angle=steering_wheel_angle, steering_wheel_rate=steering_wheel_rate,
+            road_wheel_angle=road_wheel_angle, roll=settings["roll_gradient"] * s[A_Y] + road.bank_angle,
+            pitch=settings["pitch_gradient"] * s[A_X] + road.grade_angle,
+            roll_rate=settings["roll_gradient"] * s[A_Y_RATE] if moving else 0.0, wheel_speed=tuple(speeds),
+            lateral=lateral, longitudinal=longitudinal, load=load, slip_angle=tuple(slip), surroundings=road._asdict())
 
     def _find_rack_target(self, angle: float) -> float:
         """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""

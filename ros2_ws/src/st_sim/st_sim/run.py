@@ -116,17 +116,17 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     They are searched for next to the vehicle file (with --config, only if that is inside it), then in --config; without
     --config, in the config folders above the vehicle file, of the checkout, and of the current folder and its parents.
     """
-    vehicle, config = options.vehicle, options.config
+    vehicle, config = options.vehicle, options.config and options.config.resolve()
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]
     configs = [config] if config else [vehicle.absolute().parent.parent, *(root / "config" for root in roots)]
     candidates = [(vehicle.resolve().parent / "can.dbc", vehicle.resolve().parent / "signals.yaml"),
                   *((folder / "can" / "leaf_ze0.dbc", folder / "can" / "leaf_ze0.yaml") for folder in configs)]
     for dbc, signals in candidates:
-        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config.resolve()))
+        is_found = dbc.exists() and signals.exists() and (config is None or dbc.is_relative_to(config))
         if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
-    raise SimulationError(f"--config {config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables "
-                          "of the virtual car, not found; give the folder config/ of the project")
+    raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
+                          "tables of the virtual car, not found; give the folder config/ of the project")
 
 
 def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:

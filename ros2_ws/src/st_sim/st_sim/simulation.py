@@ -2,8 +2,7 @@
 
 from .car import Car
 from .driver import Driver
-from .dynamics import A_Y_RATE, VX, VY, YAW, YAW_RATE, X, Y, Z
-from .plant import DRIVE, Plant, Truth
+from .plant import Plant, Truth
 from .scenarios import Plan
 from .settings import Settings
 
@@ -45,14 +44,5 @@ class SimulatedCar:
             self._count += 1
 
     def make_truth(self) -> Truth:
-        plant, s = self.plant, self.plant.state
-        outputs = plant.observe(self.driver.drive_force)
-        return Truth(time=self.time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY],
-                     yaw_rate=s[YAW_RATE], acceleration_x=outputs.acceleration_x, acceleration_y=outputs.acceleration_y,
-                     yaw_acceleration=outputs.yaw_acceleration, velocity_z=outputs.velocity_z,
-                     steering_wheel_angle=self.driver.steering_wheel_angle,
-                     steering_wheel_rate=self._steering_wheel_rate,
-                     road_wheel_angle=outputs.road_wheel_angle, roll=plant.body_roll + plant.surroundings.bank_angle,
-                     pitch=plant.body_pitch + plant.surroundings.grade_angle, gear=DRIVE,
-                     roll_rate=0.0 if plant.parked else plant.settings["roll_gradient"] * s[A_Y_RATE],
-                     wheel_speed=outputs.wheel_speed, outputs=outputs, surroundings=plant.surroundings._asdict())
+        driver = self.driver
+        return self.plant.observe(driver.drive_force, self.time, driver.steering_wheel_angle, self._steering_wheel_rate)

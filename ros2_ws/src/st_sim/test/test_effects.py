@@ -46,8 +46,8 @@ def trace(settings):
         push = 600.0 if t < 4 else -4000.0
         plant.step(steering_wheel, push)
         if i % 50 == 0:
-            wheels = plant.observe(push).wheel_speed
-            rows.append((*plant.state[: VX + 1], plant.body_roll * 10, plant.body_pitch * 10, *wheels))
+            truth = plant.observe(push)
+            rows.append((*plant.state[: VX + 1], truth.roll * 10, truth.pitch * 10, *truth.wheel_speed))
     return np.array(rows)
 
 
@@ -118,7 +118,7 @@ def test_lateral_load_transfer_and_roll_are_proportional_to_lateral_acceleration
     left, right = front_left + rear_left, front_right + rear_right
     assert a_y > 2.0
     assert right - left == pytest.approx(2 * CAR.mass * a_y * CAR.cg_height / TRACK_WIDTH, rel=0.01)
-    assert plant.body_roll == pytest.approx(0.0075 * a_y, rel=0.01)
+    assert outputs.roll == pytest.approx(0.0075 * a_y, rel=0.01)
 
 
 def test_drive_force_off_the_centre_line_yaws_the_car():

@@ -209,7 +209,7 @@ def test_signal_closes_the_files_in_file_mode(tmp_path):
     assert (tmp_path / "run.log").read_text().endswith("\n")
 
 
-@pytest.mark.parametrize("config", [["--config", str(ROOT / "config")], []])
+@pytest.mark.parametrize("config", [["--config", str(ROOT / "config")], ["--config", "../config"], []])
 def test_other_car_uses_the_bus_of_the_leaf(tmp_path, monkeypatch, config):
     """The folder of another car has its own DBC, which the virtual car cannot send."""
     monkeypatch.delenv("ST_ENVIRONMENT", raising=False)

@@ -69,17 +69,12 @@ class AdaptiveBand:
         values = np.maximum.accumulate([math.exp(log) for log in self._logs.values()])
         return dict(zip(self._logs, values.tolist(), strict=True))
 
-    def compute_scale(self, condition: np.ndarray) -> np.ndarray:
-        """Scale (points, 3) along, across [m] and in yaw [rad] under a condition (4,)."""
-        return np.sqrt(self._squares) if self._band is None else self._band.scale(np.atleast_2d(condition))[0]
-
-    def issue(self, start_ns: int, condition: np.ndarray, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
+    def issue(self, start_ns: int, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
         """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until its score arrives.
 
-        scale: (points, 3), if it is already computed.
+        scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run.
         """
-        scale = self.compute_scale(condition) if scale is None else scale
-        factors = self.factors
+        scale, factors = np.sqrt(self._squares) if scale is None else scale, self.factors
         if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, their scores never arrive
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
@@ -127,7 +122,7 @@ class AdaptiveBand:
             while self._pending and self._pending[0][0] + horizon_ns <= start:
                 self.observe(*self._pending.popleft())
             scales[k] = np.sqrt(self._squares) if calibrated is None else calibrated[k]
-            self.issue(start, conditions[k], scales[k])
+            self.issue(start, scales[k])
             self._pending.append((start, errors[k]))
             for level, factor in self.factors.items():
                 factors[level].append(factor)

@@ -131,7 +131,7 @@ class AdaptiveBands:
                 band = self._bands[pair]
                 if reason and band.is_calibrated:
                     continue
-                widths = band.issue(start_ns, np.empty(0), scale)
+                widths = band.issue(start_ns, scale)
                 if not band.remaining_warm_up:
                     found.add(pair)
                     self._first_ns[pair] = min(self._first_ns.get(pair, start_ns), start_ns)  # time may jump back
@@ -141,12 +141,16 @@ class AdaptiveBands:
 
     def observe(self, score: Score) -> None:
         """Update a band and its counts by the score of an earlier prediction. Call in order of time for each band."""
-        errors = to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
         pair = score.model, score.mode
-        inside = self._bands[pair].observe(score.start_ns, errors)
+        inside = self._bands[pair].observe(score.start_ns, _compute_errors(score))
         if inside and score.start_ns >= self._first_ns.get(pair, math.inf):
             n, counts = self.counts.get(pair, (0, {}))
             self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
+
+
+def _compute_errors(score: Score) -> np.ndarray:
+    """Errors (points, 3) in the predicted frame, without the start, where they are zero by definition."""
+    return to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1))[1:]
 
 
 ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
@@ -202,9 +206,8 @@ class CoverageMonitor:
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
             return
-        errors = np.abs(to_predicted_frame(np.stack([score.longitudinal, score.lateral, score.yaw], axis=-1)))
-        # The start is left out, because its error is zero by definition.
-        inside = {level: bool((errors[1:] <= widths[1:]).all()) for level, widths in by_level.items()}
+        errors = np.abs(_compute_errors(score))
+        inside = {level: bool((errors <= widths[1:]).all()) for level, widths in by_level.items()}
         coverage = self.by_pair.setdefault((score.model, score.mode), BandCoverage())
         coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 

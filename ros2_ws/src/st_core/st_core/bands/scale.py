@@ -38,7 +38,6 @@ SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadr
 # Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
 _FLOORS, _OFFSETS, _DIVISORS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
 _PAIRS = tuple(itertools.combinations_with_replacement(range(4), 2))
-_LEFT, _RIGHT = np.array(_PAIRS).T
 
 
 def compute_features(conditions: np.ndarray) -> np.ndarray:
@@ -47,17 +46,15 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
     log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
     """
-    z = np.asarray(conditions, float)
-    logs = np.log((np.maximum(z, _FLOORS) + _OFFSETS) / _DIVISORS)
-    splines = np.maximum(0.0, 1.0 - np.abs(z[..., 1:2] - SPLINE_KNOTS) / SPLINE_KNOTS[0])
-    return np.concatenate([np.ones_like(z[..., :1]), logs, logs[..., _LEFT] * logs[..., _RIGHT], splines], axis=-1)
+    columns = compute_scalar_features(np.moveaxis(np.asarray(conditions, float), -1, 0), np.log, np.maximum)
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
-def compute_scalar_features(condition: Sequence[Any], log: Callable[[Any], Any] = math.log,
+def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable[[Any], Any] = math.log,
                             largest: Callable[[Any, Any], Any] = max) -> list[Any]:
-    """`compute_features` of the four conditions of one start as floats, in half the time (a third with cold caches).
+    """The 20 `compute_features` of four conditions as a list; for floats in half the time (a third with cold caches).
 
-    log, largest: functions for another number type, such as CasADi's symbols.
+    log, largest: functions for another type of the conditions, such as CasADi's symbols or arrays.
     """
     logs = [log((largest(value, floor) + offset) / divisor)
             for value, floor, offset, divisor in zip(condition, _FLOORS, _OFFSETS, _DIVISORS, strict=True)]
