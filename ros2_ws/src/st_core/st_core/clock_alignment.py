@@ -242,7 +242,7 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
-    """Offsets that remain in windows of 30 s with an alignment, searched within 2 s; time [s] since `at_ns`."""
+    """Residual offsets in windows of 30 s after an alignment, searched within +/- 2 s; times since `at_ns` [s]."""
     prepared = _prepare(signals)
     if not prepared.fine:
         return []

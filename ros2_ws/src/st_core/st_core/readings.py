@@ -90,7 +90,7 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time after an instant [ns] for which steering must be known to compute the wheel angle; > 0 for late stamps."""
+    """Time after an instant [ns] for which steering must be known for the wheel angle; 0 unless its stamps are late."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))

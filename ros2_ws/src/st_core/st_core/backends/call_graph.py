@@ -13,7 +13,7 @@ def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -
 
     They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
     """
-    found: dict[FunctionType, None] = {}
+    reachable: list[FunctionType] = []
     seen: set[FunctionType] = set()
 
     def collect(function: FunctionType) -> None:
@@ -23,10 +23,10 @@ def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -
         for _, value in find_references(function):
             if isinstance(value, FunctionType):
                 collect(value)
-        found[function] = None
+        reachable.append(function)
 
     collect(function)
-    return list(found)
+    return reachable
 
 
 def find_references(function: FunctionType) -> Iterator[tuple[str, Any]]:

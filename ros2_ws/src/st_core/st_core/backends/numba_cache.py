@@ -23,7 +23,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, fingerprint: str) -> Path | None:
-    """Cache a function that is not compiled yet; delete unused kernels. Returns its folder; None if none is usable."""
+    """Cache a function before it is compiled; delete unused kernels. Returns the folder; None if none can be used."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (fingerprint, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
