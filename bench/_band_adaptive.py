@@ -65,7 +65,7 @@ class Score:
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
             rows[rows] = domain(drive.conditions[rows])
-        adaptive = AdaptiveBand(self._time, band, sorted(LEVELS))
+        adaptive = AdaptiveBand(self._time, band)
         errors, initial = drive.errors[self._pair][rows].astype(float), adaptive.factors
         factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))

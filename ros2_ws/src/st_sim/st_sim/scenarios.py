@@ -55,7 +55,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; it ends after `duration` [s] or when the speed falls to `end_speed` [m/s]. steer: see Demand."""
+    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s], -1: at no speed. steer: see Demand."""
 
     steer: str
     acceleration: float = 0.0

@@ -165,7 +165,7 @@ def _read_unsigned(speed: float, minimum: float) -> float:
     return abs(speed) if abs(speed) >= minimum else 0.0
 
 
-class Loss:
+class TransmissionLoss:
     """Loss of datagrams or frames: a random fraction, and all of them for 1 s at multiples of `outage_every` [s]."""
 
     def __init__(self, fraction: float, outage_every: float, seed: tuple[int, int]):

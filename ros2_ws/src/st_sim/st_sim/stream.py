@@ -15,7 +15,7 @@ from .can_wire import FRAME_TIME, BackgroundTraffic, CanWire, Frame
 from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
 from .plant import Truth
 from .recorded_drive import RecordedDrive
-from .sensors import Ins, Loss, SteeringSensor, read_wheel_speeds
+from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
 from .settings import Settings, SimulationError
 from .simulation import SimulatedCar
 
@@ -71,8 +71,8 @@ class Stream:
         self._ins_schedule = 1000 // ins_rate, 0
         self._background = BackgroundTraffic(seed) if background else None
         self._start_up = start_up
-        self._ins_loss = Loss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
-        self._can_loss = Loss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
+        self._ins_loss = TransmissionLoss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
+        self._can_loss = TransmissionLoss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
         self._queue: list[Output] = []
         self._pushed = 0  # number of outputs pushed so far
 

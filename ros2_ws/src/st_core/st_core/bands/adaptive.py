@@ -19,7 +19,6 @@ test_bands_adaptive.py.
 
 import math
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -42,11 +41,11 @@ class AdaptiveBand:
     """The band of one model and mode. time: (points,) ahead, without the start [s]. band: calibrated band; None to
     estimate the band from the errors of the run alone."""
 
-    def __init__(self, time: np.ndarray, band: Band | None = None, levels: Sequence[float] = LEVELS):
+    def __init__(self, time: np.ndarray, band: Band | None = None):
         self._time, self._band, self.is_calibrated = np.asarray(time, float), band, band is not None
         self._logs = {}  # logarithm of the factor, by level
         known = {} if band is None else band.factors
-        for level in sorted(levels):
+        for level in LEVELS:
             # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
             default = _interpolate_default(level)
             nearest = min(known, key=lambda other: abs(other - level), default=level)

@@ -30,7 +30,7 @@ FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS e
 ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
 RIDGE = 1.0e-2  # weight of the penalty above; the constant term is not penalised
 MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
-MAX_STEPS, MAX_HALVINGS = 100, 20
+MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # of the fit; of one step, until the loss decreases
 TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the mean squares, below their uncertainty
 MAX_FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
@@ -136,7 +136,7 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
     c = np.zeros((phi.shape[1], squares.shape[1]))
     c[0] = 0.5 * np.log(weights @ squares)  # log of the root mean square error of all starts
     value, slope, ratio = evaluate_loss(c)
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         if np.abs(slope).max() < TOLERANCE:
             return c
         hessian = np.stack([phi.T @ ((2.0 * weights * column)[:, None] * phi) for column in ratio.T]) + regularisation
@@ -148,8 +148,8 @@ def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndar
                 break
             fraction = np.where(worse, 0.5 * fraction, fraction)
         c, value, slope, ratio = c - fraction * step, new_value, new_slope, new_ratio
-    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_STEPS} steps; look for "
-                      "starts whose errors are larger by orders of magnitude")
+    raise StCoreError(f"the scale of the errors cannot be fitted: no convergence after {MAX_NEWTON_STEPS} steps; look "
+                      "for starts whose errors are larger by orders of magnitude")
 
 
 def select_evenly(count: int, limit: int = MAX_FIT_STARTS) -> np.ndarray:

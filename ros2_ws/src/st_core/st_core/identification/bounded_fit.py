@@ -19,7 +19,7 @@ Residuals = Callable[[np.ndarray], np.ndarray]
 """Function from parameters (k,) to residuals (n,), or from m sets of parameters (m, k) to residuals (m, n)."""
 
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
-MAX_STEPS = 8  # of the secant method
+MAX_SECANT_STEPS = 8
 BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fraction of the range between both bounds
 
 
@@ -93,7 +93,7 @@ def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: f
     slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
     last_distance = last_root = 0.0  # root: square root of the increase of S divided by the threshold
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_SECANT_STEPS):
         def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
             return residuals(np.insert(free, index, fixed, axis=-1))
 

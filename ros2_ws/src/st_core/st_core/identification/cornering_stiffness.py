@@ -253,6 +253,6 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     names = tuple(run.name for run in runs)
     estimates = tuple(regression.estimate(names) for regression in regressions)
     figure = {f"{key}_{regression.axle}": getattr(regression.samples, key)[regression.samples.used]
-              for regression in regressions for key in ("slip", "force", "run_of")}
+              for regression in regressions for key in ("slip", "force")}
     return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)

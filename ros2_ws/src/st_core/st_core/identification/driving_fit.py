@@ -121,24 +121,18 @@ class _LimitedWindows(Windows):
 
 @dataclass(frozen=True, eq=False)
 class DrivingFit:
-    """Result of a fit: names and values of p quantities [SI], from q parameters of effects.
-
-    hessian: (q, q) Gauss-Newton approximation to half the second derivative of the loss. mean_squared_curvature and
-    acceleration are means weighted by (v_x r)^2.
-    """
+    """Result of a fit: names and values of p quantities [SI]. Means are weighted by (v_x r)^2."""
 
     names: tuple[str, ...]
     values: np.ndarray
     spread: Spread  # covariance over blocks of driving
     at_bound: tuple[str, ...]  # names of values at a bound
-    slopes: np.ndarray  # (p, q) derivative of each value [SI] by each parameter in units of its scale
-    hessian: np.ndarray
-    residuals: np.ndarray  # (n, c) predicted minus measured `columns` [SI]
-    columns: tuple[str, ...]
+    noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, by the Gauss-Newton approximation
+    residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
     run_of: np.ndarray  # (n,) of the residuals
     time: np.ndarray  # (n,) of the residuals [s]
     windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
-    mean_squared_curvature: float  # 1/m^2
+    mean_squared_curvature: float  # of the path [1/m^2]
     acceleration: float  # mean |v_x r| [m/s^2]
     peak_accelerations: np.ndarray  # largest |v_x r| of each used window [m/s^2]
 
@@ -220,6 +214,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     residuals = -rows.reshape(len(rows), points, columns)[used].reshape(-1, columns)
     return DrivingFit(
         tuple(names), values, group.make_spread(influence @ change.T),
-        tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound), change, total, residuals,
-        windows.columns, np.repeat(windows.run[used], points), np.repeat(windows.seconds[used], points), counts,
+        tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound),
+        change @ np.linalg.inv(total) @ change.T, residuals, np.repeat(windows.run[used], points),
+        np.repeat(windows.seconds[used], points), counts,
         windows.mean_squared_curvature, windows.acceleration, windows.peak_accelerations)

@@ -150,9 +150,9 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
-    covariance = fit.slopes @ np.linalg.inv(fit.hessian) @ fit.slopes.T
     inertia, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
-    change = abs(float(covariance[inertia, delay] / covariance[delay, delay]))  # with all other parameters refitted
+    # Change of the inertia per change of the dead time, with all other parameters refitted.
+    change = abs(float(fit.noise_covariance[inertia, delay] / fit.noise_covariance[delay, delay]))
     systematic = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),

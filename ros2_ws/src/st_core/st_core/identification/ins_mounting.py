@@ -18,6 +18,7 @@ of the mean steering angle from phi in tight bends. Checked by: test_identificat
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..handling import rear_slip_coefficient
 from ..log import DriveLog
@@ -45,8 +46,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
     pairs, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
-    speeds = [run.velocity_x[m] for run, m in pairs]
-    covered = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], speeds, times, 5.0, 1),
+    covered = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5, 1),
                measure_coverage("curvature", "1/m", CURVATURE_EDGES,
                                 [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
     require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
@@ -58,23 +58,24 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
     theta, spread, _ = group.fit_least_squares(regressors, lateral)
-    estimates = [_make_estimate("cg_to_ins_x", theta[1] - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
-                                f"{theta[1]:.3f} m ahead of the rear axle", 0.1),
-                 _make_estimate(MISALIGNMENT, -theta[0], spread, 0, 1.0, "rad", used,
-                                f"{np.rad2deg(-theta[0]):+.2f} deg, reported heading minus the car's heading", 0.005)]
+    misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
+    estimates = [
+        _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
+                       f"{rear_axle_to_ins:.3f} m ahead of the rear axle", 0.1),
+        _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, "rad", used,
+                       f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
     warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
-                _compare_rear_slip(-theta[2], spread.covariance[2, 2], vehicle)]
+                _compare_rear_slip(slip, spread.covariance[2, 2], vehicle)]
     lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)
     if isinstance(lateral_position, str):
         warnings.append(lateral_position)
     else:
         estimates.append(lateral_position)
-        correlation = np.pad(correlation, (0, 1))
-        correlation[2, 2] = 1.0
+        correlation = block_diag(correlation, 1.0)
     figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
-              "slope": lateral / speed - theta[2] * speed * rate - theta[3] * rate_dot, "theta": theta,
+              "slope": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")

@@ -206,8 +206,8 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
                                   status))
     correlation = correlation_matrix(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
-    figure = {"tyre": data.tyre, "load": data.load, "slip": data.slip, "force": data.force, "levels": levels,
-              "level": level, "residuals": fit.residuals, "grid": grid, "names": tyre_fit.names[:-1],
+    figure = {"tyre": data.tyre, "slip": data.slip, "force": data.force, "levels": levels, "level": level,
+              "residuals": fit.residuals, "grid": grid,
               "curves": np.stack([tyre_force(grid + fit.values[-1], load, tyre) for load in levels]),
               "stiffness": np.array([tyre_fit.compute_stiffness(load) for load in levels])}
     warnings = [*_make_warnings(data, tyre_fit, peak),

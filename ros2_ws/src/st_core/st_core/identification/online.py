@@ -90,15 +90,15 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
         fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _make_failed_fit(vehicle, str(error))
-    files = [getattr(vehicle, name) for name in STIFFNESSES]
     # Offset, ratio, and stiffness scale: mean over both axles of stiffness / stiffness in the vehicle file.
     rows = np.zeros((3, len(FITTED)))
     rows[0, 0] = rows[1, 1] = 1.0
-    rows[2, 2:4] = 0.5 / np.array(files)
+    rows[2, 2:4] = [0.5 / getattr(vehicle, name) for name in STIFFNESSES]
     values = rows @ fit.values
-    half = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
-    normal = half / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
-    covariance = rows @ (fit.spread.covariance * np.outer(normal, normal)) @ rows.T
+    # Deviation of a normal distribution with the same 95 % interval, divided by that of Student's distribution.
+    half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
+    widening = half_widths / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
+    covariance = rows @ (fit.spread.covariance * np.outer(widening, widening)) @ rows.T
     systematic = np.array([SYSTEMATIC_ERRORS[0], SYSTEMATIC_ERRORS[1] * values[1], SYSTEMATIC_ERRORS[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + systematic**2)
     rate = max(float(np.sqrt(np.mean(np.square(log.yaw_rate)))), MIN_YAW_RATE)

@@ -86,8 +86,8 @@ class Identification:
             low, high = estimate.interval95
             if not low <= 0.0 <= high or estimate.status == "unidentifiable" or "." in estimate.parameter:
                 continue
-            known = find_quantity(estimate.parameter)
-            if known is not None and known.minimum > 0.0:
+            quantity = find_quantity(estimate.parameter)
+            if quantity is not None and quantity.minimum > 0.0:
                 verdict = f"Not identifiable: zero is inside the interval. {estimate.verdict}"
                 estimates[k] = replace(estimate, status="unidentifiable", verdict=verdict)
             else:

@@ -65,8 +65,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     names = tuple(run.name for run in runs)
     used = tuple(name for name in names if name in predicted or name in averaged)
     rejected = tuple((name, "no straight driving") for name in names if name not in used)
-    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0],
-              "residual_run": fit.run_of, "residual_time": fit.time, "names": names}
+    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0]}
     return Identification("steering-offset", (paper, direct), used, rejected, None, (),
                           (*notes, *([conflict] if conflict else [])), figure)
 

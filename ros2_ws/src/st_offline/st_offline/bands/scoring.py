@@ -69,7 +69,7 @@ class AdaptiveScorer:
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
         for (model, mode), errors in block.errors.items():
             band = None if self._bands is None else self._bands.bands.get((model, mode))
-            adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band, LEVELS))
+            adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
             rotated = to_predicted_frame(errors[inside][:, 1:])
             factors, scales = adaptive.follow(starts_ns[inside], conditions[inside], rotated)
             scored = np.isfinite(rotated).all(axis=(1, 2))
