@@ -65,15 +65,16 @@ def test_curve_band_spans_the_draws_over_the_measured_slip(leaf):
     driven = np.random.default_rng(1).normal(0.0, 0.02, 5000)
     curve = make_axle_curve(model, leaf, "front", driven, "nonlinear", draw_models(model, spread, leaf, 400))
     assert curve.slip[-1] == pytest.approx(np.quantile(np.abs(driven), 0.995)) and curve.slip[0] == 0.0
-    assert curve.force[1] / curve.file[1] == pytest.approx(1.1, rel=0.02) and curve.density.sum() == pytest.approx(1.0)
+    assert curve.force[1] / curve.file[1] == pytest.approx(1.1, rel=0.02) and sum(curve.density) == pytest.approx(1.0)
     assert curve.density[0] > 5 * curve.density[-1]
     ends = [compute_axle_force(model.with_values({"front_tyre_curve": {"peak": 0.8 + side * 0.1645}}), leaf, "front",
                                curve.slip[-1:])[0] for side in (-1, 1)]
     assert [curve.low[-1], curve.high[-1]] == pytest.approx(ends, rel=0.02)
     alternative = model.with_values({"front_stiffness": {"factor": 1.5}})
     stiff = make_axle_curve(model, leaf, "front", driven, "nonlinear", alternatives=[alternative])
-    assert (stiff.low == stiff.force).all() and stiff.high[1] / stiff.file[1] == pytest.approx(1.5, rel=0.02)
-    assert (np.diff(curve.high - curve.low) > -1e-9).all() and curve.low[1] == pytest.approx(curve.high[1], rel=1e-3)
+    assert stiff.low == stiff.force and stiff.high[1] / stiff.file[1] == pytest.approx(1.5, rel=0.02)
+    assert (np.diff(np.subtract(curve.high, curve.low)) > -1e-9).all()
+    assert curve.low[1] == pytest.approx(curve.high[1], rel=1e-3)
     with pytest.raises(StCoreError, match="0 measured slip angles"):
         make_axle_curve(model, leaf, "front", np.zeros(0), "nonlinear")
 

@@ -10,6 +10,7 @@ from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
 from ..identification.axle_curve import (
+    ForceCurve,
     compute_axle_force,
     compute_axle_forces,
     compute_force_error,
@@ -24,7 +25,7 @@ from ..sideslip import steady_velocity_y
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .evidence import JointFit
 from .fit import Fit, Problem
-from .result import Combination, ForceCurve
+from .result import Combination
 
 DRAWS = 100  # number of random draws of the values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
@@ -73,10 +74,8 @@ class Axles:
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values. Raises
         StCoreError for drives without slip."""
-        curves = (make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
-                                  self.near) for r in self.regressions)
-        return tuple(ForceCurve(c.axle, *(tuple(values.tolist()) for values in (
-            c.slip, c.force, c.low, c.high, c.file, c.density))) for c in curves)
+        return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws, self.near)
+                     for r in self.regressions)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""

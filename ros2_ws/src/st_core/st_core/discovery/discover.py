@@ -10,6 +10,7 @@ from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import find_implausible_values
+from ..identification.axle_curve import ForceCurve
 from ..log import DriveLog
 from ..models import Model
 from ..timeseries import NANOSECOND
@@ -85,7 +86,7 @@ class _JudgedEffects(NamedTuple):
     contradicted: tuple[result.FoundEffect, ...]
     verdicts: dict[str, result.Reason]
     leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]
-    curves: tuple[result.ForceCurve, ...]
+    curves: tuple[ForceCurve, ...]
     combinations: tuple[result.Combination, ...]
 
 
@@ -305,7 +306,7 @@ class _Analysis:
 
     def _analyse_axles(
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
-            ) -> tuple[Axles | None, tuple[result.ForceCurve, ...], tuple[result.Combination, ...]]:
+            ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
         for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
         reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""

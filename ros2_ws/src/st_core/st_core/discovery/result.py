@@ -9,6 +9,7 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..effects import EFFECT_KINDS
+from ..identification.axle_curve import ForceCurve
 from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]
@@ -122,21 +123,6 @@ class Combination:
         """Whether the value of the vehicle file differs significantly, p < `Limits.false_alarm`."""
         edge = self.interval[0] if self.file < self.value else self.interval[1]
         return abs(self.file - self.value) > FALSE_ALARM_WIDENING * abs(edge - self.value)
-
-
-@dataclass(frozen=True)
-class ForceCurve:
-    """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
-    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive
-    against the slip [N]. density: fraction of the driving between neighbouring values of slip."""
-
-    axle: str
-    slip: tuple[float, ...]
-    force: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    file: tuple[float, ...]
-    density: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -25,17 +25,19 @@ MAX_SECANT_STEPS = 6  # for the lateral acceleration; error of the force below 0
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
-@dataclass(frozen=True, eq=False)
-class AxleCurve:
-    """Force curve of one axle."""
+@dataclass(frozen=True)
+class ForceCurve:
+    """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
+    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive
+    against the slip [N]. density: fraction of the driving between neighbouring values of slip."""
 
     axle: str
-    slip: np.ndarray  # (m,) from 0 to the largest slip of the drives [rad]
-    force: np.ndarray  # (m,) opposing the slip [N]
-    low: np.ndarray  # (m,) lower end of the 90 % band [N]; equal to force without draws
-    high: np.ndarray  # (m,) upper end [N]
-    file: np.ndarray  # (m,) force of the original model [N]
-    density: np.ndarray  # (m - 1,) fraction of the driving between two values of slip [1], with sum 1
+    slip: tuple[float, ...]
+    force: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    file: tuple[float, ...]
+    density: tuple[float, ...]
 
 
 def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
@@ -88,7 +90,7 @@ def compute_axle_force(model: str | Model, vehicle: VehicleParameters, axle: str
 
 def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, measured_slip: np.ndarray,
                     original: str | Model, draws: Iterable[Model] = (),
-                    alternatives: Iterable[Model] = ()) -> AxleCurve:
+                    alternatives: Iterable[Model] = ()) -> ForceCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
@@ -105,8 +107,9 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     low, high = np.quantile(rows, BAND, axis=0) if rows else (force, force)
     curves = [force, *(compute_axle_force(candidate, vehicle, axle, slip) for candidate in alternatives)]
     counts = np.histogram(abs_slip, slip)[0]
-    return AxleCurve(axle, slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
-                     counts / max(int(counts.sum()), 1))
+    return ForceCurve(axle, *(tuple(values.tolist()) for values in (
+        slip, force, np.min([low, *curves], axis=0), np.max([high, *curves], axis=0), file,
+        counts / max(int(counts.sum()), 1))))
 
 
 def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleParameters,
