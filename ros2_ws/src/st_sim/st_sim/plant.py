@@ -136,7 +136,8 @@ class Plant:
 
     def observe(self, drive_force: float, time: float = 0.0, steering_wheel_angle: float = 0.0,
                 steering_wheel_rate: float = 0.0) -> Truth:
-        """True motion and forces in the current state; accelerations are zero at rest. drive_force: as for `step`."""
+        """True motion and forces in the current state; accelerations are zero at rest. drive_force: as for `step`. The
+        other arguments are copied to the result."""
         s, settings, road, moving = self.state, self.settings, self.surroundings, not self.parked
         rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels

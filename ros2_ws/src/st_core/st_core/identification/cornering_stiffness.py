@@ -95,7 +95,6 @@ class AxleRegression:
     standard_error: float
     interval95: tuple[float, float]
     samples: AxleSamples  # all samples above the minimum speed
-    coverage: tuple[Coverage, ...]  # excitation by signal
     reasons: tuple[str, ...]  # why the value is rejected; empty for a usable value
     basis: str  # text on the number of samples and blocks
     model_error: float = float("nan")  # standard uncertainty at zero slip [N/rad], see the module; NaN if unknown
@@ -153,8 +152,8 @@ def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -
 
 
 def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
-        tuple[AxleRegression, AxleRegression], np.ndarray, tuple[tuple[str, str], ...]]:
-    """(regressions, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
+        tuple[AxleRegression, AxleRegression], tuple[Coverage, ...], np.ndarray, tuple[tuple[str, str], ...]]:
+    """(regressions, coverage, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
     masks, rejected, times = [], [], [run.time for run in runs]
     for run in runs:
         slow = np.abs(run.velocity_x) < MIN_SPEED
@@ -181,7 +180,7 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
                                            mask & (np.abs(slip) <= MAX_SLIP))])
         samples.append(AxleSamples(name, *(np.concatenate(column) for column in zip(*rows, strict=True))))
     slopes = [_fit_slope(axle) if axle.used.sum() >= 10 else None for axle in samples]
-    front, rear = (_make_regression(*pair, covered, [f"too little excitation: {insufficient}"] if insufficient else [])
+    front, rear = (_make_regression(*pair, [f"too little excitation: {insufficient}"] if insufficient else [])
                    for pair in zip(samples, slopes, strict=True))
     correlation = np.eye(2)
     if slopes[0] is not None and slopes[1] is not None:  # from the influence of common blocks
@@ -189,7 +188,7 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
         influences = np.stack([slopes[0].influence[front_rows], slopes[1].influence[rear_rows]])
         if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():
             correlation = np.corrcoef(influences)
-    return (front, rear), correlation, tuple(rejected)
+    return (front, rear), covered, correlation, tuple(rejected)
 
 
 def _fit_slope(samples: AxleSamples) -> Slope:
@@ -214,14 +213,13 @@ def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
                                      (low_slope.stiffness, float(low_slope.spread.covariance[0, 0]), mean_low))
 
 
-def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[Coverage, ...],
-                     reasons: Sequence[str]) -> AxleRegression:
+def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequence[str]) -> AxleRegression:
     nan, count = float("nan"), int(samples.used.sum())
     reasons = [*reasons, *([] if count >= MIN_AXLE_SAMPLES else [
         f"too few samples: {count} of the {samples.axle} axle meet the limits of speed, radius, |a_y| and slip angle "
         f"({np.rad2deg(MAX_SLIP):g} deg), {MIN_AXLE_SAMPLES} are needed; also check the steering offset and "
         "the INS lever arm"])]
-    failed = (samples.axle, nan, nan, (nan, nan), samples, covered)
+    failed = (samples.axle, nan, nan, (nan, nan), samples)
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
     value, spread = slope.stiffness, slope.spread
@@ -233,7 +231,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, covered: tuple[C
                   f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
                   "arm of the INS may be wrong, or the drive has too little sideslip")
         return AxleRegression(*failed, (*reasons, reason), basis)
-    return AxleRegression(samples.axle, value, error, interval, samples, covered, tuple(reasons), basis,
+    return AxleRegression(samples.axle, value, error, interval, samples, tuple(reasons), basis,
                           _estimate_model_error(samples, slope))
 
 
@@ -244,9 +242,9 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
-    regressions, correlation, rejected = _fit_regressions(runs, vehicle)
-    require_coverage(regressions[0].coverage,
-                     "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
+    regressions, covered, correlation, rejected = _fit_regressions(runs, vehicle)
+    require_coverage(
+        covered, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))
@@ -254,5 +252,5 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     estimates = tuple(regression.estimate(names) for regression in regressions)
     figure = {f"{key}_{regression.axle}": getattr(regression.samples, key)[regression.samples.used]
               for regression in regressions for key in ("slip", "force")}
-    return Identification("stiffness", estimates, names, rejected, correlation, regressions[0].coverage,
+    return Identification("stiffness", estimates, names, rejected, correlation, covered,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
