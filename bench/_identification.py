@@ -9,7 +9,7 @@ from _cars import LEAF_FILE, leaf
 from discovery.compiled import Recording, drive
 from discovery.programmes import DT, Builder
 from discovery.sensing import make_log
-from st_core.identification.result import Estimate
+from st_core.identification.result import ParameterEstimate
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters, find_quantity
 from st_sim.car import read_car
@@ -26,7 +26,7 @@ def with_stiffness(car: VehicleParameters, front: float, rear: float) -> Vehicle
     return replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear).with_derived_scales()
 
 
-def apply_estimates(car: VehicleParameters, estimates: Iterable[Estimate]) -> VehicleParameters:
+def apply_estimates(car: VehicleParameters, estimates: Iterable[ParameterEstimate]) -> VehicleParameters:
     """The car with the estimates of quantities of the vehicle file and the lambda_ky derived from them."""
     values = {e.parameter: e.value for e in estimates if find_quantity(e.parameter)}
     return car.with_values(values).with_derived_scales()

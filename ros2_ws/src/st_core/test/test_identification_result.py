@@ -11,9 +11,9 @@ from st_core.identification.bounded_fit import find_interval_end, fit_within_bou
 from st_core.identification.lambda_ky import identify_lambda_ky
 from st_core.identification.result import (
     Coverage,
-    Estimate,
     Identification,
     IdentificationError,
+    ParameterEstimate,
     apply_to_vehicle,
     compare_with_file,
     describe_stale_scales,
@@ -23,8 +23,8 @@ from st_core.vehicle import DERIVED_SOURCE, Provenance, VehicleParameters
 
 
 def make_estimate(parameter, value, spread=1.0, status="identified"):
-    return Estimate(parameter, value, "1", spread, (value - 2 * spread, value + 2 * spread), "a test", ("one", "two"),
-                    "Verdict.", status)
+    return ParameterEstimate(parameter, value, "1", spread, (value - 2 * spread, value + 2 * spread), "a test",
+                             ("one", "two"), "Verdict.", status)
 
 
 def make_identification(*estimates):
@@ -160,6 +160,6 @@ def test_parameter_at_bound_has_open_interval_and_no_standard_error():
     ("cornering_stiffness_front", (-1e4, 2e5), "unidentifiable"), ("steering_wheel_offset", (-0.01, 0.02), "doubtful"),
     ("steering_wheel_offset", (0.01, 0.02), "identified"), ("tyre_front.p_ey1", (-0.3, 0.2), "identified")])
 def test_interval_containing_zero_is_not_identified(parameter, interval, status):
-    estimate = Estimate(parameter, sum(interval) / 2, "1", 1.0, interval, "", (), "Fixed.")
+    estimate = ParameterEstimate(parameter, sum(interval) / 2, "1", 1.0, interval, "", (), "Fixed.")
     (found,) = Identification("stiffness", (estimate,), ()).estimates
     assert found.status == status and ("zero" in found.verdict) == (status != "identified")

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..regression import effective_degrees_of_freedom, symmetric_interval
 from ..vehicle import VehicleParameters
-from .result import Coverage, Estimate, Identification, IdentificationError, get_stated_uncertainty
+from .result import Coverage, Identification, IdentificationError, ParameterEstimate, get_stated_uncertainty
 from .steering_ratio import Line, fit_line
 
 MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
@@ -97,7 +97,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
     lifts = tuple(dict.fromkeys(data.lifts))
     method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(lifts)} lift{'s' * (len(lifts) != 1)} up to "
               f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
-    estimate = Estimate(
+    estimate = ParameterEstimate(
         "cg_height", height, "m", uncertainty, interval, method, lifts,
         f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
         f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")

@@ -23,7 +23,7 @@ from .. import models
 from ..log import DriveLog
 from ..regression import Spread, extrapolation_uncertainty, make_blocks
 from ..vehicle import VehicleParameters
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
+from .result import Coverage, Identification, IdentificationError, ParameterEstimate, Status, describe_correlations
 from .run_samples import (
     ACCELERATION_EDGES,
     SPEED_EDGES,
@@ -108,7 +108,7 @@ class AxleRegression:
         """Standard uncertainty of the stiffness at zero slip [N/rad], including the model error if it is known."""
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
-    def estimate(self, runs: tuple[str, ...]) -> Estimate:
+    def estimate(self, runs: tuple[str, ...]) -> ParameterEstimate:
         """Estimate of the stiffness at zero slip, with the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
@@ -122,8 +122,8 @@ class AxleRegression:
             verdict = (f"{self.stiffness:.0f} N/rad +/- {100 * self.uncertainty / self.stiffness:.1f} % from "
                        f"{self.basis}. Secant over slip angles up to {slip:.1f} deg, compliance and roll steer "
                        f"included; {model_error}.")
-        return Estimate(f"cornering_stiffness_{self.axle}", self.stiffness, "N/rad", self.uncertainty,
-                        (self.stiffness - half, self.stiffness + half), METHOD, runs, verdict, status)
+        return ParameterEstimate(f"cornering_stiffness_{self.axle}", self.stiffness, "N/rad", self.uncertainty,
+                                 (self.stiffness - half, self.stiffness + half), METHOD, runs, verdict, status)
 
 
 def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:

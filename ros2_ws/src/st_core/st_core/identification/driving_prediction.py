@@ -36,7 +36,14 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
 from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
-from .result import Estimate, Identification, IdentificationError, Status, describe_contradiction, describe_correlations
+from .result import (
+    Identification,
+    IdentificationError,
+    ParameterEstimate,
+    Status,
+    describe_contradiction,
+    describe_correlations,
+)
 from .run_samples import measure_coverage, measure_driving_coverage, prepare_drives, require_coverage, sample_run
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
@@ -185,9 +192,9 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     uncertainty = np.sqrt(np.diag(covariance))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
-        Estimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
-                 spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
-                 *_judge_estimate(fit, i, uncertainty[i]))
+        ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
+                          spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
+                          *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{total - used} of {total} predictions are too slow, beyond the limit of lateral acceleration "
                  "or with gaps") for name, (used, total) in fit.windows.items() if used < total]

@@ -25,7 +25,7 @@ from ..log import DriveLog
 from ..regression import Blocks, Spread, correlation_matrix, make_blocks
 from ..vehicle import VehicleParameters
 from .driving_fit import MISALIGNMENT
-from .result import Estimate, Identification, Status, describe_correlations
+from .result import Identification, ParameterEstimate, Status, describe_correlations
 from .run_samples import SPEED_EDGES, RunSamples, measure_coverage, prepare_drives, require_coverage, sample_run
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
@@ -96,7 +96,7 @@ def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters)
 
 
 def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks,
-                               vehicle: VehicleParameters, used: tuple[str, ...]) -> Estimate | str:
+                               vehicle: VehicleParameters, used: tuple[str, ...]) -> ParameterEstimate | str:
     """Estimate of cg_to_ins_y, or a warning if it is not identifiable."""
     curvature = rate / speed
     seconds = [float(np.count_nonzero(side * curvature > MIN_CURVATURE)) * SAMPLE_INTERVAL for side in (1.0, -1.0)]
@@ -118,15 +118,15 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
 
 
 def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
-                   used: tuple[str, ...], description: str, max_uncertainty: float) -> Estimate:
+                   used: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
     uncertainty = float(abs(factor) * spread.deviations[index])
     status: Status = "identified" if uncertainty < max_uncertainty else (
         "doubtful" if uncertainty < 5.0 * max_uncertainty else "unidentifiable")
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
-    return Estimate(name, float(value), unit, uncertainty,
-                    spread.interval(index, value, uncertainty), "lateral velocity of slow driving"
-                    if name != "cg_to_ins_y" else "steering versus curvature in tight bends", used,
-                    f"{prefix}{description}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.", status)
+    method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity of slow driving"
+    return ParameterEstimate(name, float(value), unit, uncertainty, spread.interval(index, value, uncertainty), method,
+                             used, f"{prefix}{description}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.",
+                             status)
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:

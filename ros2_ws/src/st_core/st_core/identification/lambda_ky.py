@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from ..regression import symmetric_interval
 from ..tyres import magic_formula_stiffness, stiffness_scale
 from ..vehicle import TYRES, VehicleParameters
-from .result import Estimate, Identification, IdentificationError, Status, get_stated_uncertainty
+from .result import Identification, IdentificationError, ParameterEstimate, Status, get_stated_uncertainty
 
 LOAD_STEP = 1e-4  # relative step of F_z in the numerical derivative of K
 
@@ -58,8 +58,8 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         status: Status = "identified" if value <= 1.0 + 2.0 * relative_uncertainty else "doubtful"
         runs = tuple(filter(None, (stated.data, table_name)))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
-        estimates.append(Estimate(f"{tyre}.lambda_ky", value, "1", uncertainty, symmetric_interval(value, uncertainty),
-                                  method, runs, verdict, status))
+        estimates.append(ParameterEstimate(f"{tyre}.lambda_ky", value, "1", uncertainty,
+                                           symmetric_interval(value, uncertainty), method, runs, verdict, status))
         if tyre not in tables:
             warnings.append(f"No table of {tyre} was given: its flat-plank stiffness is assumed exact.")
     used = tuple(dict.fromkeys(run for e in estimates for run in e.runs))

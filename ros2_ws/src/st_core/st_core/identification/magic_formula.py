@@ -23,7 +23,7 @@ from ..regression import correlation_matrix
 from ..tyres import MagicFormula, magic_formula_stiffness, tyre_force
 from ..vehicle import TYRE_QUANTITIES
 from .bounded_fit import BoundedFit, Residuals, find_interval_end, fit_within_bounds
-from .result import Coverage, Estimate, Identification, IdentificationError, Status, describe_correlations
+from .result import Coverage, Identification, IdentificationError, ParameterEstimate, Status, describe_correlations
 
 MAX_SLIP = math.radians(40.0)
 MIN_SLIP = math.radians(3.0)
@@ -202,8 +202,8 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
             verdict.append(f"The data do not determine it within {low:g} to {high:g}; it is written because, with the "
                            "other parameters, it reproduces the stiffness at the tested loads.")
             uncertainty = (high - low) / math.sqrt(12.0)  # of a uniform distribution in the range
-        estimates.append(Estimate(key, value, "1", uncertainty, (low, high), method, (data.name,), " ".join(verdict),
-                                  status))
+        estimates.append(ParameterEstimate(key, value, "1", uncertainty, (low, high), method, (data.name,),
+                                           " ".join(verdict), status))
     correlation = correlation_matrix(fit.covariance)[:-1, :-1]
     grid = np.linspace(data.slip.min(), data.slip.max(), 121)
     figure = {"tyre": data.tyre, "slip": data.slip, "force": data.force, "levels": levels, "level": level,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..regression import correlation_matrix, effective_degrees_of_freedom, symmetric_interval
 from ..vehicle import VehicleParameters
-from .result import Estimate, Identification, IdentificationError, get_stated_uncertainty
+from .result import Identification, IdentificationError, ParameterEstimate, get_stated_uncertainty
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with steps of 0.5 kg
@@ -67,11 +67,13 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
               + (f", {load}" if load else ""))
     left = float(chosen[:, [0, 2]].sum() / chosen.sum())
     estimates = (
-        Estimate("mass", mass, "kg", uncertainties[0], intervals[0], method, used,
-                 f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
-        Estimate("cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
-                 f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
-                 f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
+        ParameterEstimate(
+            "mass", mass, "kg", uncertainties[0], intervals[0], method, used,
+            f"The car weighs {mass:.1f} kg{f' with {load}' if load else ''}."),
+        ParameterEstimate(
+            "cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
+            f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
+            f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
     warnings = tuple(_make_warnings(chosen, len(rejected), front, vehicle))
     figure = {"kept": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)

@@ -24,7 +24,7 @@ class IdentificationError(StCoreError):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """Estimate of a parameter, named as in the vehicle file ("mass", "tyre_front.p_ky1"), in SI units."""
 
     parameter: str
@@ -71,7 +71,7 @@ class Identification:
     """
 
     experiment: str  # its name in `st identify`
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     used: tuple[str, ...]  # names of the data
     rejected: tuple[tuple[str, str], ...] = ()  # (data, reason)
     correlation: np.ndarray | None = None  # matrix of the estimates, in their order
@@ -95,7 +95,7 @@ class Identification:
                 estimates[k] = replace(estimate, status="doubtful", verdict=verdict)
         object.__setattr__(self, "estimates", tuple(estimates))
 
-    def __getitem__(self, parameter: str) -> Estimate:
+    def __getitem__(self, parameter: str) -> ParameterEstimate:
         return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
 
     def to_document(self) -> dict[str, dict[str, Any]]:
@@ -110,7 +110,7 @@ class Identification:
             "verdict": e.verdict} for e in self.estimates}
 
 
-def describe_contradiction(estimate: Estimate, value: float, standard_uncertainty: float, origin: str) -> str:
+def describe_contradiction(estimate: ParameterEstimate, value: float, standard_uncertainty: float, origin: str) -> str:
     """A sentence if a value of another origin differs significantly (two-sided, 5 %) from an estimate, else "".
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported if |z| > 1.96
@@ -178,7 +178,7 @@ def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
     return (provenance.uncertainty or 0.0) if provenance else 0.0
 
 
-def compare_with_file(vehicle: VehicleParameters, estimate: Estimate) -> str:
+def compare_with_file(vehicle: VehicleParameters, estimate: ParameterEstimate) -> str:
     """A sentence if the estimate differs significantly (5 %) from a file value with an uncertainty, else ""."""
     stated = vehicle.provenance.get(estimate.parameter)
     if stated is None or stated.uncertainty is None or estimate.status == "unidentifiable":

@@ -19,7 +19,7 @@ from ..regression import Spread, make_blocks
 from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
-from .result import Estimate, Identification, IdentificationError, describe_contradiction
+from .result import Identification, IdentificationError, ParameterEstimate, describe_contradiction
 from .run_samples import RunSamples, prepare_drives, sample_run
 
 PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
@@ -89,10 +89,10 @@ def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.nd
 
 
 def _make_estimate(name: str, value: float, spread: Spread, method: str, runs: tuple[str, ...],
-                   basis: str) -> Estimate:
+                   basis: str) -> ParameterEstimate:
     uncertainty = float(spread.deviations[0])
     degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
     verdict = (f"The steering wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from {basis} in "
                f"{spread.basis[0]}.")
-    return Estimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method, runs, verdict,
-                    "identified" if deviation < 0.5 else "doubtful")
+    return ParameterEstimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method, runs, verdict,
+                             "identified" if deviation < 0.5 else "doubtful")

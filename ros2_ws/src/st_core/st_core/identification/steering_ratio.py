@@ -20,7 +20,7 @@ from scipy.stats import f as fisher
 
 from ..regression import symmetric_interval
 from ..vehicle import VEHICLE_QUANTITIES
-from .result import Coverage, Estimate, Identification, IdentificationError
+from .result import Coverage, Identification, IdentificationError, ParameterEstimate
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
         verdict += f" The ratio is not constant: {centre:.2f} on centre."
-    estimate = Estimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low), method,
-                        used, verdict)
+    estimate = ParameterEstimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low),
+                                 method, used, verdict)
     first, last = data.steering.min() / ANGLE_BIN_WIDTH, data.steering.max() / ANGLE_BIN_WIDTH
     edges = ANGLE_BIN_WIDTH * np.arange(math.floor(first), math.ceil(last) + 1)
     counts = np.histogram(data.steering, edges)[0]

@@ -14,7 +14,7 @@ from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.result import Estimate, Identification, IdentificationError, describe_contradiction
+from st_core.identification.result import Identification, IdentificationError, ParameterEstimate, describe_contradiction
 from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
@@ -166,7 +166,7 @@ def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lin
         axes.legend(fontsize=8)
 
 
-def _draw_region(axes: plt.Axes, outcome: Identification, pair: Sequence[Estimate]) -> None:
+def _draw_region(axes: plt.Axes, outcome: Identification, pair: Sequence[ParameterEstimate]) -> None:
     """Draw the joint 95 % region of two estimates from the covariance of the fit."""
     data, names = outcome.figure, [e.parameter for e in pair]
     index = [data["names"].index(name) for name in names]
@@ -198,7 +198,7 @@ def _get_display_unit(parameter: str) -> tuple[float, str]:
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
-def _format_estimate(estimate: Estimate) -> str:
+def _format_estimate(estimate: ParameterEstimate) -> str:
     factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
     value, uncertainty = estimate.value * factor, estimate.standard_uncertainty * factor
     text = f"{format_rounded(value, uncertainty)} +/- {format_rounded(uncertainty, uncertainty)}"
