@@ -93,7 +93,7 @@ def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dic
 
 
 def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHistory]]:
-    """SettingHistory of all status fields, and the values of the fields in _SETTINGS by channel."""
+    """Changes of all status fields, and the values of the fields in _SETTINGS by channel."""
     tracker = StatusTracker()
     last_values: dict[str, Value] = {}
     changes: list[Change] = []
@@ -119,7 +119,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHi
 
 
 def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[Change]:
-    """SettingHistory of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
+    """Changes of the vehicle angles relative to a tilted surface (channel 60) [deg], heading 0..360.
 
         R_vehicle->surface = R_surface->NED^T R_vehicle->NED,   R = Rz(heading) Ry(pitch) Rx(roll)
 

@@ -131,7 +131,7 @@ class NcomParser:
         if gps_ms is not None:
             self._untimed_since_ns = None
             return gps_ms * 1_000_000, order
-        if received_ns is not None:
+        if received_ns is not None and order == NEW:  # the minute of the clock is that of its newest packet
             if self._untimed_since_ns is None:
                 self._untimed_since_ns = received_ns
             if received_ns - self._untimed_since_ns > HOST_MINUTE_DELAY_NS:

@@ -328,3 +328,14 @@ def test_minute_of_a_live_stream_is_from_the_host_until_the_unit_sends_it(drive)
         known.append((gps_ns is not None, parser.minute_from_host))
     assert known == [(False, False)] * 5 + [(False, True), (True, True), (True, False), (True, False)]
     assert all(received.gps_ns is None for received in NcomParser().feed(b"".join(packets[:7])))
+
+
+def test_late_packet_of_the_previous_minute_does_not_set_the_minute(drive):
+    parser, change = NcomParser(), (START // 60_000 + 1) * 60_000
+    packets = [*drive(5, change - 1_900, 500, every=0), *drive(1, change - 5, every=0),
+               *drive(2, change + 600, 500, every=0)]
+    after_ms = [*range(0, 2_001, 500), 2_200, 2_500, 3_000]  # time of receipt
+    first_ns = to_unix_nanoseconds((change - 1_900) * 1_000_000)
+    received = [parser.feed(data, first_ns + ms * 1_000_000)[0] for data, ms in zip(packets, after_ms, strict=True)]
+    assert received[5].order == LATE
+    assert received[-1].gps_ns == (change + 1_100) * 1_000_000
