@@ -18,7 +18,7 @@ from st_core.bands import (
     steering_activity,
 )
 from st_core.bands.file import hash_configuration
-from st_core.bands.live import ALTERNATIVE_RATIO, HORIZONS, BandCoverage
+from st_core.bands.live import ALTERNATIVE_RATIO, FALSE_WARNING_TIME, BandCoverage
 from st_core.evaluation import make_score
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -166,4 +166,4 @@ def test_evidence_is_a_log_likelihood_ratio_per_horizon():
     assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
     coverage.add(4 * SECOND, 5.0, {0.9: False})  # a replay that restarts
     assert coverage.evidence == pytest.approx(math.log((1 - q) / (1 - p)))
-    assert math.log(HORIZONS) > 5 * coverage.evidence
+    assert math.log(FALSE_WARNING_TIME) > 5 * coverage.evidence

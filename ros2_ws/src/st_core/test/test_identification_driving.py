@@ -112,6 +112,7 @@ def test_ins_mounting_from_slow_driving(leaf):
     assert found["cg_to_ins_x"].value == pytest.approx(leaf.cg_to_ins_x + 0.12, abs=0.02)
     assert found["cg_to_ins_y"].value == pytest.approx(-0.08, abs=0.03)
     assert found[MISALIGNMENT].value == pytest.approx(-0.007, abs=0.0003)
+    assert found[MISALIGNMENT].verdict.count(" deg, ") == 2 and found["cg_to_ins_y"].verdict.startswith("-0.")
     low, high = found["cg_to_ins_x"].interval95
     assert low < leaf.cg_to_ins_x + 0.12 < high
 

@@ -54,12 +54,11 @@ class CanWire:
         """The frames with the wheel speeds FL, FR, RL, RR and the vehicle speed [m/s]."""
         front_left, front_right, rear_left, rear_right = wheel_speeds
         return [
-            self._encode_car("Leaf_WheelSpeedFront", {"wheel_speed_front_left": front_left,
-                                                      "wheel_speed_front_right": front_right,
-                                                      "vehicle_speed": vehicle_speed}),
-            self._encode_car("Leaf_WheelSpeedRear", {"wheel_speed_rear_left": rear_left,
-                                                     "wheel_speed_rear_right": rear_right}),
-        ]
+            self._encode_car("Leaf_WheelSpeedFront", {
+                "wheel_speed_front_left": front_left, "wheel_speed_front_right": front_right,
+                "vehicle_speed": vehicle_speed}),
+            self._encode_car("Leaf_WheelSpeedRear", {
+                "wheel_speed_rear_left": rear_left, "wheel_speed_rear_right": rear_right})]
 
     def encode_gear(self, code: int) -> list[Frame]:
         return [self._encode_car("Leaf_Gear", {"GearCode": code})]

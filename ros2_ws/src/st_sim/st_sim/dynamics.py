@@ -35,7 +35,10 @@ TyreCoefficients = tuple[float, ...]
 
 
 class Constants(NamedTuple):
-    """Parameters of the equations of motion [SI]. max_relaxation_rate: limit for a stable integration [1/s]."""
+    """Parameters of the equations of motion [SI]; see SETTINGS. to_front, to_rear: from the CG to each axle. ackermann:
+    half the left minus right front wheel angle / squared sine of their mean. max_relaxation_rate: limit for a stable
+    integration [1/s]. transfer_x: load change of one wheel per a_x, transfer_y: of both wheels of a side per a_y [kg].
+    static_front, static_rear: static load of one wheel [N]."""
 
     mass: float
     yaw_inertia: float
@@ -166,7 +169,7 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
 
 
 def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
-    """The state with zero velocity and slip; roll and pitch decay with PITCH_TIME over one time step [s]."""
+    """The state with zero velocity, slip and compliance angle; roll and pitch decay with PITCH_TIME over a step [s]."""
     values = list(s)
     for i in (VX, VY, YAW_RATE, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR):
         values[i] = 0.0
@@ -181,7 +184,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
     longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
-    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: (friction, bank, grade [rad], wind [m/s]).
+    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: fields of `environment.Surroundings`.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
@@ -254,8 +257,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
         (compliance * axle_front - compliance_angle) / COMPLIANCE_TIME if compliance else 0.0,
         rate_fl, rate_fr, rate_rl, rate_rr,
         a_y_rate, ROLL_FREQUENCY * (ROLL_FREQUENCY * (specific_y - a_y) - 2 * ROLL_DAMPING * a_y_rate),
-        (specific_x - a_x) / PITCH_TIME,
-    )
+        (specific_x - a_x) / PITCH_TIME)
     wheels = (steer, (y_fl, y_fr, y_rl, y_rr), (x_fl, x_fr, x_rl, x_rr), (load_fl, load_fr, load_rl, load_rr),
               (across_fl, across_fr, across_rl, across_rr), (along_fl, along_fr, left_x, right_x))
     return rates, wheels

@@ -31,14 +31,11 @@ _UNITS = {
     "grade_angle": "rad", "wind_x": "m/s", "wind_y": "m/s",
 }
 TRUTH_SCHEMA = {
-    "type": "object",
-    "title": "Truth",
+    "type": "object", "title": "Truth",
     "description": "State at the true CG (map axes ENU, body axes FLU) and forces on a simulated car.",
     "properties": {
         "time": {"type": "number", "description": "s since the start of the drive"},
-        **{name: {"type": "array" if ":" in unit else "number", "description": unit} for name, unit in _UNITS.items()},
-    },
-}
+        **{name: {"type": "array" if ":" in unit else "number", "description": unit} for name, unit in _UNITS.items()}}}
 
 
 def make_truth_record(truth: Truth) -> dict[str, object]:
@@ -123,8 +120,8 @@ class Mf4File:
         self._frames: dict[int, list[tuple[int, int, bytes]]] = {VEHICLE_BUS: [], INS_BUS: []}
 
     def write(self, time_ns: int, frame: Frame) -> None:
-        self._frames[frame.bus].append((time_ns - self._start_ns, frame.message.arbitration_id,
-                                        bytes(frame.message.data)))
+        message = frame.message
+        self._frames[frame.bus].append((time_ns - self._start_ns, message.arbitration_id, bytes(message.data)))
 
     def close(self) -> None:
         from asammdf import MDF

@@ -81,13 +81,11 @@ class NcomWire:
         roll_rate, pitch_rate, yaw_rate = reading.rates
         force_x, force_y, force_z = reading.specific_force
         packet = Packet(
-            milliseconds=milliseconds if status >= INITIALISING else 0,
-            navigation_status=status,
+            milliseconds=milliseconds if status >= INITIALISING else 0, navigation_status=status,
             # Body axes FLU -> FRD.
             acceleration=(force_x, -force_y, -force_z) if status >= RAW_IMU else _INVALID,
             angular_rate=(roll_rate, -pitch_rate, -yaw_rate) if status >= RAW_IMU else _INVALID,
-            latitude=0.0, longitude=0.0, altitude=0.0, channel=channel, batch_s=batch_s,
-        )
+            latitude=0.0, longitude=0.0, altitude=0.0, channel=channel, batch_s=batch_s)
         if status >= INITIALISING:
             packet.latitude, packet.longitude, height = self._origin.to_geodetic(reading.x, reading.y, reading.z)
             packet.altitude = height - UNDULATION
@@ -168,11 +166,9 @@ class StatusChannels:
     def __init__(self, origin: Origin, rate: int):
         self._rate, self._count = rate, 0
         self._slots = make_schedule()
-        map_origin = {
+        map_origin = {  # heading 90 deg: x of the local frame is east
             66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
-            # Heading 90 deg: x of the local frame is east.
-            67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0},
-        }
+            67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0}}
         self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **map_origin}.items()}
 
     def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:

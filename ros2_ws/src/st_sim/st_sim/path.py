@@ -94,6 +94,7 @@ class Path:
         self._lap_starts.clear()
 
     def pose(self, distance: float) -> Pose:
+        """Pose of the road at a distance, in map axes."""
         lap, along = divmod(distance, self.length)
         index = min(int(along / self._step), len(self._poses) - 2)
         fraction = along / self._step - index
@@ -102,6 +103,7 @@ class Path:
         return self._find_lap_start(int(lap)).compose(local)
 
     def curvature(self, distance: float) -> float:
+        """Curvature at a distance [1/m, left +]."""
         piece, along = self._find(distance % self.length)
         return piece.curvature_start + (piece.curvature_end - piece.curvature_start) * along / piece.length
 

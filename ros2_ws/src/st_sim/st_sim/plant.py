@@ -100,8 +100,7 @@ class Plant:
         values = [0.0] * STATES
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
-        rack = atan(self.car.wheelbase * curvature)
-        values[RACK] = rack
+        values[RACK] = rack = atan(self.car.wheelbase * curvature)
         self.state = tuple(values)
         self.surroundings = self.environment.advance(x, yaw)
         self._after_play = rack * self._ratio

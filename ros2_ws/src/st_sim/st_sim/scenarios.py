@@ -36,7 +36,8 @@ class Demand:
 
 
 class RoadPlan:
-    """Plan that follows a road with its speed profile. start: distance along the path at which the drive begins [m]."""
+    """Plan that follows a road with its speed profile. acceleration, braking: limits of the profile [m/s^2, > 0].
+    start: distance along the path at which the drive begins [m]."""
 
     def __init__(self, pieces: Sequence[Piece], acceleration: float = 1.2, braking: float = 1.5, start: float = 0.0):
         self.path = Path(pieces)
@@ -193,7 +194,9 @@ def _read_plan(file: FilePath) -> Plan:
             raise ValueError(f"acceleration and braking {limits}: not within 0.01 to 20 m/s^2")
         return RoadPlan(pieces, *limits)
     except (ArithmeticError, AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
-        raise SimulationError(f"{file}: road: {error!r}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, "
+        reason = f"key {error} is missing" if isinstance(error, KeyError) else (
+            str(error) or "a row has none of the keys straight, turn and shift")
+        raise SimulationError(f"{file}: road: {reason}; rows are {{straight: m, speed: m/s}}, {{turn: deg, radius: m, "
                               "blend: m, speed: m/s} or {shift: m, length: m, speed: m/s}") from None
 
 

@@ -83,11 +83,9 @@ class Ins:
     def read(self, truth: Truth) -> InsReading:
         x, y, vx, vy = truth.motion_at(*self._lever)
         ax, ay = truth.acceleration_at(*self._lever)
-        s = self._settings
         reading = InsReading(
-            stamp=truth.time + s["ins_time_error"], x=x, y=y, z=truth.z,
-            velocity_x=vx, velocity_y=vy, velocity_z=truth.velocity_z,
-            yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
+            stamp=truth.time + self._settings["ins_time_error"], x=x, y=y, z=truth.z, velocity_x=vx, velocity_y=vy,
+            velocity_z=truth.velocity_z, yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
             rates=_compute_body_rates(truth), specific_force=_compute_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
@@ -118,8 +116,8 @@ class Ins:
         wx, wy, wz = r.rates
         r.rates = (wx + noise["rate_x"](vibration), wy + noise["rate_y"](vibration), wz + noise["rate_z"](vibration))
         fx, fy, fz = r.specific_force
-        r.specific_force = (
-            fx + noise["force_x"](vibration), fy + noise["force_y"](vibration), fz + noise["force_z"](vibration))
+        r.specific_force = (fx + noise["force_x"](vibration), fy + noise["force_y"](vibration),
+                            fz + noise["force_z"](vibration))
 
 
 def _compute_body_rates(truth: Truth) -> tuple[float, float, float]:

@@ -62,7 +62,8 @@ def _is_due(now_ms: int, schedule: tuple[int, int]) -> bool:
 
 
 class Stream:
-    """Outputs of a source, which is advanced at most one tick ahead of them. ins_rate: INS epochs per second."""
+    """Outputs of a source, which is advanced at most one tick ahead of them. ins_rate: INS epochs per second.
+    background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
     def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
                  can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):

@@ -4,12 +4,12 @@ A sequential test detects coverage significantly below the nominal level p; the 
 Each scored window contributes its log likelihood ratio:
 
     l = log((1 - q) / (1 - p))  if the path left the band,   log(q / p)  if it stayed inside
-    S <- max(0, S + w l),     warning if S >= log(HORIZONS)
+    S <- max(0, S + w l),     warning if S >= log(FALSE_WARNING_TIME)
 
 Overlapping windows are not independent, so the weight w of a window is the fraction of a horizon by which it starts
 later than the previous one. S is then a mean over all sequences of windows spaced by a whole horizon, which does not
 exceed the log of their mean likelihood ratio (Jensen's inequality): the test is an e-detector. If every window stays
-inside with probability p or more given the past, the mean time to a false warning is at least HORIZONS horizons.
+inside with probability p or more given the past, the mean time to a false warning is at least FALSE_WARNING_TIME.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM type).
 Checked by: test_bands_live.py. Measured false warnings and delays: docs/manual/bands.md.
 """
@@ -123,7 +123,7 @@ class AdaptiveBands:
         reason = ""
         if self._calibrated and not self._calibrated(condition):
             reason = self._calibrated.domain.describe_outside(condition)
-        found: set[ModelMode] = set()
+        issued: set[ModelMode] = set()
         for model, half_widths in self.half_widths.items():
             for mode in modes:
                 pair = model, mode
@@ -133,11 +133,11 @@ class AdaptiveBands:
                     continue
                 widths = band.issue(start_ns, scale)
                 if not band.remaining_warm_up:
-                    found.add(pair)
+                    issued.add(pair)
                     self._first_ns[pair] = min(self._first_ns.get(pair, start_ns), start_ns)  # time may jump back
                     for level, level_widths in widths.items():
                         half_widths[mode, level][1:] = level_widths
-        return found, reason
+        return issued, reason
 
     def observe(self, score: Score) -> None:
         """Update a band and its counts by the score of an earlier prediction. Call in order of time for each band."""
@@ -154,7 +154,7 @@ def _compute_errors(score: Score) -> np.ndarray:
 
 
 ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
-HORIZONS = 7200.0  # minimum mean number of horizons to a false warning: ten hours with horizons of 5 s
+FALSE_WARNING_TIME = 7200.0  # horizons; minimum mean time to a false warning: ten hours with horizons of 5 s
 END_SHARE = 0.5  # fraction of the limit; a warning ends when S falls below it
 
 
@@ -165,7 +165,7 @@ class BandCoverage:
     n: int = 0  # number of scored windows with a band
     inside: dict[float, int] = field(default_factory=dict)  # number of these with the whole path inside, by level
     warns: bool = False  # whether the coverage of the highest level is significantly too low
-    evidence: float = 0.0  # S of the highest level, see module; limited to log(HORIZONS)
+    evidence: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:
@@ -181,7 +181,7 @@ class BandCoverage:
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
         weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, as in a replay
-        limit, q = math.log(HORIZONS), ALTERNATIVE_RATIO * level
+        limit, q = math.log(FALSE_WARNING_TIME), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
         self.warns = self.evidence >= (END_SHARE * limit if self.warns else limit)
@@ -213,10 +213,10 @@ class CoverageMonitor:
 
     def describe_warnings(self) -> str:
         """One-line warning of bands with coverage significantly below the nominal level; empty if there are none."""
-        found = []
+        pairs = []
         for (model, mode), coverage in self.by_pair.items():
             if coverage.warns:
                 level = max(coverage.inside)
-                found.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
-        return (f"coverage of bands is far below the nominal level: {', '.join(found)}; has the car, the road or the "
-                "driving changed?") if found else ""
+                pairs.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
+        return (f"coverage of bands is far below the nominal level: {', '.join(pairs)}; has the car, the road or the "
+                "driving changed?") if pairs else ""

@@ -29,7 +29,7 @@ class ErrorSamples:
 
     name: str
     conditions: np.ndarray  # (n, 4) as `conditions.CONDITIONS`
-    errors: dict[ModelMode, np.ndarray]  # (n, points - 1, 3), float32, see `to_predicted_frame`
+    errors: dict[ModelMode, np.ndarray]  # (n, points, 3), float32, see `to_predicted_frame`
 
 
 def to_predicted_frame(errors: np.ndarray) -> np.ndarray:

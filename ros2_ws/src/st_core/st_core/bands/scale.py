@@ -34,6 +34,7 @@ MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # of the fit; of one step, until the l
 TOLERANCE = 1.0e-3  # largest derivative at convergence: relative error of the mean squares, below their uncertainty
 MAX_FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
+SPLINE_KNOT_SPACING = 1.5  # m/s^2
 
 # Of each condition in its unit: minimum, offset and divisor in the logarithm (`compute_features`).
 _FLOORS, _OFFSETS, _DIVISORS = (0.1, 0.0, 0.0, 0.0), (0.0, 0.3, 0.2, 0.005), (10.0, 1.5, 0.6, 0.02)
@@ -58,7 +59,7 @@ def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable
     """
     logs = [log((largest(value, floor) + offset) / divisor)
             for value, floor, offset, divisor in zip(condition, _FLOORS, _OFFSETS, _DIVISORS, strict=True)]
-    splines = [largest(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOTS[0]) for knot in SPLINE_KNOTS]
+    splines = [largest(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOT_SPACING) for knot in SPLINE_KNOTS]
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *splines]
 
 

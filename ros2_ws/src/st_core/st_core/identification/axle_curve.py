@@ -94,13 +94,14 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
-    their central 90 % at each slip, extended to the curves of `alternatives`. original: model of the vehicle file.
-    Raises StCoreError for fewer than two measured slip angles.
+    their central 90 % at each slip, extended to the curves of `alternatives`, other models that explain the drives.
+    original: model at the start of the search, for `ForceCurve.file`. Raises StCoreError for fewer than two measured
+    slip angles, or only zeros.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
     if len(abs_slip) < 2 or not abs_slip.max() > 0.0:
-        raise StCoreError(f"{axle} axle: {len(abs_slip)} measured slip angles; at least two above 0 are needed")
+        raise StCoreError(f"{axle} axle: {len(abs_slip)} measured slip angles; two are needed, not all 0")
     slip = np.linspace(0.0, float(np.quantile(abs_slip, SLIP_QUANTILE)), 41)
     force, file = (compute_axle_force(candidate, vehicle, axle, slip) for candidate in (model, original))
     rows = [compute_axle_force(candidate, vehicle, axle, slip) for candidate in draws]
@@ -116,8 +117,8 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws that change it beyond the
-    limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: of `count` draws, those that change
+    it beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
@@ -141,7 +142,7 @@ def select_valid_models(models: Iterable[AugmentedModel], vehicle: VehicleParame
 def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples: AxleSamples) -> float:
     """RMS difference between modelled and measured axle force versus slip, divided by the measured peak [1].
 
-        sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max |mean F|
+        sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max (mean F),    mean F: mean measured force of a bin
 
     The bins of `AxleSamples.bin_forces` divide the measured |slip| evenly, so that straights do not outweigh bends.
     """

@@ -38,10 +38,11 @@ from .result import IdentificationError
 
 MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRelaxation.name
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
-"""Largest number of fits, each with the error scale of the previous one; relative change of the scale if converged."""
+"""Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
+fits have converged."""
 BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range between both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's distribution
+MIN_CURVATURE_RATIO = 0.2  # smallest curvature of the loss / Gauss-Newton approximation; 0.7 for Student's errors
 Values = Mapping[str, float]
 
 
@@ -89,7 +90,7 @@ class DrivingFitSettings:
     interval: float = 0.5  # s, between the starts of the predictions
     minimum_speed: float = 5.0  # m/s
     maximum_acceleration: float = 4.0  # m/s^2, largest |v_x r|
-    min_windows: int = 60  # of a fit
+    min_windows: int = 60  # smallest number of windows in a fit
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")  # without velocity_y, predictions start from steady sideslip
 
 

@@ -143,7 +143,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                          base: str | Model = "nonlinear") -> Identification:
     """Yaw inertia with its uncertainty; stiffnesses and steering delay are reported too.
 
-    Raises IdentificationError without transients: 0.5 s of |r_dot| above 0.3 rad/s^2 in each direction is needed.
+    Raises IdentificationError without transients: 0.5 s of r_dot in every bin of YAW_ACCELERATION_EDGES is needed.
     """
     settings = TRANSIENT_SETTINGS
     logs, notes = prepare_drives(logs, vehicle)

@@ -5,9 +5,9 @@ ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds the slip s [s^2/m]. The term e is
-the lateral motion of an INS above the roll axis as the body rolls. If the INS is a distance d_y to the left of the CG,
-it is slower than the CG in left bends and faster in right bends:
+with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds the slip s [s^2/m]. The term e
+[s^2] is the lateral motion of an INS above the roll axis as the body rolls. If the INS is a distance d_y to the left of
+the CG, it is slower than the CG in left bends and faster in right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
@@ -60,9 +60,9 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     theta, spread, _ = group.fit_least_squares(regressors, lateral)
     misalignment, rear_axle_to_ins, slip = -theta[0], theta[1], -theta[2]
     estimates = [
-        _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, "m", used,
+        _make_estimate("cg_to_ins_x", rear_axle_to_ins - vehicle.cg_to_rear_axle, spread, 1, 1.0, used,
                        f"{rear_axle_to_ins:.3f} m ahead of the rear axle", 0.1),
-        _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, "rad", used,
+        _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used,
                        f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
     with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
@@ -109,24 +109,27 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         forward = speed + rate * d_y
         kinematic = np.arctan(vehicle.wheelbase * rate / forward)
         slope = -vehicle.wheelbase * rate**2 / (forward**2 + (vehicle.wheelbase * rate) ** 2)
-        # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o, d_y': the next value of d_y
+        # delta_file = f (kinematic + c kinematic^3 + slope (d_y' - d_y) + K v r) + o;  d_y': the next value of d_y,
+        # f: true steering ratio / ratio of the vehicle file
         regressors = np.stack([kinematic, slope, speed * rate, np.ones_like(speed), kinematic**3], axis=1)
         theta, spread, _ = group.fit_least_squares(regressors, angle)
         d_y += float(theta[1] / theta[0])
-    return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), "m", used,
-                          "left of the CG, from bends to both sides", 0.1)
+    return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), used,
+                          f"{d_y:+.3f} m from the CG, left +, from bends to both sides", 0.1)
 
 
-def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float, unit: str,
+def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float,
                    used: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
+    """Estimate with the standard uncertainty |factor| times that of regression coefficient `index`."""
     uncertainty = float(abs(factor) * spread.deviations[index])
+    unit = "rad" if name == MISALIGNMENT else "m"
+    text = f"{np.rad2deg(uncertainty):.2g} deg" if name == MISALIGNMENT else f"{uncertainty:.2g} m"
     status: Status = "identified" if uncertainty < max_uncertainty else (
         "doubtful" if uncertainty < 5.0 * max_uncertainty else "unidentifiable")
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
     method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity of slow driving"
     return ParameterEstimate(name, float(value), unit, uncertainty, spread.interval(index, value, uncertainty), method,
-                             used, f"{prefix}{description}, +/- {uncertainty:.2g} {unit}, from {spread.basis[index]}.",
-                             status)
+                             used, f"{prefix}{description}, +/- {text}, from {spread.basis[index]}.", status)
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:

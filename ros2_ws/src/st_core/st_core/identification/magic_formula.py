@@ -199,8 +199,8 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
             end = low if low_open else high
             verdict.append(f"The data determine only one end of the interval; the other is the bound {end:g}.")
         if open_ends == 2:
-            verdict.append(f"The data do not determine it within {low:g} to {high:g}; it is written because, with the "
-                           "other parameters, it reproduces the stiffness at the tested loads.")
+            verdict.append(f"The data do not determine {key} within {low:g} to {high:g}; the value is written because, "
+                           "with the other parameters, it reproduces the stiffness at the tested loads.")
             uncertainty = (high - low) / math.sqrt(12.0)  # of a uniform distribution in the range
         estimates.append(ParameterEstimate(key, value, "1", uncertainty, (low, high), method, (data.name,),
                                            " ".join(verdict), status))
@@ -278,8 +278,7 @@ def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]
                          "of the slip angle was changed.")
     if (loads := len(tyre_fit.levels)) < 3:
         fixed = "p_ky4 is" if loads == 2 else "p_dy2, p_ey2, p_ky2 and p_ky4 are"
-        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed} taken "
-                         "from the vehicle file.")
+        sentences.append(f"The table has only {loads} load{'s' * (loads > 1)}: {fixed} taken from the vehicle file.")
     shift, uncertainty = tyre_fit.fit.values[-1], tyre_fit.fit.standard_errors[-1]
     if abs(shift) > 3.0 * uncertainty and abs(shift) > math.radians(0.02):
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "

@@ -1,6 +1,6 @@
 """Mass and position of the centre of gravity (CG) from four wheel scales.
 
-    m = sum of the four readings,                l_f = l (rear readings) / m
+    m = sum of the four readings,                l_f = l (sum of the two rear readings) / m
     u(m)^2   = s_m^2 / n + 4 u_s^2
     u(l_f)^2 = s_l^2 / n + 2 u_s^2 (l_f^2 + l_r^2) / m^2 + (l_f / l)^2 u(l)^2
 
@@ -75,7 +75,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
             f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
             f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
     warnings = tuple(_make_warnings(chosen, len(rejected), front, vehicle))
-    figure = {"kept": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
+    figure = {"is_used": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)
 
 

@@ -159,11 +159,10 @@ class OnlineIdentifier:
     def take_snapshot(self) -> tuple[DriveLog, VehicleParameters]:
         """Stored driving and vehicle, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
         self._fitted_at = self.driving_time.used
-        columns = np.array([sample[1:7] for sample in self._ins]).T
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
         steering_times = np.array([time for time, _ in self._steering], np.int64)
         angle = np.array([value for _, value in self._steering])
-        x, y, yaw, velocity_x, velocity_y, yaw_rate = columns
+        x, y, yaw, velocity_x, velocity_y, yaw_rate = np.array([sample[1:7] for sample in self._ins]).T
         return DriveLog("recent driving", times, x, y, np.unwrap(yaw), velocity_x, velocity_y, yaw_rate,
                         steering_times, self.vehicle.road_wheel_angle(angle), angle), self.vehicle
 

@@ -59,11 +59,10 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
     yaw_rate, yaw_acceleration = smooth(time_ns, log.yaw_rate)
     _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
-    angle = LogSignals(log, MAXIMUM_GAP, 5.0).sample(log.steering_time_ns, angle, time_ns)
+    angle = LogSignals(log, MAXIMUM_GAP, cutoff).sample(log.steering_time_ns, angle, time_ns)
     # Nearer than FILTER_SETTLING_TIME to the ends of a gap-free stretch, the filter has not settled.
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
-    begins = time_ns[np.concatenate(([0], breaks + 1))]
-    ends = time_ns[np.concatenate((breaks, [len(time_ns) - 1]))]
+    begins, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
     stretch = np.searchsorted(begins, time_ns, side="right") - 1
     is_settled = np.minimum(time_ns - begins[stretch], ends[stretch] - time_ns) >= round(
         FILTER_SETTLING_TIME / NANOSECOND)
@@ -107,7 +106,7 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def estimate_yaw_rate_bias(log: DriveLog) -> float:
-    """Mean difference between yaw rate and rate of change of yaw, outside gaps [rad/s]."""
+    """Mean of the yaw rate minus the rate of change of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
     known = spacing <= MAXIMUM_GAP
     difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[known]

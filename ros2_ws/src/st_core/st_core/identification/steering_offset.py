@@ -20,7 +20,7 @@ from ..timeseries import filtered_derivative
 from ..vehicle import VehicleParameters
 from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Identification, IdentificationError, ParameterEstimate, describe_contradiction
-from .run_samples import RunSamples, prepare_drives, sample_run
+from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 
 PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
@@ -45,8 +45,8 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g}"
             f" m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
-    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, 0.1, "zero_phase")[0])
-              for log in logs]
+    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
+                                                  "zero_phase")[0]) for log in logs]
     fit = fit_driving(smooth, vehicle, (PAPER_NAME,), "linear", SETTINGS)
     predicted = tuple(name for name, (count, _) in fit.windows.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",

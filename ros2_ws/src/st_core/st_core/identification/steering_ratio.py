@@ -133,8 +133,7 @@ def identify_steering_ratio(data: Turntable) -> Identification:
 
 def _check_rows(data: Turntable) -> None:
     columns = {"steering wheel": (data.steering, MAX_STEERING_WHEEL_ANGLE),
-               "left wheel": (data.left, MAX_ROAD_WHEEL_ANGLE),
-               "right wheel": (data.right, MAX_ROAD_WHEEL_ANGLE)}
+               "left wheel": (data.left, MAX_ROAD_WHEEL_ANGLE), "right wheel": (data.right, MAX_ROAD_WHEEL_ANGLE)}
     if len(data.steering) < MIN_ROWS:
         raise IdentificationError(f"the table has {len(data.steering)} rows, at least {MIN_ROWS} are needed")
     for name, (angle, largest) in columns.items():

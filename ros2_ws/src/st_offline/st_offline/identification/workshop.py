@@ -56,7 +56,7 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
         estimate = outcome[key]
         axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
         axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
-        used = data["kept"]
+        used = data["is_used"]
         axes.plot(values[used], rows[used], "o", color=TEXT, ms=5, label="weighing")
         axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
         axes.set_xlabel(label)
