@@ -36,9 +36,10 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 
 
 class Axles:
-    """Forces of both axles in a fitted model. noise_ratio [1]: ratio of residual to noise, by which bands and intervals
-    are widened. near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises
-    StCoreError for a base model without tyres, drives too short, and values too uncertain for a vehicle file."""
+    """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
+    intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
+    near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises StCoreError for a
+    base model without tyres, drives too short, and values too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, noise_ratio: float, near: Sequence[np.ndarray] = ()):

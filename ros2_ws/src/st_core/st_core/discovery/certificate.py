@@ -40,8 +40,8 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
-    """Name of the effect of the fit that masks `effect`: if the values of the masking effect were known, a change of
-    `effect` by one parameter scale would be detected; "" if there is none."""
+    """Name of the effect of the fit that masks `effect` most: if the values of the masking effect were known, a change
+    of `effect` by one parameter scale would be detected with at least `limits.detection_power`; "" if there is none."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
     indices, masking, largest = problem.space.indices(effect), "", limits.detection_power

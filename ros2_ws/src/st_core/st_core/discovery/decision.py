@@ -230,9 +230,9 @@ def _describe_effect_size(e: Evidence, limits: Limits) -> str:
 def varying_partition(e: Evidence, limits: Limits) -> str:
     """Partition (run, place, ...) over which an effect varies significantly and may be absent in a new part, or "". If
     there are several, the one with the largest probability of absence."""
-    found = [partition for partition, a in e.agreement.items()
-             if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
-    return max(found, key=lambda partition: e.agreement[partition].p_absent, default="")
+    varying = [partition for partition, a in e.agreement.items()
+               if a.p_equal < limits.false_alarm and a.p_absent > limits.undecided_p]
+    return max(varying, key=lambda partition: e.agreement[partition].p_absent, default="")
 
 
 def varies_relevantly(e: Evidence, limits: Limits) -> bool:

@@ -79,7 +79,7 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 class _JudgedEffects(NamedTuple):
     """The effects of the final fit. minor: in the model, but not named. contradicted: refuted by the measured axle
-    forces, or leading to an implausible car. verdicts: by effect. leave_one_out: see `Discovery`."""
+    forces, or leading to an implausible car. verdicts: by effect. Other fields: see `Discovery`."""
 
     named: tuple[result.FoundEffect, ...]
     minor: tuple[result.FoundEffect, ...]

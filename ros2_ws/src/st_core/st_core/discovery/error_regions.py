@@ -5,9 +5,9 @@ For each range (bin) of a condition:
     excess = sqrt(mean square error in the bin / expected mean square error)
 
 The expected error is that of the reference drives in the same bin, or in their worst bin if they have too few blocks
-there; without a reference it is the sensor noise. Intervals and p-values are from resampling whole blocks of time,
-since errors of neighbouring predictions are correlated. Significance is corrected for the number of bins (Benjamini and
-Hochberg, 1995).
+there; without a reference it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of time,
+since errors of neighbouring predictions are correlated; intervals and p-values are from Student's t distribution.
+Significance is corrected for the number of bins (Benjamini and Hochberg, 1995).
 
 Errors are larger in corners than on straights. Times and places are therefore compared by the residuals of a
 regression of the errors on the conditions; ice, a gust or a defect changes these residuals. The regression is
@@ -51,7 +51,7 @@ CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, along each axis, between cells of one place
 MIN_STRETCH_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
-MIN_ERROR_RATIO = 1.5  # minimum ratio of the error in a reported stretch or cell to the error elsewhere
+MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported `Stretch` or `Cell`
 MAX_CHANGE_POINTS = 3  # maximum number of change points per run and channel
 PERMUTATIONS = 299  # enough to resolve a p-value of 0.01
 EVERYWHERE = "everywhere"
@@ -162,8 +162,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                        noise: Mapping[str, float] | None = None,
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
-    """Conditions, times and places in which the errors of a model exceed those in the reference drives or, without a
-    reference, the sensor noise. noise: standard deviation by channel [SI], required without a reference.
+    """Conditions with larger errors of a model than in the reference drives or, without a reference, than the sensor
+    noise; times and places with larger errors than under similar conditions. noise: standard deviation by channel [SI].
     acceleration_gain: see `Discovery`. Channels that the runs or the reference do not measure are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
     expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
@@ -368,7 +368,7 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng:
 
 def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.ndarray:
     """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown. noise [SI]."""
-    c = samples.conditions
+    c = samples.conditions  # the constants below limit the logarithms of values near 0
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
                      np.abs(c["forward_acceleration"])], axis=1)

@@ -100,8 +100,8 @@ def relative_reduction(gain: float) -> float:
 class Scores:
     """Efficient scores of all effects of the library that are not in a fit. by_effect: (b, k) scores by effect.
     largest: (draws,) largest score statistic of the library under random signs of the blocks. design_effect [1]: factor
-    by which dependent windows increase the variance of a score (median of the library). gains: by effect, ((b,) gain,
-    vector at the optimum), both from the quadratic approximation."""
+    by which dependent windows increase the variance of a score (median of the library), at least 1. gains: by effect,
+    ((b,) gain, vector at the optimum), both from the quadratic approximation."""
 
     by_effect: Mapping[str, np.ndarray]
     largest: np.ndarray
@@ -112,7 +112,7 @@ class Scores:
 def efficient_score(q: Quadratic, problem: Problem, names: tuple[str, ...], effect: str,
                     prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: loss by block, in all
-    parameters. prior_gradient: (p,) half the gradient of the prior; None if it is 0 at the vector of q."""
+    parameters. prior_gradient: (p,) half the gradient of the prior at the vector of q; None to leave it out."""
     new = problem.space.indices(effect)
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
@@ -244,8 +244,8 @@ def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivitie
 
 
 def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
-    """(mean reduction of an error, largest lower 95 % bound of the mean in one driving condition). reduction: (n,) by
-    window."""
+    """(mean reduction of an error, largest lower 95 % bound of the mean in one driving condition; without conditions,
+    the mean). reduction: (n,) by window."""
     finite = np.isfinite(reduction)
     if not finite.any():
         return 0.0, 0.0
@@ -407,6 +407,7 @@ def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, nam
     variance = inverse(overall)
     total = 1.0 / max(variance[0, 0], 1e-30)
     blocks = fit.quadratic.sum_groups(problem.block, problem.blocks).gradient @ basis
+    # At least 0.5, the value for independent windows, because h is half the second derivative of the loss.
     design_effect = max(float((variance @ (blocks.T @ blocks) @ variance)[0, 0] * total), 0.5)
     prior = PART_PRIOR * overall / len(h)
     prior[0, :] = prior[:, 0] = 0.0

@@ -288,13 +288,11 @@ class Problem:
         return self.fit_at(names, vector, indices, sensitivities)
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
-        """Continue a fit with recomputed sensitivities."""
-        fitted = np.union1d(self.space.indices(*fit.names), self.space.indices(ACCELEROMETER_GAIN))
-        fresh = Sensitivities(fit.vector, fit.sensitivities.indices, fit.sensitivities.values)
-        if len(fitted):
-            known = np.intersect1d(fitted, fit.sensitivities.indices)
-            fresh = fresh.with_values(known, self.loss.sensitivities(fit.vector, known))
-        return self.fit(fit.names, fresh, iterations=iterations)
+        """Continue a fit with recomputed sensitivities to the parameters of its effects and the accelerometer gain."""
+        own = np.intersect1d(self.space.indices(*fit.names, ACCELEROMETER_GAIN), fit.sensitivities.indices)
+        sensitivities = replace(fit.sensitivities, vector=fit.vector)
+        sensitivities = sensitivities.with_values(own, self.loss.sensitivities(fit.vector, own))
+        return self.fit(fit.names, sensitivities, iterations=iterations)
 
     def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, new: np.ndarray) -> Sensitivities:
         """The sensitivities at another vector, with those to the parameters `new` recomputed."""

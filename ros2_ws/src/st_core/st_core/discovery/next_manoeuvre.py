@@ -97,9 +97,9 @@ def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
 
 def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
                design_effect: float) -> tuple[float, float]:
-    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` does not explain
-    [standard deviations of the noise]) for a curvature h (p, p). others: further effects in the fit. values: (p,)
-    distance from the null [parameter scales]."""
+    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and `others` do not
+    explain [standard deviations of the noise]) for a curvature h (p, p). others: further effects in the fit. values:
+    (p,) distance from the null [parameter scales]."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = values[indices]
@@ -117,14 +117,15 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
                         design_effect: float) -> tuple[Separability, ...]:
     """Separability of every named effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
+    return tuple(Separability(e.name, rival, *_separation_in_fit(problem, fit, h, e.name, rival, design_effect))
+                 for e in effects for rival in e.alternatives)
+
+
+def _separation_in_fit(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
+                       design_effect: float) -> tuple[float, float]:
+    """`separation` of an effect of a fit from another effect, at the fitted values."""
     values = (fit.vector - problem.space.null) / problem.space.scale
-    separabilities = []
-    for effect in effects:
-        others = tuple(n for n in fit.names if n != effect.name)
-        for rival in effect.alternatives:
-            similarity = separation(h, problem, others, effect.name, rival, values, design_effect)
-            separabilities.append(Separability(effect.name, rival, *similarity))
-    return tuple(separabilities)
+    return separation(h, problem, [n for n in fit.names if n != first], first, second, values, design_effect)
 
 
 def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,
@@ -133,11 +134,9 @@ def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
     errors of the model, which more driving does not reduce."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-    values = (fit.vector - problem.space.null) / problem.space.scale
 
     def strength_of(pair: tuple[str, str], curvature: np.ndarray) -> float:
-        others = tuple(n for n in fit.names if n != pair[0])
-        return separation(curvature, problem, others, *pair, values, design_effect)[1]
+        return _separation_in_fit(problem, fit, curvature, *pair, design_effect)[1]
 
     pairs = [pair for e in effects for other in e.alternatives
              if strength_of(pair := (e.name, other), h) < MIN_SEPARATION]

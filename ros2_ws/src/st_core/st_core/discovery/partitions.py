@@ -6,7 +6,7 @@ from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
 SAME_SITE_SHARE = 0.2  # of the places of the run with fewer places; runs with more common places are at one site
-MIN_RUNS, MIN_STRETCHES = 5, 6  # fewer runs are divided into at least this number of stretches
+MIN_RUNS, MIN_STRETCHES = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_STRETCHES stretches in all
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 

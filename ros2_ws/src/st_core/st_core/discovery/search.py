@@ -69,8 +69,7 @@ class Search:
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
         assert first is not None  # no set was visited before
         candidates: list[SearchState | None] = [first]
-        library = [n for n in p.space.hypotheses
-                   if n not in p.space.additions and not get_effect(n).forward_only]
+        library = [n for n in p.space.hypotheses if n not in p.space.additions and not get_effect(n).forward_only]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             scale, design_effect = p.loss.scale, p.design_effect
@@ -135,8 +134,8 @@ class Search:
         return self._drop_rejected(state).fit
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
-        """The sets with a held-out loss per residual that exceeds that of the final set by less than
-        `limits.unexplained_share`; none if the residual is near the noise."""
+        """The sets fitted at the final residual scale whose held-out loss per residual exceeds that of the final set by
+        less than `limits.unexplained_share`; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:
             return []
@@ -144,8 +143,8 @@ class Search:
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:
-        """Take forward and backward steps until no further effect is accepted. Returns None if they lead to a set that
-        was visited from another start, unless `revisit` is set."""
+        """Take forward and backward steps until no further effect is accepted, or a set recurs. Returns None if they
+        lead to a set that was visited from another start, unless `revisit` is set."""
         state = SearchState(fit, list(fit.names))
         path: set[frozenset[str]] = set()
         while True:

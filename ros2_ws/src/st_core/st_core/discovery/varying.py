@@ -34,8 +34,8 @@ class VaryingFit:
 
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[VaryingFit]:
-    """Every effect of the library with its own value in each part of a partition, largest gain first. Partitions with
-    at least half as many parts as blocks are left out."""
+    """Every effect of the library, except composites, with its own value in each part of a partition, largest gain
+    first. Partitions with at least half as many parts as blocks are left out."""
     q = problem.full_quadratic(fit.vector)
     usable = {name: partition for name, partition in partitions.items()
               if len(np.unique(partition[0])) < problem.blocks / 2}
@@ -47,8 +47,8 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
 
 def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
                  tests: int) -> VaryingFit | None:
-    """One effect with its own value in each part of one partition; None with fewer than two informative parts. tests:
-    number of tests, for the Bonferroni correction."""
+    """One effect with its own value in each part of one partition; None with fewer than two informative parts, or with
+    as many as blocks. tests: number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
     fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)

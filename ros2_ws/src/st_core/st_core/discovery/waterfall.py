@@ -9,7 +9,7 @@ from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
 from ..regression import random_effects
 from .evidence import Z95, JointFit, compare_parts, inverse, standard_deviations
-from .fit import Fit, Problem
+from .fit import DIVERGED_ERROR, Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step
 
@@ -27,12 +27,14 @@ class HorizonErrors:
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) square error by channel at the end of the horizon; for position_5s, the error itself [m]."""
+        """(n,) square error by channel at the end of the horizon, each column clipped to DIVERGED_ERROR [SI]; for
+        position_5s, the error itself [m]."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
         known = p.loss.known.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
-        last = np.where(known, np.clip(np.nan_to_num(last, nan=1e2), -1e2, 1e2), np.nan)
+        last = np.clip(np.nan_to_num(last, nan=DIVERGED_ERROR), -DIVERGED_ERROR, DIVERGED_ERROR)
+        last = np.where(known, last, np.nan)
         result: dict[str, np.ndarray] = {}
         for column, values in zip(p.errors.windows.columns, last.T, strict=True):
             channel = CHANNEL_OF_COLUMN[column].name
@@ -50,7 +52,6 @@ class HorizonErrors:
 
     def compare(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
-        is_square = channel != "position_5s"
         known = np.isfinite(before) & np.isfinite(after)
         if not known.any():
             return Change(float("nan"), float("nan"), (float("nan"), float("nan")), UNITS[channel])
@@ -59,7 +60,7 @@ class HorizonErrors:
         number = np.maximum(self._weights @ count, 1)
         drawn = [self._weights @ s / number for s in sums]
         means = [v[known].mean() for v in (before, after)]
-        if is_square:
+        if channel != "position_5s":  # mean squares
             drawn, means = [np.sqrt(v) for v in drawn], [np.sqrt(v) for v in means]
         low, high = np.quantile(drawn[0] - drawn[1], (0.025, 0.975))
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
@@ -76,8 +77,9 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     """Values of an effect with 95 % intervals.
 
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
-    the parts of a partition, such as runs or sites; (3) from `joint_fit`, with all other parameters free, multiplied by
-    `noise_ratio`, the ratio of residual to noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature.
+    the parts of a partition, such as runs or sites, but not places; (3) from the deviation and shift in `joint_fit`, in
+    quadrature, with all other parameters free, multiplied by `noise_ratio`, the ratio of residual to noise (Birge,
+    Phys. Rev. 40, 1932), plus the model error in quadrature.
     To allow for errors of the model equations, the interval is extended by the distance to the values in `near`, sets
     of effects that fit nearly as well.
     """

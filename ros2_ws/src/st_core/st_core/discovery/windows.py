@@ -39,7 +39,7 @@ PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 YAW_RATE_SMOOTHING_NS = 50_000_000  # ns, moving average of the initial yaw rate
 RECORDING_CACHE_SIZE = 4  # number of corrected recordings, and of input tables computed from them
 LOOKUP_CACHE_SIZE = 8  # number of sets of instants with their neighbouring samples
-SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the horizon
+SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the horizon; `Windows` may add the settling time
 
 
 class Signals(LogSignals):
@@ -126,14 +126,13 @@ class Windows:
         points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1)
         self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
-        joined, offsets = _join(runs)
-        self.joined = joined
+        self.joined, offsets = _join(runs)
         horizon = int(self._points[-1]) + 1
         starts, run, seconds = _select_starts(runs, offsets, horizon * STEP, settings)
         around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
-        yaw_rate = moving_average(joined.ins_time_ns, joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
-        initial = replace(joined, yaw_rate=yaw_rate)
+        yaw_rate = moving_average(self.joined.ins_time_ns, self.joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
+        initial = replace(self.joined, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))

@@ -140,7 +140,8 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 
 def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
-    """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity."""
+    """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
+    A moving average over twice the lag replaces a lag; it has a similar range."""
     log = windows.joined
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -148,22 +149,22 @@ def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str
     angle = np.interp(time, log.steering_time_ns.astype(float), log.road_wheel_angle)
     velocity_y = log.velocity_y - vehicle.cg_to_ins_x * rate
     with np.errstate(all="ignore"):
-        found = {"slip_front": (velocity_y + vehicle.cg_to_front_axle * rate) / speed - angle,
-                 "slip_rear": (velocity_y - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
-                 "acceleration_y": speed * rate,
-                 "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
-                 "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
-                 "position_x": log.x, "position_y": log.y, "run_time": compute_run_time(windows, stamps)}
+        quantities = {"slip_front": (velocity_y + vehicle.cg_to_front_axle * rate) / speed - angle,
+                      "slip_rear": (velocity_y - vehicle.cg_to_rear_axle * rate) / speed, "steering": angle,
+                      "acceleration_y": speed * rate,
+                      "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
+                      "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
+                      "position_x": log.x, "position_y": log.y, "run_time": compute_run_time(windows, stamps)}
         for name, (source, kind, tau) in FILTERED.items():
-            lagging = moving_average(stamps, found[source], round(2.0 * tau / NANOSECOND))
-            found[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
-    return {name: values[moving] for name, values in found.items()}
+            lagging = moving_average(stamps, quantities[source], round(2.0 * tau / NANOSECOND))
+            quantities[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
+    return {name: values[moving] for name, values in quantities.items()}
 
 
 def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
     """Candidates that these drives excite: quantities and factors with a range above MIN_RANGES, sensor terms of
     measured channels, positions only at a single site, because the maps of several sites may have different origins."""
-    values, found = compute_quantities(windows, vehicle), []
+    values, candidates = compute_quantities(windows, vehicle), []
     one_site = int(find_sites(windows).max()) == 0
     forms = [(term, quantity, parity, "") for term, quantities in ADMISSIBLE.items() for quantity, parity in quantities]
     forms += [(term, quantity, NEITHER, factor) for term, quantity, factor in PAIRS]
@@ -179,8 +180,8 @@ def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candid
             low = -high
         is_factor_excited = not factor or np.ptp(_find_range(values[factor])) > MIN_RANGES[factor]
         if high - low > MIN_RANGES[quantity] and is_factor_excited:
-            found.append(Candidate(term, quantity, parity, float(low), float(high), factor))
-    return found
+            candidates.append(Candidate(term, quantity, parity, float(low), float(high), factor))
+    return candidates
 
 
 def _find_range(values: np.ndarray) -> np.ndarray:

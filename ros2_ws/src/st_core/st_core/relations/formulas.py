@@ -37,7 +37,7 @@ class Formula:
 @dataclass(frozen=True, eq=False)
 class FittedShape:
     """A shape fitted to the quadratic approximation of the loss. parameters: fitted to all blocks; by_fold: without
-    each fold. explained [1]: fraction of the curve's gain. held_out: (b,) held-out loss minus that of the curve."""
+    each fold. explained [1]: fraction of the curve's gain. held_out: (b,) held-out loss minus the curve's loss."""
 
     name: str
     text: str
@@ -148,13 +148,13 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     total = float(compute_rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
-    found = []
+    shapes = []
     for shape, (text, count, function) in (SHAPES if candidate.parity != NEITHER else ONE_SIDED).items():
         if shape == "inverse" and np.abs(points).min() < 0.05 * np.abs(points).max():
             continue
 
-        def fit_parameters(known: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
-            h, g = add_ridge(profile.hessian[known].sum(axis=0)), profile.gradient[known].sum(axis=0)
+        def fit_parameters(blocks: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
+            h, g = add_ridge(profile.hessian[blocks].sum(axis=0)), profile.gradient[blocks].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
             return _fit_parameters(lambda x: (to_splines @ function(points, x) - target) @ root, count, points, value)
 
@@ -170,8 +170,8 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():
                 held_out[fold == k] = compute_rise(compute_distance(others))[fold == k]
-            found.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
-    return _sort_shapes(found)
+            shapes.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
+    return _sort_shapes(shapes)
 
 
 def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
@@ -203,7 +203,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
-    found = []
+    formulas = []
     key = (candidate.term, candidate.quantity, *((candidate.factor,) if candidate.factor else ()))
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NEITHER and shape.name != "constant" else (False,)
@@ -214,9 +214,9 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
                 is_constant = shape.name == "constant" and not candidate.factor
                 causes = CONSTANT_CAUSES.get(candidate.term, "") if is_constant else CAUSES.get(key, "")
-                found.append(Formula(shape.name, text, shape_gain / gain, causes))
+                formulas.append(Formula(shape.name, text, shape_gain / gain, causes))
                 break
-    return tuple(found)
+    return tuple(formulas)
 
 
 def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
@@ -228,8 +228,8 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
     splines = candidate.compute_splines(points)
     loss, to_splines = fits.make_loss(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
-    def refit(parameters: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]:
-        """(vector with the shape in place of the curve and all other parameters fitted to `known` blocks, offset)."""
+    def refit(parameters: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, float]:
+        """(vector with the shape in place of the curve and the others fitted to the blocks in a mask, offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
@@ -238,7 +238,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         if with_offset:
             constant = np.concatenate([np.zeros(len(scale) - count), (to_splines @ np.ones(POINTS)) / scale[-count:]])
             basis = np.column_stack([basis, constant])
-        h, g = fit.quadratic.hessian[known].sum(axis=0), fit.quadratic.gradient[known].sum(axis=0)
+        h, g = fit.quadratic.hessian[blocks].sum(axis=0), fit.quadratic.gradient[blocks].sum(axis=0)
         step = np.linalg.solve(add_ridge(basis.T @ h @ basis), basis.T @ (g - h @ fixed))
         vector = fit.vector.copy()
         vector[fit.indices] += (fixed + basis @ step) * scale

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..discovery.fit import Problem, Sensitivities
+from ..discovery.fit import MIN_LOSS_REDUCTION, STEP_SHARES, Problem, Sensitivities
 from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import ACCELEROMETER_GAIN, Space
@@ -22,8 +22,7 @@ from .candidates import Candidate, compute_run_time
 RELATION = RelationEffect.name  # the three relation effects have the same indices in the vector
 PENALTIES = (0.003, 0.03, 0.3)  # on second differences, relative to the mean curvature of the loss per coefficient
 SIZE_PENALTY = 0.1  # on coefficients, relative to that on second differences; shrinks undetermined ones to 0
-ITERATIONS, STEP_SHARES, MIN_LOSS_REDUCTION = 8, (1.0, 0.5, 0.2), 2e-4  # as in discovery.fit
-BASE_FITS = 2  # fits of the discovered model without a relation
+ITERATIONS, BASE_FITS = 8, 2  # maximum number of steps of a fit; fits of the discovered model without a relation
 RIDGE = 1e-6  # added to the diagonal of a curvature before inversion
 _SECOND_DIFFERENCE = np.diff(np.eye(SPLINES), 2, axis=0)
 ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SPLINES)
@@ -73,9 +72,9 @@ class RunWindows(Windows):
 
 class RelationFits:
     """Fits of candidate relations in addition to one discovered model. model: the discovered model. gain: its
-    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) fold of each block. refitted_indices:
+    `Discovery.acceleration_gain`. names: names of its effects. fold: (b,) `Problem.held_out_groups`. refitted_indices:
     parameters fitted together with a relation. vehicle_indices: the other vehicle parameters, which are projected out
-    of its evidence. All fits use the residual scale of `model`."""
+    of the evidence for a relation. All fits use the residual scale of `model`."""
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):
@@ -132,7 +131,7 @@ class RelationFits:
 
     def find_left_out_steps(self, q: Quadratic, penalty: np.ndarray,
                             distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
-        """({fold: step to the values fitted without it}, (b,) loss of each block at the values without its fold).
+        """({fold: step to the values fitted without it}, (b,) loss of each block at these values).
         distance: (a,) distance of the vector from the start [parameter scales]."""
         h, g = add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance
         steps, held_out = {}, np.zeros(self.blocks)
@@ -203,7 +202,6 @@ class RelationFits:
             distance = ((vector - self.start) / scale)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
-            gained = 0.0
             for share in STEP_SHARES:
                 trial = vector.copy()
                 trial[indices] += share * step * scale[indices]

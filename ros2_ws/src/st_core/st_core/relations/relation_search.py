@@ -33,7 +33,7 @@ class Relation:
 
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
     quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
-    the curve there and its standard deviation [unit of the term]; density: (k,) fraction of the driving near each. gain
+    the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the driving near each. gain
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for the tried
     candidates. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
     without the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of
@@ -87,8 +87,8 @@ class RelationSearch:
 
 
 def needs_search(discovery: Discovery) -> bool:
-    """Whether the residual of a discovery is large enough for a search: the outcome is unknown, or the errors exceed
-    `limits.max_noise_ratio` times the noise."""
+    """Whether the residual of a discovery is large enough for a search: the outcome is unknown, or the position error
+    after 5 s exceeds `limits.max_noise_ratio` times the noise."""
     return discovery.outcome == "unknown" or bool(discovery.signature)
 
 

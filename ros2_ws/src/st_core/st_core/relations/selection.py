@@ -59,12 +59,12 @@ def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
     base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
     to_vehicle = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
-    found = []
+    screened = []
     for candidate in find_candidates(fits.windows, vehicle):
         tick()
         if trial := _screen_candidate(fits, without, base, to_vehicle, candidate, signs):
-            found.append(trial)
-    return found
+            screened.append(trial)
+    return screened
 
 
 def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
@@ -74,13 +74,13 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
     of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
     largest = np.max([s.drawn for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
-    found = {}
+    p_values = {}
     for s in screened:
         p_score = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
         ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
         p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
-        found[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
-    return found
+        p_values[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
+    return p_values
 
 
 def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, to_vehicle: np.ndarray,
@@ -261,7 +261,7 @@ def find_redundant_effects(fits: RelationFits, candidate: Candidate, fit: Relati
     """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
     effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
     relation without it explains significantly more than the result without the relation."""
-    found = {}
+    redundant = {}
     with_both = compute_position_errors(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
@@ -271,5 +271,5 @@ def find_redundant_effects(fits: RelationFits, candidate: Candidate, fit: Relati
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
         is_needed = relevant and compute_lower_bound(gains, limits.undecided_p) > 0.0
         if not is_needed and compute_lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
-            found[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
-    return found
+            redundant[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
+    return redundant
