@@ -48,7 +48,8 @@ class Change:
 class Step:
     """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
     mean position error after 5 s [m]. channels: root mean square error at the end of the horizon, by channel. runs:
-    mean position error after 5 s (before, after) the step, by run [m]. All errors are held out."""
+    mean position error after 5 s (before, after) the step, by run [m]. All errors are held out. Without position among
+    the channels, position_5s is the first entry of channels, and runs are mean square errors of that channel."""
 
     effect: str
     kind: str
@@ -257,7 +258,8 @@ class NextManoeuvre:
 @dataclass(frozen=True)
 class Separability:
     """Separability of two effects in these drives. cosine [1]: cosine similarity of the error changes that they cause.
-    strength: part of the first effect that the second does not explain [standard deviations of the noise]."""
+    strength: part of the first effect that the second and the other effects of the model do not explain [standard
+    deviations of the noise]."""
 
     first: str
     second: str
