@@ -258,8 +258,7 @@ class NextManoeuvre:
 @dataclass(frozen=True)
 class Separability:
     """Separability of two effects in these drives. cosine [1]: cosine similarity of the error changes that they cause.
-    strength: part of the first effect that the second and the other effects of the model do not explain [standard
-    deviations of the noise]."""
+    strength: part of the first effect that the second and others do not explain [standard deviations of the noise]."""
 
     first: str
     second: str

@@ -27,8 +27,7 @@ class HorizonErrors:
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) square error by channel at the end of the horizon, each column clipped to DIVERGED_ERROR [SI]; for
-        position_5s, the error itself [m]."""
+        """(n,) square errors by channel at the horizon, clipped at DIVERGED_ERROR; for position_5s, errors."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]
