@@ -60,7 +60,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     nodes = [("st_predictor", name) for name in REPLAY_NODES]
     outcome = session.run(folder, parameters, bag.name, console, view, lambda suite: _play(suite, player), nodes)
     status = _read_last_status(folder / "logs" / "player.log")
-    if status.get("wall"):
+    if status.get("wall") and not outcome.interrupted:
         speed = status["duration"] / status["wall"]
         console.out(f"{status['duration']:.1f} s played in {status['wall']:.1f} s ({speed:.1f} x)", highlight=False)
     return outcome, car.name

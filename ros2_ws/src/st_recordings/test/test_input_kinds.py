@@ -367,6 +367,14 @@ def test_vbo_gives_the_drive(tmp_path: Path, drive_log: DriveLog, start: float, 
     assert_warned(run.warnings, f"{usual}|its times are not HHMMSS" if seconds_of_day else usual)
 
 
+@pytest.mark.parametrize("first", [95.0, 1777889472.0], ids=["seconds from the start", "seconds since 1970"])
+def test_date_of_a_vbo_is_added_only_to_times_of_day(tmp_path: Path, first: float) -> None:
+    lines = "\n".join(f"{first + 0.1 * k:.2f} {3120 + 0.001 * k:.6f} -90.0 36.0 0.0 0.1" for k in range(100))
+    run = read_text(tmp_path / "drive.vbo", "File created on 04/05/2026 at 10:11:12\n[column names]\n"
+                    f'time lat long velocity heading "Steer"\n[data]\n{lines}\n')
+    assert run.log.ins_time_ns[0] * 1e-9 == pytest.approx(first)
+
+
 def test_second_drive_in_a_vbo_is_reported_or_refused(tmp_path: Path, drive_log: DriveLog) -> None:
     file = tmp_path / "drive.vbo"
     run = read_text(file, vbo(drive_log, late_last_row=False) * 2)

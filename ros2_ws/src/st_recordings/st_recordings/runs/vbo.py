@@ -52,7 +52,8 @@ def read_vbo(file: Path, layout: Layout) -> Table:
     if source is None:
         raise RunError(file, f"[column names] has no time, only {', '.join(names)[:200]}", "export the time as well")
     table = parse_table(file, names, body, " ", layout, warnings, {**sources, "t": source})
-    return _correct_signs(replace(table, time_ns=table.time_ns + round(_read_midnight(text) * 1e9)))
+    midnight = _read_midnight(text) if table.sources["t"].unit == HHMMSS else 0.0
+    return _correct_signs(replace(table, time_ns=table.time_ns + round(midnight * 1e9)))
 
 
 def lacks_steering(file: Path) -> bool:
