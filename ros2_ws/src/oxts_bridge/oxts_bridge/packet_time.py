@@ -1,4 +1,4 @@
-"""Computes GPS and UTC times of NCOM packets, in integers, from milliseconds of the minute and occasional minutes.
+"""Computes GPS and UTC times of NCOM packets in integers; each has the milliseconds of its minute, some the minute.
 
 GPS time counts from 1980-01-06T00:00:00 without leap seconds: gps = minutes * 60 s + ms.  UTC = gps - leap seconds.
 Source: NCOM manual 260702. Checked by: test_packet_time.py, tests/golden/test_ncom_vectors.py.

@@ -118,6 +118,15 @@ class AugmentedModel(Model):
                 time, angle = effect.steering(time, angle, begins, self._theta(effect))
         return time, angle
 
+    def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
+        """Road wheel angle [rad] in the equations for a recorded one (float or array), by the effects of ratio, offset
+        and map; effects that need signals, and those of `steering`, are not applied."""
+        acting, p = compose(self.base, self.effects).acting, self.parameters(vehicle)
+        for effect, theta in zip(acting, p.effects if acting else (), strict=True):
+            if effect.inputs and not effect.signals:
+                angle, _ = effect.inputs(angle, 0.0 * angle, (), theta)
+        return angle
+
     def observe(self, measured: Measured) -> Measured:
         """INS readings of true values at the INS point."""
         for effect in self.active:

@@ -29,7 +29,8 @@ MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance o
 STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide if a signal fits poorly with one offset
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
-MIN_CORRELATION, MAX_PEAK_RATIO = 0.9, 0.97  # of the highest peak; of the second peak to it, in a window that is used
+MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
+MAX_PEAK_RATIO = 0.97  # largest ratio of the second peak to the highest one, in a window that is used
 MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
@@ -233,7 +234,8 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
-    Empty if no signal is usable. Lags with an overlap of less than 40 % of the shorter recording are left out.
+    Empty if no signal is usable. The correlation is 0 at lags with an overlap below 40 % of the
+    shorter recording.
     """
     prepared = _prepare(signals)
     curve = mean_correlation(prepared.fine, _min_overlap(prepared.fine), (-np.inf, np.inf)) if prepared.fine else None

@@ -42,7 +42,8 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
 
     time: [s], strictly increasing. values: NaN where they must not be used. cutoff: cut-off frequency of the low-pass
     [Hz], equal for both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s],
-    because the zero of the angle is unknown. The angle is filtered first, because differentiation amplifies rounding.
+    because the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter extends a
+    series at its ends about the end sample, which is noisy in a differentiated angle.
     """
     good = np.isfinite(values)
     time, values = time[good], np.unwrap(values[good]) if angle else values[good]

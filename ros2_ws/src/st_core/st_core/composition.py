@@ -3,8 +3,9 @@
 The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
 recreates, retraces or recompiles the functions. Layout of a composed model:
 
-    p     = AugmentedParameters: parameters of the base model, and theta of each effect that acts in the equations
-    w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model)
+    p     = AugmentedParameters: parameters of the base model, theta of each effect that acts in inputs or equations
+    w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model);
+            w of the base model alone if no effect acts in the equations
     state = the six states of the base model, then the extra states of each effect
 
 Effects at their null values leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
@@ -23,7 +24,7 @@ N_STATES = 6  # number of states of every base model
 
 
 class AugmentedParameters(NamedTuple):
-    """Parameters p of an augmented model. effects: one theta for each effect that acts in the equations."""
+    """Parameters p of an augmented model. effects: theta of each effect in `Composition.acting`."""
 
     base: Any
     effects: tuple
@@ -37,7 +38,7 @@ class Composition:
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
-    specific_force: Callable[[tuple, tuple, Any], tuple] | None = None
+    specific_force: Callable[[tuple, tuple, Any], tuple] | None = None  # (a_x, a_y) added by the effects
     extra_states: tuple[str, ...] = ()
     signals: tuple[str, ...] = ()
 

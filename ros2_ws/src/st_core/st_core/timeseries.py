@@ -77,7 +77,8 @@ class TimeSeries:
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
 
-        Non-finite rows, repeated times and late samples are refused. The series restarts if the clock was set back.
+        Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are refused.
+        The series restarts if the clock was set back.
         """
         if not np.isfinite(row).all():
             return None, False

@@ -172,3 +172,12 @@ def test_augmented_model_without_effects_equals_the_base(leaf):
 def test_steering_effects_are_sorted_by_order_of_action():
     model = augment("linear", ["steering_lag", "steering_backlash", "steering_delay"])
     assert [e.name for e in model.effects] == ["steering_delay", "steering_backlash", "steering_lag"]
+
+
+@pytest.mark.parametrize("effects", [{}, {"steering_ratio": {"factor": 0.9}}])
+def test_effective_road_wheel_angle_is_an_angle(leaf, effects):
+    """The first input of a tyre model without effects in its equations is the sine of the angle."""
+    angle = np.array([-0.5, 1e-3, 0.5])
+    effective = augment("nonlinear", effects).effective_road_wheel_angle(angle, leaf)
+    np.testing.assert_allclose(effective / angle, effective[1] / angle[1], rtol=1e-12)
+    assert np.array_equal(effective, angle) == (not effects)

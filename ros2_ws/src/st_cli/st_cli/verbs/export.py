@@ -16,7 +16,7 @@ def export(
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
     output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
-    substeps: int = typer.Option(1, help="Integration steps within one step h.", min=1, max=64),
+    substeps: int = typer.Option(1, help="Integration substeps in one call of step(x, u, h).", min=1, max=64),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`; their half-widths are written as functions of state and inputs (CasADi).",
         **shared.FILE),

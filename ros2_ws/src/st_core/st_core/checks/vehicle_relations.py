@@ -66,7 +66,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
-    # If correlation and gain differ in sign, the steering responds to another yaw moment and determines no lag.
+    # If correlation and gain differ in sign, the driver countersteers (side wind, bank), which determines no lag.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
     findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
@@ -136,7 +136,7 @@ def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> f
 
 
 def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
-    """Lateral shift of the predicted position per constant error of the road wheel angle [m/rad]."""
+    """Lateral shift of the predicted position after HORIZON per constant error of the road wheel angle [m/rad]."""
     a, b = linear_system(max(speed, MIN_MOVING_SPEED), vehicle)
     yaw_gain = -float(np.linalg.solve(a, b).ravel()[1])
     return abs(0.5 * speed * yaw_gain) * HORIZON**2
@@ -196,7 +196,7 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel
     offset = add_systematic_uncertainty("steering_offset", bias)
     if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
         return None
-    text = (f"the road wheels read {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
+    text = (f"road_wheel_angle reads {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
     offset_left = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
@@ -257,7 +257,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
 def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
     """Estimates of heading [rad], point [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. Otherwise the slip is that of the vehicle file +/- 50 %.
+    separable: whether the speed varies. If it does not, or if the slip remains uncertain by more than 25 %, the slip
+    is that of the vehicle file +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
     if separable:

@@ -52,11 +52,11 @@ class Axles:
         logs, additions = [], problem.space.additions
         corrected = self.model.select_effects(e for e in self.model.effects
                                               if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
-        car, p = corrected.effective_vehicle(vehicle), corrected.parameters(vehicle)
+        car = corrected.effective_vehicle(vehicle)
         for run in runs:
             log = correct_log(corrected, run)
-            angle = corrected.inputs(log.road_wheel_angle, np.zeros(len(log.road_wheel_angle)), p)[0]
-            log = replace(log, road_wheel_angle=np.asarray(angle), steering_wheel_angle=None)
+            angle = corrected.effective_road_wheel_angle(log.road_wheel_angle, vehicle)
+            log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
         self.near: list[AugmentedModel] = []
@@ -73,8 +73,8 @@ class Axles:
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """`ForceCurve` of each axle in the slip range of the drives. base: model for its `file` values. Raises
-        StCoreError for drives without slip."""
+        """`ForceCurve` of each axle in the slip range of the drives. base: model at the start, for `ForceCurve.file`.
+        Raises StCoreError for drives without slip."""
         return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws, self.near)
                      for r in self.regressions)
 
@@ -143,7 +143,7 @@ def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
-    wheel_angle = model.inputs(1.0 / vehicle.steering_ratio, 0.0, model.parameters(vehicle))[0]
+    angle_ratio = model.effective_road_wheel_angle(1.0 / vehicle.steering_ratio, vehicle)  # per steering wheel angle
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(wheel_angle), delay])
+    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(angle_ratio), delay])

@@ -49,7 +49,8 @@ class Step:
     """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
     mean position error after 5 s [m]. channels: root mean square error at the end of the horizon, by channel. runs:
     mean position error after 5 s (before, after) the step, by run [m]. All errors are held out. Without position among
-    the channels, position_5s is the first entry of channels, and runs are mean square errors of that channel."""
+    the channels, position_5s is the first entry of channels, and runs are root mean square errors of that
+    channel."""
 
     effect: str
     kind: str
@@ -76,7 +77,7 @@ class FoundEffect:
     from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s without it. agreement:
     by partition (run, site, time, place, condition), its value in each part. joint: other effects of the result that
     cancel it; only the combination of their values is identifiable. channel: channel with the largest error reduction
-    relative to its baseline error, "" if no error is above the noise. share [1]: this relative reduction."""
+    relative to its baseline error, "" if none exceeds twice the noise. share [1]: this relative reduction."""
 
     name: str
     kind: str
@@ -295,7 +296,7 @@ class Discovery:
     found. errors: errors of the base and the best model, by channel and for position_5s. named_errors: the same without
     the effective corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out of the
     fit. acceleration_gain [1]: relative excess of the measured lateral specific force over that of the predicted
-    motion, due to body roll. noise: error of the best model at the end of the horizon, by channel [SI]. signature:
+    motion, due to body roll. noise: residual of the best model at the end of the horizon, by channel [SI]. signature:
     description of the residual. clock_errors: correction of the steering time stamps [s] of the corrected runs.
     """
 

@@ -1,5 +1,6 @@
 """Reduction of the held-out error by effect, by channel and by kind of cause; values of effects with intervals."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -43,7 +44,8 @@ class HorizonErrors:
         return result
 
     def position_increase_without(self, fit: Fit, name: str) -> float:
-        """Increase of the mean position error after 5 s [m] if an effect is removed and the others are unchanged."""
+        """Increase of the mean position error after 5 s [m], not held out, if an effect is removed and the others are
+        unchanged."""
         p = self.problem
         without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
                                 for vector in (p.vector_without(fit, name), fit.vector))
@@ -136,7 +138,9 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
         changes = {c: errors.compare(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
-        old, new = errors.mean_by_run(before[key]), errors.mean_by_run(after[key])
+        old, new = (errors.mean_by_run(e[key]) for e in (before, after))
+        if key != "position_5s":  # mean squares
+            old, new = ({name: math.sqrt(value) for name, value in e.items()} for e in (old, new))
         steps.append(Step(effect, get_effect(effect).kind, estimate_parameters(problem, fit, effect, partitions),
                           position, changes, {n: (old[n], new[n]) for n in new}))
         before = after

@@ -147,7 +147,7 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
               "5 s, the mean. \"After\" is with model.yaml. Sorted by the reduction.",
-              ("error of", "before", "after", "reduced by (95 %)", "noise", "run with the largest", "larger in"),
+              ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
               "the model last, after all other parts, or first, as the only one. Loss: the same for the sum that the "

@@ -70,7 +70,7 @@ def group_similar_warnings() -> Iterator[None]:
         for similar in groups.values():
             if others := similar[MAX_SIMILAR_WARNINGS:]:
                 _LOGGER.warning("warning: %s", escape_unprintable(
-                    f"{len(others)} more such as {similar[0][:100]}...: {_list_files(others)} (all are in the report)"))
+                    f"{len(others)} more such as {similar[0][:100]}...: {_list_files(others)}"))
 
 
 def join_problems(problems: Iterable[str]) -> str:
