@@ -252,7 +252,7 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
                   f"{found}, 95 % interval {' to '.join(ends)}")
         sources[key] = f"{source}; before {previous} {KEYS[key].si_unit}".removesuffix(" 1")
         deviation = float(f"{(high - low) / (2.0 * 1.96):.3g}")
-        entries[key] = replace(provenance, uncertainty=deviation or None)
+        entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
     return replace(car, sources=sources, provenance=entries)
 
 
