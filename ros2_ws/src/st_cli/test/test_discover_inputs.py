@@ -154,14 +154,14 @@ def test_model_file_of_another_car_is_refused(drive, tmp_path):
     model.write_text(ModelFile.of(lag, load_vehicle(GENESIS), ModelProvenance()).to_yaml())
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "the values are valid for 'Hyundai Genesis'" in result.output
-    with pytest.raises(SuiteError, match="the values are valid for 'Hyundai Genesis'"):
+    with pytest.raises(ConfigurationError, match="the values are valid for 'Hyundai Genesis'"):
         make_model_parameters(model, None, LEAF)
     assert make_model_parameters(model, None, GENESIS) == {"model_file": str(model), "effects_directory": ""}
 
 
 def test_invalid_model_file_of_the_fourth_model_is_refused(tmp_path):
     (tmp_path / "model.yaml").write_text("base: nonlinear\neffects: {no_such: {}}\n")
-    with pytest.raises(SuiteError, match="no_such"):
+    with pytest.raises(ConfigurationError, match="no_such"):
         make_model_parameters(tmp_path / "model.yaml", None, LEAF)
     with pytest.raises(SuiteError, match="requires a model file"):
         make_model_parameters(None, tmp_path, LEAF)
