@@ -18,7 +18,7 @@ PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
 ANTICIPATION = 0.18  # s; the driver steers for the curvature this far ahead, to compensate lags
 STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
 MAX_STEERING_WHEEL_RATE = 8.0  # rad/s; 460 deg/s is fast for a person
-MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; 540 deg is the end stop
+MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; about the end stop at 540 deg
 TREMOR_TIME = 0.4  # s, correlation time of random steering
 OFFSET_INTEGRAL_GAIN, OFFSET_INTEGRAL_LIMIT = 0.015, 0.03  # 1/(m^2 s), 1/m
 SPEED_GAIN, SPEED_INTEGRAL_GAIN, SPEED_INTEGRAL_LIMIT = 1.2, 0.5, 1.0  # 1/s, 1/s^2, m/s^2
@@ -67,7 +67,7 @@ class Driver:
         elif demand.steer == "path":
             fast_enough = speed > MIN_STEERING_SPEED
             if self._holding and fast_enough:
-                # Move the road to the car after a phase with a held steering wheel: its curvature is then continuous.
+                # Move the road to the car after a held steering wheel, so that the steering does not jump.
                 course = s[YAW] + math.atan2(s[VY], s[VX])
                 self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
                 self._offset_integral = 0.0

@@ -35,7 +35,7 @@ MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-MAX_STARTS = 100  # evenly spaced in the run; more starts would change the error by less than 1 %
+MAX_STARTS = 100  # longer runs are reduced to 100 to 199 starts; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
@@ -47,8 +47,8 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     """The findings with the prediction error [m] without and with their correction, and without harmful corrections.
 
     The corrections of all errors are applied together, since one wrong unit may mask another, and then the correction
-    of each warning separately. A warning with a harmful correction becomes a note. Corrections that affect no
-    prediction are not tried.
+    of each warning separately, unless those of the errors fail or are harmful. A warning with a harmful correction
+    becomes a note. Corrections that affect no prediction are not tried.
     """
     tested = [finding for finding in findings if _is_tested(finding)]
     if not tested:

@@ -353,8 +353,9 @@ class Problem:
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group, by simulation if the quadratic approximation
-        predicts a large increase of the loss. groups: (b,) group of each block."""
+        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if it
+        predicts a large increase, the smaller of it and the simulated loss of each block. groups: (b,) group of
+        each block."""
         steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out

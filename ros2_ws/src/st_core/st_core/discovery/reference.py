@@ -16,7 +16,7 @@ from .settings import DiscoverySettings
 from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import Windows
 
-JOINT_DEVIATION = 3.0  # parameter scales, prior standard deviation of every parameter of the healthy car
+JOINT_DEVIATION = 3.0  # parameter scales; the prior of the healthy car adds (distance / JOINT_DEVIATION)^2 to the loss
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 

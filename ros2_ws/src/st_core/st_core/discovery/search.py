@@ -16,9 +16,9 @@ from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # maximum number of effects refitted by simulation in one step
+CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
 CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; half of it before it is refitted
-JOINT_DEVIATION = 3.0  # prior standard deviation in a joint fit of many effects [parameter scales]
+JOINT_DEVIATION = 3.0  # parameter scales; the weak prior of a joint fit adds (distance / JOINT_DEVIATION)^2 to the loss
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -63,7 +63,7 @@ class Search:
 
     def run(self) -> SearchState:
         """Find the best set from three starts: the empty set, the set found from it plus all physical effects, and the
-        whole library."""
+        library without composites."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -105,7 +105,7 @@ class Search:
         p, names = self.problem, state.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
-                # The load is fixed at its start value. With a reference all parameters are free: it is the prior mean.
+                # The load is fixed at this start value: its prior mean where all parameters are free (reference).
                 laden, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
                 laden.start = p.start.copy()
                 vector[load] = laden.start[load] = p.start[load] + size * p.space.scale[load]
@@ -367,8 +367,8 @@ class Search:
 
     def _find_weakest_failing(self, state: SearchState, required: float = np.inf) -> str:
         """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails. An
-        effect passes without a refit if its removal is predicted to raise the loss per residual by more than three
-        times `required`."""
+        effect counts as significant without a refit if its removal is predicted to raise the loss per residual by more
+        than three times `required`; the other criteria still apply."""
         p = self.problem
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         state.evidence, state.without = {}, {}

@@ -20,6 +20,7 @@ from ._base import UNLISTED, Effect, Parameter, register
 
 SPLINES, INTERVALS = 8, 5.0  # numbers of splines of a curve, and of intervals between its knots
 MAX_COEFFICIENT = 100.0  # 1; the coefficients are scaled by their typical magnitude
+# acceleration_y: velocity_x yaw_rate; north, east: sine and cosine of yaw; position_x, position_y: in the map frame.
 INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north",
           "east", "position_x", "position_y")
 _register = partial(register, registry=UNLISTED)

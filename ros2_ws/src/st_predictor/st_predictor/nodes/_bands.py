@@ -136,7 +136,8 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]; only of bands with the n of the path."""
+    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]. Bands with another number of
+    points than the path are omitted."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

@@ -13,8 +13,8 @@ from .ins_log import InsLog
 # Delays [s]: (expected value, standard deviation).
 INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
 WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
-# Longitudinal slip divided by acceleration [s^2/m], which at speed v acts like a delay of this value times v. It is
-# 0.003 for a braked rear axle, 0.007 for a driven one, and 0 for an axle that rolls freely.
+# Standard deviation of longitudinal slip divided by acceleration [s^2/m], which shifts a wheel speed in time by this
+# value times the speed. The ratio is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
 WHEEL_SLIP = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
