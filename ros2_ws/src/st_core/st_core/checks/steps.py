@@ -18,7 +18,7 @@ from .sampling import estimate_resolution
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
 MIN_JUDGED_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
-MIN_NOISE = 0.05  # m; noise between samples is 2 cm for RTK positions, and far less for INS positions
+MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
@@ -50,7 +50,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
         # With white noise of positions, |d_k| has a Rayleigh distribution with median 1.665 sigma.
         sigma = float(np.median(np.abs(errors[within]))) / 1.665
         if sigma >= MIN_NOISE:
-            text = f"positions are noisy: standard deviation {sigma:.2f} m between samples"
+            text = f"positions are noisy: white noise with a standard deviation of {sigma:.2f} m per axis"
             advice = Advice("look", "record with RTK, or use the positions of the INS, not of the receiver")
             findings.append(Finding("position_noise", LIMITS.severity(sigma), ("x", "y"), text, sigma, "m",
                                     effect=sigma, advice=advice))

@@ -18,7 +18,7 @@ WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before th
 WHEEL_SLIP = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
-NO_INS_FRAMES = "the log contains no INS frames that the DBC describes (RT_..., as in rt.dbc of `st car new`)"
+NO_INS_FRAMES = "the DBC describes no INS frames of this log (RT_..., as in the rt.dbc that `st car new` writes)"
 
 MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 """Minimum standard deviation [m/s, rad/s, rad, 1/m] of a signal that is used for alignment."""

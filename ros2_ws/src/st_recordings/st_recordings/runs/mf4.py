@@ -97,7 +97,7 @@ def read_mf4(path: Path) -> frames.CanLog:
     if not parts and decoded_signals:
         raise RunError(path, "the log contains no raw CAN frames, only decoded signals: "
                        f"{', '.join(decoded_signals)[:200]}",
-                       "give the log with the raw frames; name a file of signals in a run.yaml with csv")
+                       "give the log with the raw frames, or name this file under csv in a run.yaml, as a table")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was connected to the right bus")
     warnings += frames.describe_clock_steps(clock_steps)
