@@ -166,6 +166,7 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     spacing = np.diff(time)
     typical = float(np.median(spacing))
     long_share = float((np.round(spacing, 9) > PREDICTION_GAP).mean())
+    # At twice the required rate or above, long intervals are gaps, which are listed with their times below.
     if typical > 0.5 * PREDICTION_GAP and long_share > MAX_LONG_SHARE:
         text = (f"the {signal} has one sample in {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals are "
                 f"longer than {PREDICTION_GAP:g} s, across which nothing is predicted: few starts or none are scored")

@@ -17,6 +17,7 @@ SENSITIVITY_CACHE_SIZE = 4  # number of vectors
 MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends when a step reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
 RMS_CLIP_LIMIT = 5.0  # robust scales of the baseline; larger residuals are clipped in an RMS value
+JOINT_DEVIATION = 3.0  # parameter scales; in a joint fit the prior adds at least (distance / this)^2 to the loss
 DIVERGED_ERROR = 100.0  # m, position error assigned to a prediction that diverges
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
 RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep steps finite without information

@@ -10,13 +10,12 @@ from ..effects import get_effect
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from .evidence import Z95, inverse
-from .fit import Problem, marginalise
+from .fit import JOINT_DEVIATION, Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings
 from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import Windows
 
-JOINT_DEVIATION = 3.0  # parameter scales; the prior of the healthy car adds (distance / JOINT_DEVIATION)^2 to the loss
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..effects import find_confounded_effects, get_effect
 from .decision import ACCEPTED, GAIN_INSIGNIFICANT, NULL, Rival, is_alternative, judge
 from .evidence import Evidence, Scores, collect_evidence, library_p_value, p_no_worse, screen, sensors_null_p_value
-from .fit import Fit, Problem, Sensitivities
+from .fit import JOINT_DEVIATION, Fit, Problem, Sensitivities
 from .loss import Quadratic
 from .partitions import Partition
 from .result import Reason
@@ -18,7 +18,6 @@ from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
 CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; half of it before it is refitted
-JOINT_DEVIATION = 3.0  # parameter scales; the weak prior of a joint fit adds (distance / JOINT_DEVIATION)^2 to the loss
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
