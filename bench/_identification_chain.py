@@ -10,15 +10,14 @@ from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.log import DriveLog
+from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
-from st_core.log_signals import LogSignals
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
+from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve_settings
-from st_sim.simulation import SimulatedCar
 
 # Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, the others are uniform.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}

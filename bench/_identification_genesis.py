@@ -16,9 +16,8 @@ from st_core.identification.driving_prediction import fit_stiffness, identify_ya
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
 from st_core.identification.steering_offset import identify_steering_offset
-from st_core.log import DriveLog
+from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
-from st_core.log_signals import LogSignals
 from st_core.regression import make_blocks
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import find_runs, read

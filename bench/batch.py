@@ -14,7 +14,7 @@ from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times
 from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
 from st_core.backends import numba_lanes, numpy_batch
 from st_core.batch import LogBatch
-from st_core.log_signals import LogSignals
+from st_core.log import LogSignals
 from st_core.models import MODELS as KNOWN
 from st_core.prediction import predict
 from st_core.start_grid import plan_blocks

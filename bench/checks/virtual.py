@@ -10,10 +10,10 @@ from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import GRAVITY, read_car
+from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
 from st_sim.settings import Settings, resolve_settings
-from st_sim.simulation import SimulatedCar
 from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
 from .._cars import LEAF_FILE, leaf

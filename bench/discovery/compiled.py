@@ -11,7 +11,7 @@ from math import exp, sin, sqrt
 import numba
 import numpy as np
 from numba.extending import register_jitable
-from st_core.backends import call_graph, numba_cache
+from st_core.backends import numba_cache
 from st_sim.car import Car
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
 from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
@@ -103,10 +103,10 @@ def drive(car: Car, settings: Settings, programme: Programme, seed: int,
 @cache
 def compile_loop(loop):
     """Compiles a loop and all functions that it calls; the machine code is cached on the disk."""
-    for function in call_graph.find_reachable(loop)[:-1]:
+    for function in numba_cache.find_reachable(loop)[:-1]:
         register_jitable(function)
     kernel = numba.njit(error_model="numpy")(loop)
-    numba_cache.enable_cache(kernel, call_graph.fingerprint(loop))
+    numba_cache.enable_cache(kernel, numba_cache.fingerprint(loop))
     return kernel
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from st_core.integrate import slip_speed_needed
 from st_core.prediction import PredictionSettings
-from st_core.stability import slip_speed_needed
 from st_recordings.car import read_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
 

@@ -11,11 +11,11 @@ from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
+from st_sim.driver import SimulatedCar
 from st_sim.dynamics import VX, YAW_RATE
 from st_sim.run import check_arguments
 from st_sim.scenarios import load_plan
 from st_sim.settings import resolve_settings
-from st_sim.simulation import SimulatedCar
 from support import LEAF as LEAF_FILE
 
 from bench.discovery import compiled, programmes

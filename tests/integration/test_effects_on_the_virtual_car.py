@@ -13,10 +13,10 @@ from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.car import read_car
+from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import IDEAL
-from st_sim.simulation import SimulatedCar
 from support import LEAF as LEAF_FILE
 
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())

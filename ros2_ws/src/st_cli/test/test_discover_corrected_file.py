@@ -13,9 +13,9 @@ from experiment_tables import write_tables
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
+from st_core.integrate import slip_speed_needed
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
-from st_core.stability import slip_speed_needed
 from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request, read_drive

@@ -12,11 +12,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from . import stability
+from . import integrate
 from .backends import get_backend
 from .errors import ConfigurationError
-from .log import DriveLog
-from .log_signals import Acceleration, LogSignals, share_memory
+from .log import Acceleration, DriveLog, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
@@ -62,9 +61,9 @@ class LogBatch:
                  filter_cutoff: float = 5.0, acceleration: Acceleration = "causal", signals: Signals | None = None):
         if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
-        if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= stability.MAX_SUBSTEPS):
+        if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= integrate.MAX_SUBSTEPS):
             raise ConfigurationError(f"substeps: {substeps!r} is neither auto nor an integer from 1 to "
-                                     f"{stability.MAX_SUBSTEPS}")
+                                     f"{integrate.MAX_SUBSTEPS}")
         self._backend = get_backend(backend)
         self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
@@ -131,8 +130,8 @@ class LogBatch:
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
         """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
         if self._substeps == "auto":
-            return stability.substeps_needed(model, vehicle, self._speeds, self.step)
-        stability.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
+            return integrate.substeps_needed(model, vehicle, self._speeds, self.step)
+        integrate.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
     def _plan_blocks(self, count: int, separate: bool) -> Iterable[GridBlock]:

@@ -14,10 +14,9 @@ from .augmented import AugmentedModel, augment, set_effects_to_null
 from .backends import get_backend, has_numba
 from .effects import Effect, Measured
 from .errors import StCoreError
-from .integrate import rk4_step
+from .integrate import growth_factor, lateral_modes, rk4_step
 from .models import MODELS, Model
 from .prediction import predict
-from .stability import growth_factor, lateral_modes
 from .types import InputSequence, VehicleState
 from .vehicle import VehicleParameters
 

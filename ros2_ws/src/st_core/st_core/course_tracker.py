@@ -26,7 +26,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from .course import SPACING, Course, NearPoint
-from .log_signals import LogSignals
+from .log import LogSignals
 from .planned_inputs import SLIP_FREE, path_inputs
 from .timeseries import NANOSECOND
 from .types import InputSequence, wrap_angle

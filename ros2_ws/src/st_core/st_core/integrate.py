@@ -1,12 +1,31 @@
-"""Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape.
+"""Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape, and
+its stability: whether a step is stable at a speed, and how to make it stable.
 
 `derivative(state, w, p)` returns the time derivative of the state for the inputs w at one instant and constants p.
+
+The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
+Runge-Kutta with step h and stability function R damps a mode of eigenvalue s if |R(h s)| <= 1; otherwise a prediction
+oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the damping of the models is constant.
 """
 
-from collections.abc import Callable, Sequence
+import math
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from .models import Model, get_model
+from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
+
 Derivative = Callable[[tuple, Any, Any], tuple]
+MAX_SUBSTEPS = 64
+HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
+SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
+_LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
+_INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
+_warned: set[tuple[str, str, float]] = set()
 
 
 def rk4(derivative: Derivative, state: tuple, grid: Sequence[Any], p: Any, step: float) -> list[tuple]:
@@ -47,3 +66,109 @@ def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_m
     return (s0 + sixth * (a0 + 2.0 * (b0 + c0) + d0), s1 + sixth * (a1 + 2.0 * (b1 + c1) + d1),
             s2 + sixth * (a2 + 2.0 * (b2 + c2) + d2), s3 + sixth * (a3 + 2.0 * (b3 + c3) + d3),
             s4 + sixth * (a4 + 2.0 * (b4 + c4) + d4), s5 + sixth * (a5 + 2.0 * (b5 + c5) + d5))
+
+
+class StepTooLongWarning(UserWarning):
+    """The integration step is outside the stability region of Runge-Kutta at a speed of the drive."""
+
+
+def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
+    """Eigenvalues [1/s] of velocity_y, yaw_rate and the extra states about straight driving at a speed [m/s].
+
+    From central differences of the equations. Checked by: test_stability.py, against handling.linear_system.
+    """
+    model = get_model(model)
+    p = model.parameters(vehicle)
+    w = model.inputs(0.0, 0.0, p, *(0.0 for _ in model.signals))
+    state = [float(s) for s in model.start_state((0.0, 0.0, float(speed), 0.0, 0.0, 0.0), w, p)]
+    rows = [*_LATERAL, *range(6, len(state))]
+
+    def derivative(row: int, increment: float) -> np.ndarray:
+        changed = list(state)
+        changed[row] += increment
+        return np.array(model.rhs(tuple(changed), w, p), float)[rows]
+
+    jacobian = [(derivative(row, _INCREMENT) - derivative(row, -_INCREMENT)) / (2.0 * _INCREMENT) for row in rows]
+    return np.linalg.eigvals(np.array(jacobian).T)
+
+
+def growth_factor(model: str | Model, vehicle: VehicleParameters, speed: float, step: float) -> float:
+    """Largest growth factor per Runge-Kutta step [1] of the physically damped modes; 0 without any; <= 1: stable.
+
+        |1 + z + z^2/2 + z^3/6 + z^4/24|,  z = step * eigenvalue, real part of the eigenvalue < 0
+    """
+    modes = lateral_modes(model, vehicle, speed)
+    z = step * modes[modes.real < -1.0e-9]
+    return float(np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))).max(initial=0.0))
+
+
+def lowest_stable_speed(model: str | Model, vehicle: VehicleParameters, step: float) -> float:
+    """The speed [m/s] above which a step [s] is stable; 0 if stable from 0.05 m/s on, inf if not at SEARCH_START_SPEED.
+
+    With a low minimum_slip_speed, RK4 at 50 ms needs 2.66 m/s for the Leaf and 3.98 m/s for the Genesis.
+    """
+    speeds = np.geomspace(SEARCH_START_SPEED, 0.05, 200)
+    unstable = [growth_factor(model, vehicle, v, step) > 1.0 for v in speeds]
+    if not any(unstable):
+        return 0.0
+    first = unstable.index(True)
+    if first == 0:
+        return np.inf
+    low, high = speeds[first], speeds[first - 1]
+    while high - low > 1.0e-6:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if growth_factor(model, vehicle, middle, step) > 1.0 else (low, middle)
+    return float(high)
+
+
+def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> bool:
+    """Whether a step [s] is stable for all models at all speeds [m/s]."""
+    return all(growth_factor(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
+
+
+def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
+    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; MAX_SUBSTEPS if fewer are too few."""
+    speeds = list(speeds)
+    return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
+                MAX_SUBSTEPS)
+
+
+def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
+                      step: float) -> float | None:
+    """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, not below the vehicle's.
+
+    It exceeds `lowest_stable_speed`: below minimum_slip_speed the damping is constant, but the coupling v r of the two
+    modes decreases, which makes one of them faster. None if no permitted value suffices, because extra states, for
+    example of tyre relaxation, are stiff at high speed.
+    """
+    speeds, models = sorted(speeds), [get_model(model) for model in models]
+
+    def is_stable(tenths: int) -> bool:
+        return are_stable(models, replace(vehicle, minimum_slip_speed=tenths / 10.0), speeds, step)
+
+    first = math.ceil(10.0 * vehicle.minimum_slip_speed)
+    coarse = np.unique(np.geomspace(first, 10.0 * HIGHEST_SLIP_SPEED, 80).astype(int)).tolist()
+    stable = next((k for k, tenths in enumerate(coarse) if is_stable(tenths)), None)
+    if stable is None:
+        return None
+    low = coarse[stable - 1] + 1 if stable else first
+    return next(tenths for tenths in range(low, coarse[stable] + 1) if is_stable(tenths)) / 10.0
+
+
+def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
+    """Issue StepTooLongWarning, once per model, car and step, if a step [s] is unstable at one of the speeds [m/s]."""
+    model = get_model(model)
+    key = (model.name, vehicle.name, step)
+    if key in _warned:
+        return
+    factors = {float(v): growth_factor(model, vehicle, v, step) for v in speeds}
+    worst = max(factors, key=factors.__getitem__, default=None)
+    if worst is None or factors[worst] <= 1.0:
+        return
+    _warned.add(key)
+    needed = slip_speed_needed([model], vehicle, factors, step)
+    slip_speed = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
+    warnings.warn(
+        f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
+        f" so the predicted lateral motion is wrong; use {slip_speed}"
+        f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

@@ -19,8 +19,7 @@ from . import integrate
 from .batch import LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
-from .log import DriveLog
-from .log_signals import Acceleration, LogSignals
+from .log import Acceleration, DriveLog, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
 from .readings import correct_log, reading_errors

@@ -11,11 +11,11 @@ import numpy as np
 
 from . import integrate
 from .errors import ConfigurationError, StCoreError
+from .integrate import warn_if_too_long
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, apply_steering_dynamics, find_plan_problem, select_inputs
 from .readings import ModelView
-from .stability import warn_if_too_long
 from .timeseries import NANOSECOND, TimeSeries
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import st_core
-from st_core.backends import call_graph, has_numba
+from st_core.backends import has_numba, numba_cache
 from st_core.vehicle import VehicleParameters
 
 pytestmark = pytest.mark.skipif(not has_numba(), reason="numba is not installed")
@@ -185,9 +185,9 @@ def test_fingerprint_includes_closure_values_and_called_functions():
     def square(x):
         return x * x
 
-    fingerprints = [call_graph.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
+    fingerprints = [numba_cache.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
     assert len(set(fingerprints)) == 3
-    assert call_graph.fingerprint(make(1.0, double)) == fingerprints[0]
-    assert [f.__name__ for f in call_graph.find_reachable(make(1.0, double))] == ["double", "outer"]
-    with pytest.raises(call_graph.UnhashableError):
-        call_graph.fingerprint(make(object(), double))
+    assert numba_cache.fingerprint(make(1.0, double)) == fingerprints[0]
+    assert [f.__name__ for f in numba_cache.find_reachable(make(1.0, double))] == ["double", "outer"]
+    with pytest.raises(numba_cache.UnhashableError):
+        numba_cache.fingerprint(make(object(), double))

@@ -6,18 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batched import predict_log
-from st_core import stability, start_grid
+from st_core import integrate, start_grid
 from st_core.augmented import augment
 from st_core.backends import get_backend, has_numba
 from st_core.batch import LogBatch
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Evaluator
-from st_core.log import DriveLog
-from st_core.log_signals import LogSignals
+from st_core.integrate import StepTooLongWarning
+from st_core.log import DriveLog, LogSignals
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, predict
 from st_core.readings import correct_log
-from st_core.stability import StepTooLongWarning
 from st_core.start_grid import plan_blocks
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 
@@ -171,7 +170,7 @@ def test_substeps_reduce_the_error_and_equal_shorter_steps(leaf, log):
 
 
 def test_too_long_step_is_a_warning_or_is_divided(leaf, monkeypatch):
-    monkeypatch.setattr(stability, "_warned", set())
+    monkeypatch.setattr(integrate, "_warned", set())
     stiff, slow_log, starts = replace(leaf, minimum_slip_speed=0.1), drive(mean_speed=3.5), regular_starts(700, 20)
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of 2\.7 m/s in .* or substeps=2") as caught:
         for _ in range(2):

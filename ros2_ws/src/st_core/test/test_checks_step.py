@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batched import predict_log
-from st_core import stability
+from st_core import integrate
 from st_core.augmented import augment
 from st_core.checks.finding import Severity
 from st_core.checks.trial import check_step_length
+from st_core.integrate import StepTooLongWarning, are_stable, slip_speed_needed
 from st_core.log import DriveLog
-from st_core.stability import StepTooLongWarning, are_stable, slip_speed_needed
 
 STEP = 0.05
 MODELS = ("linear", "nonlinear")
@@ -74,20 +74,20 @@ def test_value_below_the_proposed_one_is_not_enough(car, log):
 def test_minimum_slip_speed_must_exceed_the_lowest_stable_speed(leaf):
     """6.1 m/s for this car is not enough as the minimum slip speed."""
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
-    lowest = stability.lowest_stable_speed("linear", stiff, STEP)
+    lowest = integrate.lowest_stable_speed("linear", stiff, STEP)
     assert not are_stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
     needed = slip_speed_needed(["linear"], stiff, [0.5, 35.0], STEP)
     assert needed > lowest + 0.1 and round(10 * needed, 9) == round(10 * needed)
 
 
 def test_prediction_does_not_warn_with_the_proposed_value(leaf, log, monkeypatch):
-    monkeypatch.setattr(stability, "_warned", set())
+    monkeypatch.setattr(integrate, "_warned", set())
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     starts = np.arange(0, 50, 5) * 10**9
     with pytest.warns(StepTooLongWarning, match=r"minimum_slip_speed of [\d.]+ m/s in the vehicle file") as caught:
         predict_log("nonlinear", stiff, log, starts, backend="numpy")
     proposed = float(re.search(r"minimum_slip_speed of ([\d.]+) m/s", str(caught[0].message))[1])
-    stability._warned.clear()
+    integrate._warned.clear()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         predict_log("nonlinear", replace(stiff, minimum_slip_speed=proposed), log, starts, backend="numpy")

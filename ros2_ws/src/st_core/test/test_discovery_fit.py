@@ -14,8 +14,7 @@ from st_core.discovery.fit import FOLDS, Problem, Sensitivities, minimise_bounde
 from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import ACCELEROMETER_GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
-from st_core.log import INS_SIGNALS
-from st_core.log_signals import LogSignals
+from st_core.log import INS_SIGNALS, LogSignals
 
 FEW = ("steering_offset", "mass", "yaw_inertia")
 

@@ -9,8 +9,7 @@ from effect_values import values_of
 from st_core.augmented import augment, set_effects_to_null
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, find_applicable_effects
-from st_core.log import INS_SIGNALS
-from st_core.log_signals import LogSignals
+from st_core.log import INS_SIGNALS, LogSignals
 from st_core.models import MODELS
 from st_core.prediction import predict
 from st_core.readings import correct_log

@@ -7,9 +7,8 @@ import pytest
 from drives import T0, wavy_drive
 from st_core.errors import ConfigurationError
 from st_core.evaluation import ErrorStatistics, Evaluator, Statistic
-from st_core.log import DriveLog
+from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import AXES, BLOCK_SIZE, MODES, EvaluationSettings, bin_starts, evaluate_log, regular_starts
-from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings, Predictor, Start
 from st_core.types import InsSample
 from steady_circle import Circle

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core import stability
+from st_core import integrate
 from st_core.augmented import augment
 from st_core.handling import linear_system
-from st_core.prediction import PredictionSettings, Predictor, predict
-from st_core.stability import (
+from st_core.integrate import (
     StepTooLongWarning,
     growth_factor,
     lateral_modes,
@@ -17,6 +16,7 @@ from st_core.stability import (
     slip_speed_needed,
     substeps_needed,
 )
+from st_core.prediction import PredictionSettings, Predictor, predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 STEP = 0.05
@@ -24,7 +24,7 @@ STEP = 0.05
 
 @pytest.fixture(autouse=True)
 def no_previous_warnings(monkeypatch):
-    monkeypatch.setattr(stability, "_warned", set())
+    monkeypatch.setattr(integrate, "_warned", set())
 
 
 @pytest.fixture
@@ -87,7 +87,7 @@ def test_substeps_restore_stability_and_accuracy(stiff_car):
 def test_warning_is_issued_once_with_the_remedy(stiff_car):
     with pytest.warns(StepTooLongWarning) as caught:
         for _ in range(3):
-            stability.warn_if_too_long("linear", stiff_car, [2.0, 20.0], STEP)
+            integrate.warn_if_too_long("linear", stiff_car, [2.0, 20.0], STEP)
     assert len(caught) == 1
     floor = slip_speed_needed(["linear"], stiff_car, [2.0, 20.0], STEP)
     count = substeps_needed("linear", stiff_car, [2.0], STEP)
@@ -100,9 +100,9 @@ def test_no_warning_for_stable_steps(car, stiff_car):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Predictor(car, ("kinematic", "linear", "nonlinear"))
-        stability.warn_if_too_long("linear", stiff_car, [5.0, 30.0], STEP)
-        stability.warn_if_too_long("kinematic", stiff_car, [0.1], STEP)
-        stability.warn_if_too_long("linear", stiff_car, [], STEP)
+        integrate.warn_if_too_long("linear", stiff_car, [5.0, 30.0], STEP)
+        integrate.warn_if_too_long("kinematic", stiff_car, [0.1], STEP)
+        integrate.warn_if_too_long("linear", stiff_car, [], STEP)
 
 
 def test_live_predictor_warns_at_construction(stiff_car):

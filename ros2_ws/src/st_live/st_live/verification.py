@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Mode
+from st_core.log import LogSignals
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings, FutureInputs, evaluate_blocks
-from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model
 from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash

@@ -14,8 +14,8 @@ from st_core.bands import LEVELS, Band, Bands
 from st_core.bands.conditions import compute_magnitudes
 from st_core.bands.scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
 from st_core.errors import ConfigurationError
+from st_core.integrate import lowest_stable_speed
 from st_core.models import Model
-from st_core.stability import lowest_stable_speed
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 

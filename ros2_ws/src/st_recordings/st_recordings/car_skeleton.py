@@ -10,8 +10,8 @@ from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
 from st_core.handling import find_implausible_values
+from st_core.integrate import slip_speed_needed
 from st_core.prediction import PredictionSettings
-from st_core.stability import slip_speed_needed
 from st_core.vehicle import (
     DEFAULT_UNCERTAINTIES,
     OPTIONAL_QUANTITIES,

@@ -1,4 +1,4 @@
-"""Driver model that steers with preview along the road and controls the speed."""
+"""Driver model that steers with preview along the road and controls the speed, and the virtual car that it drives."""
 
 import math
 
@@ -9,7 +9,7 @@ from .car import Car
 from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
 from .environment import make_normal_source
 from .path import Pose
-from .plant import Plant
+from .plant import Plant, Truth
 from .scenarios import Plan
 from .settings import Settings
 
@@ -26,6 +26,7 @@ STEADY_ACCELERATION = 0.5  # m/s^2; above it the integral would add to the feed-
 MIN_STEERING_SPEED = 0.5  # m/s; below it the steering wheel is held, because the course angle is undefined
 MAX_PEDAL_JERK = 10.0  # m/s^3
 MAX_BRAKING, MAX_DRIVE, HOLDING_BRAKE = 7.0, 3.5, 2.0  # m/s^2
+RUN_IN_TIME = 4.0  # s simulated before time 0, so that the drive begins in steady motion
 
 
 class Driver:
@@ -117,3 +118,42 @@ class Driver:
         max_change = MAX_PEDAL_JERK * SAMPLING_TIME
         self._pedal += min(max(target - self._pedal, -max_change), max_change)
         self.drive_force = plant.mass * self._pedal
+
+
+class SimulatedCar:
+    """Car and driver in a scenario. Call advance(), then make_truth(); the car is already moving at time 0."""
+
+    def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
+        self.car = car
+        self.plant = Plant(car, settings, seed)
+        self.driver = Driver(car, settings, plan, seed)
+        self._step = self.plant.time_step
+        distance = plan.start
+        for _ in range(round(RUN_IN_TIME / self._step)):
+            distance -= plan.speed_at(distance) * self._step
+        road = plan.path.pose(distance)
+        self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
+        self.driver.place(self.plant, distance)
+        self._count = -round(RUN_IN_TIME / self._step)
+        self._steering_wheel_rate = 0.0
+        self.duration: float | None = None
+        self.advance(0.0)
+
+    @property
+    def time(self) -> float:
+        return self._count * self._step
+
+    def advance(self, time: float) -> None:
+        """Simulate up to the last step not after `time` [s]."""
+        last = int(time / self._step + 1e-6)
+        plant, driver, step = self.plant, self.driver, self._step
+        while self._count < last:
+            previous_angle = driver.steering_wheel_angle
+            driver.advance(plant, self._count * step, step)
+            plant.step(driver.steering_wheel_angle, driver.drive_force)
+            self._steering_wheel_rate = (driver.steering_wheel_angle - previous_angle) / step
+            self._count += 1
+
+    def make_truth(self) -> Truth:
+        driver = self.driver
+        return self.plant.observe(driver.drive_force, self.time, driver.steering_wheel_angle, self._steering_wheel_rate)

@@ -17,13 +17,13 @@ from canedge_bridge.decode import Decoder
 
 from .can_wire import STEERING_MESSAGE, CanWire
 from .car import read_car
+from .driver import SimulatedCar
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_wire import NcomWire, Origin
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
 from .settings import SETTINGS, SimulationError, find_overrides, resolve_settings
-from .simulation import SimulatedCar
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s

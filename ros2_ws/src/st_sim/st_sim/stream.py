@@ -12,12 +12,12 @@ from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
 from .can_wire import FRAME_TIME, BackgroundTraffic, CanWire, Frame
+from .driver import SimulatedCar
 from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
 from .settings import Settings, SimulationError
-from .simulation import SimulatedCar
 
 Source = SimulatedCar | RecordedDrive
 TICK_MS = 2

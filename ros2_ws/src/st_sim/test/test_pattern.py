@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 from st_sim.car import GRAVITY, read_car
+from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.settings import resolve_settings
-from st_sim.simulation import SimulatedCar
 from support import LEAF
 
 CAR = read_car(LEAF)

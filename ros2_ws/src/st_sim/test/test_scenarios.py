@@ -6,11 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 from st_sim.car import read_car
-from st_sim.driver import MAX_STEERING_WHEEL_RATE
+from st_sim.driver import MAX_STEERING_WHEEL_RATE, SimulatedCar
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
 from st_sim.scenarios import SCENARIOS, load_plan
 from st_sim.settings import SimulationError, resolve_settings
-from st_sim.simulation import SimulatedCar
 from support import LEAF, ROOT
 
 CAR = read_car(LEAF)

@@ -11,12 +11,12 @@ from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
 from st_sim.car import read_car
+from st_sim.driver import SimulatedCar
 from st_sim.ncom_wire import CYCLE_LENGTH, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
 from st_sim.settings import resolve_settings
-from st_sim.simulation import SimulatedCar
 from st_sim.stream import Stream
 from support import LEAF, ROOT
 

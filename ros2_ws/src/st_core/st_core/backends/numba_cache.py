@@ -12,7 +12,10 @@ import platform
 import shutil
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any
 
 import numba
 import numpy as np
@@ -73,3 +76,89 @@ def _list_base_folders() -> Iterator[Path]:
     yield Path(__file__).parent / "__pycache__" / "kernels"
     with contextlib.suppress(RuntimeError):  # no home
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
+
+
+def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
+    """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
+
+    They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
+    """
+    reachable: list[FunctionType] = []
+    seen: set[FunctionType] = set()
+
+    def collect(function: FunctionType) -> None:
+        if function in seen or function.__module__ in stop:
+            return
+        seen.add(function)
+        for _, value in find_references(function):
+            if isinstance(value, FunctionType):
+                collect(value)
+        reachable.append(function)
+
+    collect(function)
+    return reachable
+
+
+def find_references(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """(name, value) of all objects outside a function to which its code refers."""
+    cells = function.__closure__ or ()
+    yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
+    names = _find_names(function.__code__)
+    for name in names:
+        value = function.__globals__.get(name)
+        if isinstance(value, ModuleType):
+            yield from ((f"{name}.{attribute}", getattr(value, attribute)) for attribute in names
+                        if hasattr(value, attribute))
+        elif name in function.__globals__:
+            yield name, value
+
+
+def _find_names(code: CodeType) -> list[str]:
+    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _find_names(constant)]
+    return list(dict.fromkeys((*code.co_names, *inner)))
+
+
+class UnhashableError(Exception):
+    """A value without a representation that is the same in every process."""
+
+
+def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
+    """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
+
+    The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
+    """
+    digest = hashlib.sha256()
+    functions = find_reachable(function, stop)
+    number = {f: str(i) for i, f in enumerate(functions)}
+    describe = partial(_describe_value, number=number, stop=stop)
+    for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
+        # A function entered at a prompt has no file: only its code and constants are hashed.
+        digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
+    for f in functions:
+        referenced = [f"{key}={describe(value)}" for key, value in find_references(f)]
+        defaults = [describe(value) for value in (f.__defaults__ or ())]
+        parts = (f.__module__, f.__qualname__, f.__code__.co_code.hex(), _describe_constants(f.__code__), *referenced,
+                 *defaults)
+        digest.update("\x00".join(parts).encode() + b"\x01")
+    return digest.hexdigest()
+
+
+def _describe_constants(code: CodeType) -> str:
+    return repr([_describe_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
+
+
+def _describe_value(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> str:
+    if value is None or isinstance(value, bool | int | float | str | bytes):
+        return f"{type(value).__name__}:{value!r}"
+    if isinstance(value, FunctionType):
+        return f"function {number[value]}" if value in number else f"{value.__module__}.{value.__qualname__}"
+    if isinstance(value, ModuleType):
+        return f"module {value.__name__}"
+    if isinstance(value, type):
+        return f"class {value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
+    if isinstance(value, tuple):
+        inner = ",".join(_describe_value(v, number, stop) for v in value)
+        return f"{_describe_value(type(value), number, stop)}({inner})"
+    if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
+        return f"{value.__module__}.{value.__qualname__}"
+    raise UnhashableError(f"{value!r}")

@@ -25,7 +25,7 @@ from numba.extending import intrinsic
 from .. import ops
 from ..models import Model
 from ..types import STATE_NAMES
-from . import call_graph, numba_cache, numpy_batch
+from . import numba_cache, numpy_batch
 from .numba_ops import FLAGS, inline
 
 # A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does not vectorise the
@@ -93,9 +93,9 @@ def _collect_numbers(p: tuple, numbers: list[float]) -> tuple:
 def _compile(model: Model, type_of_p, fields: int, states: int):
     kernel = make_kernel(model, type_of_p, fields, states)
     try:
-        fingerprint = call_graph.fingerprint(cast(FunctionType, model.rhs), STOP)
+        fingerprint = numba_cache.fingerprint(cast(FunctionType, model.rhs), STOP)
         numba_cache.enable_cache(kernel, f"{fingerprint} {type_of_p} {fields} {states}")
-    except call_graph.UnhashableError:
+    except numba_cache.UnhashableError:
         pass  # not cached: compiled in every process
     try:
         with interleave_vectors():
@@ -110,7 +110,7 @@ def _compile(model: Model, type_of_p, fields: int, states: int):
 
 def make_kernel(model: Model, type_of_p, fields: int, states: int):
     """The kernel of a model, not compiled yet, for the numba type of its parameters."""
-    for function in call_graph.find_reachable(cast(FunctionType, model.rhs), STOP):
+    for function in numba_cache.find_reachable(cast(FunctionType, model.rhs), STOP):
         if function not in _inlined:
             _inlined.add(inline(function))
     return _define_kernel(model.rhs, _make_parameter_reader(type_of_p), _make_loader(fields), _make_loader(states),

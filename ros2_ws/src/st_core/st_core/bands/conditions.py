@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ..log import LogSignals
 from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES
-from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")

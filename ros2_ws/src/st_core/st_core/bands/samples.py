@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import StCoreError
+from ..log import LogSignals
 from ..log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
-from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import correct_log
 from ..timeseries import NANOSECOND, half_step_grid

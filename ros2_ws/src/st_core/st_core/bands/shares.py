@@ -19,9 +19,8 @@ from ..augmented import AugmentedModel
 from ..batch import LogBatch
 from ..effects import get_effect
 from ..errors import ConfigurationError
-from ..log import INS_SIGNALS
+from ..log import INS_SIGNALS, LogSignals
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
-from ..log_signals import LogSignals
 from ..models import Model
 from ..readings import predict_readings
 from ..regression import white_noise

@@ -20,10 +20,10 @@ from scipy.optimize import lsq_linear
 from ..augmented import AugmentedModel
 from ..corrections import Correction, apply_corrections
 from ..errors import StCoreError
+from ..integrate import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
-from ..stability import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity

@@ -26,9 +26,8 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..channels import CHANNEL_OF_COLUMN
-from ..log import DriveLog
+from ..log import DriveLog, LogSignals
 from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
-from ..log_signals import LogSignals
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import LargeErrorRegion

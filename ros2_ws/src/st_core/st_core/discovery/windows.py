@@ -20,8 +20,7 @@ from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
-from ..log import INS_SIGNALS, DriveLog
-from ..log_signals import LogSignals, share_memory
+from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_faultless_readings
 from ..sideslip import steady_velocity_y

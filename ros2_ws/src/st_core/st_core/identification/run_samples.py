@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..channels import CHANNELS
-from ..log import DriveLog
-from ..log_signals import LogSignals
+from ..log import DriveLog, LogSignals
 from ..timeseries import NANOSECOND, filtered_derivative
 from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters

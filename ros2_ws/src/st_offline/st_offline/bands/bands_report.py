@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
+from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, EvaluationSettings
-from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from st_core.bands import CONDITIONS, RELIABILITY_LEVELS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
 from st_core.bands.file import make_times
+from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES, Block
-from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings
 
 Sums = dict[str, Any]

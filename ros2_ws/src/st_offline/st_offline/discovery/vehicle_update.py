@@ -17,11 +17,10 @@ from st_core.discovery.result import Run
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
-from st_core.log import DriveLog
+from st_core.integrate import slip_speed_needed
+from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
-from st_core.log_signals import LogSignals
 from st_core.prediction import PredictionSettings
-from st_core.stability import slip_speed_needed
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Provenance, VehicleParameters, value_of
 from st_core.yaml_text import format_number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from st_core.evaluation import Mode
+from st_core.log import LogSignals
 from st_core.log_evaluation import LogEvaluation, evaluate_blocks
-from st_core.log_signals import LogSignals
 from st_core.models import Model, get_model, slip_angles
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.readings import predict_readings

@@ -18,12 +18,12 @@ from st_core.course_tracker import course_inputs
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
+from st_core.integrate import StepTooLongWarning
+from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, Block, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
-from st_core.log_signals import LogSignals
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.planned_inputs import SLIP_FREE, path_inputs, recorded_plan
-from st_core.stability import StepTooLongWarning
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
