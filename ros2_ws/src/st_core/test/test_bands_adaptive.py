@@ -96,6 +96,6 @@ def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
         waiting[start] = window_errors * (1.0, 1.0, 1.0e-3), issued
     seconds = (starts - starts[0]) * 1e-9
     assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
-    n, covered = bands.counts["linear", "forecast"]
-    assert n == len(inside) and covered[0.9] == pytest.approx(sum(inside), abs=0.01 * n)
-    assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and covered[0.5] < covered[0.9]
+    coverage = bands.coverages["linear", "forecast"]
+    assert coverage.n == len(inside) and coverage.coverage_at(0.9) == pytest.approx(np.mean(inside), abs=0.01)
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and coverage.coverage_at(0.5) < coverage.coverage_at(0.9)

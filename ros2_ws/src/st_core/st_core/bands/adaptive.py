@@ -2,16 +2,17 @@
 
 For one model, mode and level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
-    log c  <-  log c + g w (1{S > c_issued} - (1 - level)),         w: time since the previous score [s], at most 1 s
+    log c  <-  log c + g w (1{S > c_issued} - (1 - level))
 
-c_issued is the factor issued with the prediction. For any distribution of the errors, if c stays between MIN_FACTOR and
-MAX_FACTOR for T seconds, the fraction of this time outside the band differs from 1 - level by no more than
+a: along, across or yaw; w: time between the starts of this and the previously scored prediction [s], at most 1 s;
+c_issued: the factor issued with the prediction. For any distribution of the errors, if c stays between MIN_FACTOR and
+MAX_FACTOR for T seconds, the fraction of this time outside the band differs from 1 - level by at most
 
     (log(MAX / MIN) + g D) / (g T),         D: horizon [s]
 
 This guarantees the coverage in the long run, but not for the next prediction or a single minute. The gain g decreases
-from START_GAIN to GAIN with time constant SETTLING_TIME. Without a calibrated scale, the exponentially weighted root
-mean square of the errors is used (SCALE_FORGETTING).
+from START_GAIN to GAIN with time constant SETTLING_TIME. Without a calibrated scale, s is the root mean square of the
+errors of the run, exponentially weighted (SCALE_FORGETTING).
 Source: Gibbs and Candes, Adaptive conformal inference under distribution shift, NeurIPS 2021; as a quantile tracker:
 Angelopoulos, Candes and Tibshirani, Conformal PID control for time series prediction, NeurIPS 2023. Checked by:
 test_bands_adaptive.py.
@@ -26,7 +27,7 @@ from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band
 
 GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
-MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # they correspond to sensor noise and to the size of a road
+MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
 SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
@@ -69,7 +70,7 @@ class AdaptiveBand:
         return dict(zip(self._logs, values.tolist(), strict=True))
 
     def issue(self, start_ns: int, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
-        """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until its score arrives.
+        """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns; stored until its score arrives.
 
         scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run.
         """
@@ -82,9 +83,11 @@ class AdaptiveBand:
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Correct factors and scale by errors (points, 3) [m, m, rad] in the predicted frame. Call in order of time.
+        """Correct the factors, and a scale estimated from the run, by errors (points, 3) [m, m, rad] in the predicted
+        frame. Call in order of time.
 
-        Returns, by level, whether the whole path was inside; empty if no band was issued or errors are not finite.
+        Returns, by level, whether the whole path was inside; empty without `issue` for this start, or with an error
+        that is not finite.
         """
         while self._issued and self._issued[0][0] < start_ns:
             self._issued.popleft()
@@ -111,7 +114,7 @@ class AdaptiveBand:
         """(factors (n,) by level, scales (n, points, 3)) along a drive, from the scores available at each start.
 
         Continues the previous call. starts_ns: (n,) ascending [ns]. conditions: (n, 4). errors: (n, points, 3) in the
-        predicted frame; not finite if not scored.
+        predicted frame; NaN if not scored.
         """
         calibrated = None if self._band is None else self._band.scale(conditions)
         horizon_ns = round(float(self._time[-1]) / NANOSECOND)

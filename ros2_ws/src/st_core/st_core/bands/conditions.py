@@ -5,7 +5,8 @@
     forward_acceleration  |velocity_x_dot| [m/s^2]
     steering_activity     root mean square of d(delta)/dt over the ACTIVITY_SPAN before the start [rad/s]
 
-All are magnitudes at the INS point; delta is the road wheel angle. Checked by: test_bands_live.py.
+Velocity, yaw rate and acceleration are those of the INS point; delta is the road wheel angle.
+Checked by: test_bands_live.py.
 """
 
 from collections.abc import Sequence
@@ -56,7 +57,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     return conditions(speed, yaw_rate, acceleration, activity)
 
 
-MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration: one second of driving
+MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
 MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
 CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
               CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION_EDGES}

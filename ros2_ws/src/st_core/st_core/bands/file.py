@@ -10,20 +10,21 @@
     bands: {linear: {configuration_hash: "...", hindsight: {...}, forecast: {...}}}
     hash: "..."
 
-Floors are in m, m, rad; coefficients, factors and ratios are dimensionless. An edited file is rejected by its hash.
+Floors are in m, m, rad; coefficients give the natural logarithm of a scale in m, m, rad; factors and ratios are
+dimensionless. A file with edited content is rejected by its hash.
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
-from ..prediction import configuration_hash
+from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, format_number, load, quote
 from .calibration import Band
@@ -63,7 +64,7 @@ class Bands:
     def half_widths(self, model: str, mode: str, conditions: np.ndarray, level: float) -> np.ndarray:
         """Half-widths (n, points + 1, 3) along and across the predicted path [m] and in yaw [rad], 0 at the start.
 
-        With the probability `level`, the whole measured path of the INS point is inside the band in all three. NaN
+        With probability `level`, the whole measured path of the INS point is inside the band in all three. All NaN
         outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from
         `conditions.conditions`. Raises KeyError for a model, mode or level that is not in the file.
         """
@@ -165,8 +166,8 @@ def make_times(horizon: float, step: float) -> np.ndarray:
 
 def hash_configuration(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
     """The configuration hash of predictions with these settings. model_hash: "" for a model of the paper."""
-    prediction = EvaluationSettings().prediction
-    return configuration_hash(vehicle, type(prediction)(**{key: settings[key] for key in vars(prediction)}), model_hash)
+    prediction = PredictionSettings(**{setting.name: settings[setting.name] for setting in fields(PredictionSettings)})
+    return configuration_hash(vehicle, prediction, model_hash)
 
 
 def _to_flow(value: Any) -> str:

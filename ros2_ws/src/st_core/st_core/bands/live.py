@@ -7,9 +7,9 @@ Each scored window contributes its log likelihood ratio:
     S <- max(0, S + w l),     warning if S >= log(FALSE_WARNING_TIME)
 
 Overlapping windows are not independent, so the weight w of a window is the fraction of a horizon by which it starts
-later than the previous one. S is then a mean over all sequences of windows spaced by a whole horizon, which does not
-exceed the log of their mean likelihood ratio (Jensen's inequality): the test is an e-detector. If every window stays
-inside with probability p or more given the past, the mean time to a false warning is at least FALSE_WARNING_TIME.
+later than the previous one, at most 1. S is then a mean over all sequences of windows spaced by a whole horizon, which
+does not exceed the log of their mean likelihood ratio (Jensen's inequality): the test is an e-detector. If every window
+stays inside with probability p or more given the past, the mean time to a false warning is at least FALSE_WARNING_TIME.
 Source: Shin, Ramdas and Rinaldo, E-detectors, New England Journal of Statistics in Data Science 2023 (CUSUM type).
 Checked by: test_bands_live.py. Measured false warnings and delays: docs/manual/bands.md.
 """
@@ -96,7 +96,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. counts: (model, mode) -> (scored windows, by level those completely inside).
+    half_widths: as in `LiveBands`. coverages: by (model, mode), of the scored windows with a band.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -107,7 +107,7 @@ class AdaptiveBands:
         self.half_widths: Mapping[str, HalfWidths] = {
             model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
             for model in models}
-        self.counts: dict[ModelMode, tuple[int, dict[float, int]]] = {}
+        self.coverages: dict[ModelMode, BandCoverage] = {}
         self._first_ns: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
 
     @property
@@ -140,12 +140,12 @@ class AdaptiveBands:
         return issued, reason
 
     def observe(self, score: Score) -> None:
-        """Update a band and its counts by the score of an earlier prediction. Call in order of time for each band."""
+        """Update a band and its coverage by the score of an earlier prediction. Call in order of time for each band."""
         pair = score.model, score.mode
         inside = self._bands[pair].observe(score.start_ns, _compute_errors(score))
         if inside and score.start_ns >= self._first_ns.get(pair, math.inf):
-            n, counts = self.counts.get(pair, (0, {}))
-            self.counts[pair] = n + 1, {level: counts.get(level, 0) + is_inside for level, is_inside in inside.items()}
+            coverage = self.coverages.setdefault(pair, BandCoverage())
+            coverage.add(score.start_ns, float(score.horizon[-1]), inside)
 
 
 def _compute_errors(score: Score) -> np.ndarray:
@@ -155,7 +155,7 @@ def _compute_errors(score: Score) -> np.ndarray:
 
 ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
 FALSE_WARNING_TIME = 7200.0  # horizons; minimum mean time to a false warning: ten hours with horizons of 5 s
-END_SHARE = 0.5  # fraction of the limit; a warning ends when S falls below it
+END_SHARE = 0.5  # of the limit of S; a warning ends when S falls below this fraction
 
 
 @dataclass
@@ -164,12 +164,12 @@ class BandCoverage:
 
     n: int = 0  # number of scored windows with a band
     inside: dict[float, int] = field(default_factory=dict)  # number of these with the whole path inside, by level
-    warns: bool = False  # whether the coverage of the highest level is significantly too low
+    warns: bool = False  # whether the coverage of the highest level is significantly too low; ends at END_SHARE
     evidence: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:
-        """Observed coverage of a level; NaN without scored windows."""
+        """Observed coverage of a level; NaN before its first scored window."""
         return self.inside[level] / self.n if level in self.inside else math.nan
 
     def add(self, start_ns: int, horizon: float, inside: Mapping[float, bool]) -> None:
@@ -188,14 +188,14 @@ class BandCoverage:
 
 
 class CoverageMonitor:
-    """Monitors coverage. Stores at most MAX_WAITING published bands until the score of each prediction arrives."""
+    """Coverage by model and mode. Published bands are stored until the score of their prediction arrives."""
 
     def __init__(self) -> None:
         self.by_pair: dict[ModelMode, BandCoverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
     def expect(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
-        """Store half-widths published with a prediction."""
+        """Store the half-widths published with a prediction; of more than MAX_WAITING, the oldest are dropped."""
         for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
         while len(self._waiting) > MAX_WAITING:

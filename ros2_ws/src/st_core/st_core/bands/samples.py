@@ -49,7 +49,7 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
                           settings: EvaluationSettings) -> ErrorSamples:
     """Error curves of one drive from at most MAX_STARTS_PER_RUN starts with known conditions and a measured horizon.
 
-    Raises a one-line StCoreError for a drive without such a start, and NotFiniteError.
+    Raises NotFiniteError, and another one-line StCoreError for a drive without such a start.
     """
     horizon = settings.prediction.horizon
     log = signals.log
@@ -71,9 +71,8 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
             bad = ~np.isfinite(curves).all(axis=(1, 2))
             if bad.any():
                 first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
-                raise NotFiniteError(f"errors of {pair[0]} are not finite for {int(bad.sum())} starts, the first "
-                                     f"at {first:.1f} s, though all inputs were measured: correct the model or use a "
-                                     "shorter --step")
+                raise NotFiniteError(f"errors of {pair[0]} are not finite, first for the start at {first:.1f} s, "
+                                     "though all inputs were measured: correct the model or use a shorter --step")
             curves_of.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
     scored_starts = np.concatenate(scored) if scored else starts[:0]
     if not len(scored_starts):

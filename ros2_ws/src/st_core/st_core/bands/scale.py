@@ -45,7 +45,8 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
     """Features phi (..., 20), of magnitude about 1, of the conditions (..., 4) in `conditions.CONDITIONS`.
 
     1; the four logarithms  log(v / 10 m/s),  log((a_y + 0.3 m/s^2) / 1.5 m/s^2),  log((a_x + 0.2 m/s^2) / 0.6 m/s^2),
-    log((w + 0.005 rad/s) / 0.02 rad/s); their squares and products; triangles 3 m/s^2 wide about SPLINE_KNOTS in a_y.
+    log((w + 0.005 rad/s) / 0.02 rad/s), w: steering activity, v >= 0.1 m/s; their squares and products; triangles
+    3 m/s^2 wide about SPLINE_KNOTS in a_y.
     """
     columns = compute_scalar_features(np.moveaxis(np.asarray(conditions, float), -1, 0), np.log, np.maximum)
     return np.stack(np.broadcast_arrays(*columns), axis=-1)

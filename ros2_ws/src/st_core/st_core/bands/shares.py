@@ -4,7 +4,8 @@
 
 p: parameters of vehicle and model file with a known uncertainty, assumed independent. s: the six states at the start
 and the measured pose at t, with the white noise of this recording. The derivatives are central differences of whole
-predictions with steps of one standard deviation, along and across the predicted heading. The residual contains the
+predictions with steps of one standard deviation, along and across the predicted heading; the errors are along and
+across the measured one, which differs little. The residual contains the
 structure of the model, parameters without an uncertainty, slow errors of the sensors, and noise of the inputs; it is
 negative if the uncertainties exceed the errors. Only hindsight is decomposed. Checked by: test_bands_shares.py.
 """
@@ -42,7 +43,7 @@ def sum_squared_contributions(
     """(number of starts, squared errors, squared contributions by cause) of one run.
 
     Squares are summed over all starts: (seconds, 3) [m^2, m^2, rad^2], along, across and in yaw at 1, 2, ... s ahead.
-    Parameters of the vehicle that affect no prediction are left out.
+    Parameters and sensors that change no prediction are left out.
     """
     seconds = np.arange(1, int(settings.prediction.horizon + 1e-9) + 1, dtype=float)
     starts, _ = usable_starts(signals, vehicle, regular_starts(signals.log, settings.interval),

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.bands import AdaptiveBands, Bands, CoverageMonitor, LiveBands, conditions_now
+from st_core.bands import AdaptiveBands, BandCoverage, Bands, CoverageMonitor, LiveBands, conditions_now
 from st_core.bands.live import HalfWidths
+from st_core.bands.samples import ModelMode
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
 from st_core.measurement_history import MeasurementHistory
@@ -100,8 +101,7 @@ class PredictionBands:
             return Check("bands", diagnostics.OK, f"{levels}, {self._calibration}")
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
-        values = {f"{model} {mode} {100 * level:g} %": f"{inside / n:.3f} of {n}"
-                  for (model, mode), (n, counts) in self._adaptive.counts.items() for level, inside in counts.items()}
+        values = _list_coverages(self._adaptive.coverages)
         if (seconds := self._adaptive.remaining_warm_up) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
         text = f"adaptive, {self._calibration or 'estimated from the errors of this run'}"
@@ -146,11 +146,15 @@ def read_bands(message: Prediction) -> HalfWidths:
 
 def make_coverage_check(coverages: CoverageMonitor) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
-    values = {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
-              for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside)}
+    values = _list_coverages(coverages.by_pair)
     if warning := coverages.describe_warnings():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
+
+
+def _list_coverages(coverages: Mapping[ModelMode, BandCoverage]) -> dict[str, str]:
+    return {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
+            for (model, mode), coverage in coverages.items() for level in sorted(coverage.inside)}
 
 
 def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:
