@@ -1,4 +1,4 @@
-"""Assembles and checks the node parameters of a run, finds the bags of a run, and starts the virtual Leaf."""
+"""Assembles and checks the node parameters of a run, finds the bag of a run, and starts the virtual Leaf."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ def resolve_vehicle_file(given: Path | None) -> Path:
 
 
 def find_vehicle_name(vehicle: Path) -> str:
-    """Name of the car in results: of its folder for a file vehicle.yaml, else of the file, without the suffix."""
+    """Name of the car in results: its folder for a file vehicle.yaml, else the file name without its suffix."""
     return vehicle.parent.name if vehicle.name == "vehicle.yaml" else vehicle.stem
 
 
@@ -128,8 +128,8 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
                          adaptive: bool | None = None) -> dict[str, dict[str, Any]]:
     """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
 
-    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for a file that cannot be
-    read, and for bands of another car, model or configuration.
+    adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for an unreadable or
+    invalid file, and for bands of another car, model or configuration.
     """
     changed = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = changed["predictor"], changed["recorder"]
@@ -178,17 +178,17 @@ def find_bag(path: Path) -> Path:
 class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: arguments of virtual_leaf other than its interfaces.
-    simulated: vehicle file of the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
+    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated: vehicle file of
+    the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
         self.vehicle = vehicle
         self.port = find_free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
-        interfaces = {"--vehicle": simulated or self.vehicle, "--config": project_root() / "config",
-                      "--ncom-port": self.port, "--can-interface": "udp_multicast", "--can-channel": self.channel}
-        self._arguments = [*options, *(str(part) for option in interfaces.items() for part in option)]
+        own = {"--vehicle": simulated or vehicle, "--config": project_root() / "config", "--ncom-port": self.port,
+               "--can-interface": "udp_multicast", "--can-channel": self.channel}
+        self._arguments = [*options, *(str(part) for option in own.items() for part in option)]
         try:
             check_arguments(self._arguments)
         except SimulationError as error:

@@ -1,4 +1,4 @@
-"""Receives the statistics, tick counts and diagnostics of a running suite, and formats them for the terminal."""
+"""Receives statistics, tick counts and diagnostics of a running suite, formats them, and aggregates diagnostics."""
 
 import contextlib
 import math
@@ -81,7 +81,7 @@ class Monitor:
         self._thread.start()
 
     def find_node_names(self) -> list[str]:
-        """Names of all other nodes in the graph; a name used by two nodes is listed twice."""
+        """Names of the other nodes in the graph, without other monitors; a name used by two nodes is listed twice."""
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
@@ -97,13 +97,14 @@ class Monitor:
             self.state = replace(self.state, health={**self.state.health, **{s.name: s for s in statuses}})
 
     def _publish_aggregate(self) -> None:
-        """Publish the worst level of the suite, followed by every status, as a diagnostic aggregator does."""
+        """Publish the worst level of the suite, stale if no status has arrived, followed by every status."""
         now, statuses = time.monotonic(), self.state.health
         lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
                  for s in sorted(statuses.values(), key=lambda s: s.name)]
         worst = max((line.level[0] for line in lines), default=STALE)
         failed = [line.name for line in lines if line.level[0]]
-        text = f"{len(failed)} of {len(lines)} checks are not OK: {', '.join(failed)}" if failed else "all nodes OK"
+        text = (f"{len(failed)} of {len(lines)} checks are not OK: {', '.join(failed)}" if failed
+                else "all nodes OK" if lines else "no diagnostics yet")
         message = DiagnosticArray(status=[DiagnosticStatus(name="suite", level=bytes([worst]), message=text), *lines])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._aggregate.publish(message)
@@ -159,7 +160,6 @@ def render_motion(state: SuiteState) -> Text:
 
 
 def render_errors(state: SuiteState) -> RenderableType:
-    """The table of the errors so far."""
     statistics = state.summary.statistics if state.summary else []
     if not any(s.n_starts for s in statistics):
         return Text("waiting for the end of the first prediction", style="dim")
@@ -171,7 +171,7 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 
 def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
-    """Table of mean, largest magnitude and RMS of the horizon-mean errors [m]; the smallest of each mode is bold.
+    """Table of mean, largest magnitude and RMS of the horizon-mean errors [m]; the best of each mode is bold.
 
     models: as in summary.json. digits: number of decimal places.
     """
@@ -209,7 +209,7 @@ def render_ticks(state: SuiteState) -> Text:
 
 
 def render_health(state: SuiteState) -> Text:
-    """Every status that is not OK, the worst first; a single line if all are OK."""
+    """Statuses that are silent or not OK, highest level first, or that all are OK; empty before the first status."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):

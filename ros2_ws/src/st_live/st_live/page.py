@@ -81,7 +81,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         # On loopback only local names are permitted, which prevents DNS rebinding.
-        name = self.headers.get("Host", "").rpartition(":")[0]
+        name = self.headers.get("Host", "").partition(":")[0]
         if self.server.server_address[0] == LOOPBACK and name not in (LOOPBACK, "localhost"):
             self.send_error(403, "the page is not available under this host name")
         elif self.path.split("?")[0] == "/":

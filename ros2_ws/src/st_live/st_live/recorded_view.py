@@ -28,8 +28,8 @@ PLOT_SPAN = 40.0  # s
 AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 5 s at 30 km/h are 42 m
 AROUND, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
-    "lateral": "lateral error over the last horizon, m (+ predicted left)",
-    "longitudinal": "longitudinal error, m (+ predicted ahead)",
+    "lateral": "mean lateral error over the last horizon, m (+ predicted left)",
+    "longitudinal": "mean longitudinal error, m (+ predicted ahead)",
     "steering": "road wheel angle, deg (left +)",
     "speed": "speed, m/s",
     "lateral_acceleration": "lateral acceleration v_x r, m/s² (left +)",
@@ -159,11 +159,11 @@ class Scene:
             self._stream.log(f"plots/{quantity}/{model}", rr.Scalars([mean]))
         self._plotted.add(model)
 
-    def draw(self) -> None:
-        """Draw the newest INS sample unless it has been drawn already."""
+    def draw(self) -> bool:
+        """Draw the state at the newest INS sample; False without a sample since the previous call."""
         sample, self._sample = self._sample, None
         if sample is None:
-            return
+            return False
         now_ns, log, pose = sample.time_ns, self._stream.log, Pose(sample.x, sample.y, sample.yaw)
         self._history.add_pose(now_ns, sample.x, sample.y)
         self._set_time(now_ns)
@@ -180,6 +180,7 @@ class Scene:
             self._text_due_ns = now_ns + TEXT_PERIOD_NS
             text = format_errors(self._statistics, self._ticks, list(self._health.values()))
             log("text", rr.TextDocument(text, media_type="text/markdown"))
+        return True
 
     def _draw_view(self, root: str, view: Pose, pose: Pose, now_ns: int) -> None:
         """Draw car, track, predictions with bands, and earlier predictions. view: as for `to_screen`."""
@@ -200,7 +201,7 @@ class Scene:
             for age, ghost in history.find_ghosts(model, now_ns):
                 ghosts.append(to_screen(view, ghost.x[::GHOST_STRIDE], ghost.y[::GHOST_STRIDE]))
                 ghost_colours.append(rgb(colour_of(model), GHOST_STRENGTH * (1.2 - 0.15 * age)))
-            # A line from the car to the position predicted for the present one horizon ago.
+            # A line from the car to its present position as the oldest stored prediction predicted it.
             if point := history.find_predicted_position(model, now_ns):
                 errors.append(to_screen(view, *np.transpose([(pose.x, pose.y), point])))
                 error_colours.append(rgb(colour_of(model)))
@@ -226,7 +227,7 @@ class Scene:
             self._log_lines(f"{entity}/{level:.0%}", strips, [rgb(colour_of(model), strength)], radii, order=order)
 
     def _log_name(self, model: str) -> None:
-        """Show colour and name in the lower left corner; beside the paths, names would overlap where models agree."""
+        """Show colour and name of a model in the lower left corner; next to the paths, names would overlap."""
         if model not in self._labelled:
             corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._labelled))
             self._labelled.append(model)
@@ -262,10 +263,10 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
         connections = [c for c in reader.connections if c.topic in kinds]
         for connection, log_ns, data in reader.messages(connections=connections):
             if log_ns >= due_ns:
-                scene.draw()
-                n_frames, due_ns = n_frames + 1, log_ns + FRAME_PERIOD_NS
+                n_frames += scene.draw()
+                due_ns = log_ns + FRAME_PERIOD_NS
             scene.take(kinds[connection.topic], reader.deserialize(data, connection.msgtype))
-    scene.draw()
+    n_frames += scene.draw()
     stream.flush()
     stream.disconnect()
     return n_frames

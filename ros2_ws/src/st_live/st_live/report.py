@@ -27,10 +27,10 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
     """Write and print the results of a run; returns the exit status.
 
     about: further entries of summary.json, with the title `what`. Status 0: every process ended normally, and a horizon
-    was scored or the user ended the run; 130: the user ended the run before the first data arrived; 1: all other cases.
+    was scored or the user ended the run; 130: the user ended the run before all nodes were up; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
-        console.print("the run was ended before the first data arrived")
+        console.print("the run was ended before all nodes were up")
         return 130
     _print_problems(folder, outcome, console)
     with console.status("reading the recordings, drawing"):
@@ -74,7 +74,7 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
 
 
 def draw_paths(results: Results, title: str, file: Path) -> None:
-    """Draw a map of measured and predicted paths, and the horizon-mean errors over start time.
+    """Draw a map of measured and predicted paths of the INS point, and the horizon-mean errors over start time.
 
     The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
     have separate error plots, because their errors differ by an order of magnitude when the driver acts.
@@ -148,7 +148,7 @@ def describe_incomplete(models: dict[str, Any]) -> str:
 
 
 def make_headline(summary: dict[str, Any]) -> str:
-    """Title of the figure: the lateral RMSE in hindsight, the best model first."""
+    """Text of the figure's title: the lateral RMSE in hindsight, the best model first."""
     lateral = {model: modes["hindsight"]["lateral"]["rmse"] for model, modes in summary["models"].items()}
     ranking = sorted((rmse, model) for model, rmse in lateral.items() if rmse is not None)
     if not ranking:

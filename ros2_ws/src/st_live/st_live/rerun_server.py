@@ -25,11 +25,11 @@ from .suite import Child, Processes, SuiteError
 
 LOOPBACK = "127.0.0.1"
 READY_TIMEOUT = 20.0  # s until a server must accept connections
-STOP_TIMEOUT = 3.0  # s until a process is killed
-REQUEST_TIMEOUT = 30.0  # s
+STOP_TIMEOUT = 3.0  # s until a process that ignores SIGINT is killed
+REQUEST_TIMEOUT = 30.0  # s until Rerun's server must respond
 RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
                  "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
-HOP_BY_HOP = {"connection", "keep-alive", "transfer-encoding", "date", "server"}
+NOT_FORWARDED = {"connection", "keep-alive", "transfer-encoding", "date", "server"}  # headers the proxy sets itself
 POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
           "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
           "worker-src 'self' blob:")
@@ -59,7 +59,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         self.send_response(response.status)
         for name, value in response.getheaders():
-            if name.lower() not in HOP_BY_HOP:
+            if name.lower() not in NOT_FORWARDED:
                 self.send_header(name, value)
         if response.length is None:
             self.send_header("Connection", "close")

@@ -1,4 +1,4 @@
-"""Runs the live suite with the virtual Leaf or the real car; a supervisor restarts nodes that end or hang."""
+"""Starts the nodes of a run, shows the run and stops them in order; a supervisor restarts nodes that end or hang."""
 
 import math
 import signal
@@ -30,7 +30,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
     ("oxts_bridge", "oxts_bridge"),
     ("canedge_bridge", "canedge_bridge"),
 )
-# The predictor ends while data still arrive, so that its last tick has inputs. The recorder ends last.
+# Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
 START_TIMEOUT = 60.0  # s until all nodes are in the graph
@@ -45,7 +45,7 @@ Progress = Callable[[], tuple[float, float | None, bool]]
 
 @dataclass
 class _SupervisedNode:
-    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: cause of the last restart."""
+    """State of one node; times are monotonic [s]. restart_at: None while it runs. cause: its last failure."""
 
     package: str
     name: str
@@ -71,7 +71,7 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """Number of restarts by node, without nodes that were never restarted."""
+        """Number of restarts by node, including one that is still due; without nodes that never failed."""
         return {node.name: node.restarts for node in self._nodes if node.restarts}
 
     def update(self) -> None:
@@ -88,7 +88,7 @@ class Supervisor:
             if node.cause:
                 times = "once" if node.restarts == 1 else f"{node.restarts} times"
                 running = node.restart_at is None and node.responded
-                text = f"restarted {times}; before the last restart it {node.cause}"
+                text = f"failed {times}; the last time, it {node.cause}"
                 level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
@@ -115,7 +115,10 @@ class Supervisor:
 
 @dataclass(frozen=True)
 class Outcome:
-    """statuses: exit status of each process stopped at the end. health: checks that were not OK before the stop."""
+    """statuses: exit status by process; empty if the user ended the run before all nodes were up.
+
+    health: the result of `render_health` before the stop, as text. restarts: as for `Supervisor`.
+    """
 
     statuses: dict[str, int]
     interrupted: bool

@@ -3,7 +3,8 @@
 Each child leaves the process group of the terminal: Ctrl-C reaches only this process, which then ends the children in
 order. If this process is killed, the kernel interrupts the children (parent-death signal, set by setpriv).
 
-All other nodes lower their priority below bridges and predictor, which `st live --realtime` schedules in real time.
+Recorder, evaluator and passenger lower their own priority; `st live --realtime` schedules bridges and predictor in real
+time.
 """
 
 import os
@@ -95,7 +96,7 @@ class Processes:
         return child
 
     def check(self) -> None:
-        """Raises SuiteError naming the first child that has ended."""
+        """Raises SuiteError naming the first child that has ended, except with status 0 if it may end."""
         for child in self.children:
             if (status := child.process.poll()) is not None and (status or not child.may_end):
                 raise SuiteError(f"{child.name} ended with status {status}: {child.read_last_lines() or 'no output'}\n"
@@ -178,7 +179,7 @@ def find_executable(package: str, executable: str) -> str:
 def merge_parameters(base: Path, overrides: Parameters) -> dict[str, dict[str, Any]]:
     """Node parameters of a file, updated with `overrides`; each section of the file describes one node.
 
-    Raises SuiteError naming the file if it cannot be read or contains a key twice.
+    Raises SuiteError naming the file if it is unreadable, has no such sections or contains a key twice.
     """
     try:
         document = yaml_text.load(base.read_text(encoding="utf-8"))
@@ -224,9 +225,10 @@ def make_loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 @contextmanager
 def claim_domain(requested: int | None = None) -> Iterator[int]:
-    """Yields the requested ROS domain, by default one that no process on this computer uses, reserved for the block.
+    """Yields the requested ROS domain, by default one of 1 to 101 that no process on this computer uses.
 
-    The first discovery port of the domain (DDS: 7400 + 250 * domain + 10) is bound; participants use the next ports.
+    A default domain is reserved by binding its first discovery port (DDS: 7400 + 250 * domain + 10); participants use
+    the next ports. Raises SuiteError if all are in use.
     """
     if requested is not None:
         yield requested
@@ -239,4 +241,4 @@ def claim_domain(requested: int | None = None) -> Iterator[int]:
                 continue
             yield domain
             return
-    raise SuiteError("all ROS domains are in use on this computer: set ROS_DOMAIN_ID to share one")
+    raise SuiteError("ROS domains 1 to 101 are in use on this computer: set ROS_DOMAIN_ID to another, or to share one")

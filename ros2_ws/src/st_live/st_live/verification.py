@@ -79,7 +79,7 @@ class Verification:
 
 def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = None,
            read_settings: ReadSettings = ReadSettings()) -> Verification | None:
-    """Compare every recorded prediction and score with the library's; None for a recording without predictions.
+    """Compare recorded predictions and scores with the library's; None for a recording without predictions.
 
     vehicle: file to use instead of the recorded vehicle. Raises RunError, ConfigurationError.
     """

@@ -101,7 +101,7 @@ class PassengerFrames:
                 self._predictions[kind][message.model] = now, message
 
     def make_frame(self, now: float) -> dict[str, Any]:
-        """Content of the page, for JSON. Before the first odometry, `received` is null and there is no pose."""
+        """Content of the page, for JSON; without pose, speed, track and paths before the first odometry."""
         level, text = self._find_worst_check(now)
         sample, (mode, mode_time), (angle, angle_time) = self._sample, self._position_mode, self._steering
         current_modes = [mode for mode, predictions in self._predictions.items()

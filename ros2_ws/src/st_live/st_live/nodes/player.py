@@ -1,4 +1,4 @@
-"""Plays odometry, steering, plans and map origin of a recording with /clock, in a process started by `st replay`.
+"""Plays odometry, steering, plans and map origin of a recording with /clock, for `st replay` and `st verify`.
 
 Messages are published byte for byte in the order of their log times, except that an external steering topic is
 converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the clock waits until predictor and evaluator
@@ -111,7 +111,7 @@ class Player:
         self._reported_at = 0.0
 
     def play(self) -> int:
-        """Play the recording; returns 0 after its end or a stop signal, 1 if a subscriber is missing."""
+        """Play the recording; returns 0 after its end or a stop signal, 1 if subscribers are missing at the start."""
         with AnyReader([self._bag], default_typestore=load_typestore()) as reader:
             publishers = self._create_publishers(reader.connections)
             if not self._wait_for_subscribers(list(publishers.values())):
@@ -184,7 +184,7 @@ class Player:
         return clock_ns
 
     def _report(self, played: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at the end, at once and with `wall_time`.
+        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at once with the `wall_time` of the end.
 
         played, duration: of the recording; wall_time: taken for it; all in s.
         """
