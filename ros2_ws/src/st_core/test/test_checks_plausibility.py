@@ -124,6 +124,15 @@ def test_channel_with_more_than_half_implausible_is_an_error_and_not_removed(log
     assert finding.severity is Severity.ERROR and len(usable.x) == len(log.x)
 
 
+def test_two_kinds_that_together_exceed_half_are_errors_and_not_removed(log, leaf):
+    yaw_rate = log.yaw_rate.copy()
+    yaw_rate[600:2200], yaw_rate[2500:4100] = 0.0, 10.0 + np.sin(0.01 * np.arange(1600.0))
+    usable, findings = drop_implausible(replace(log, yaw_rate=yaw_rate), log.start_ns)
+    assert [finding.name for finding in findings] == ["sentinel_values", "out_of_range"]
+    assert {finding.severity for finding in findings} == {Severity.ERROR} and len(usable.x) == len(log.x)
+    assert not any("left out" in finding.text for finding in findings)
+
+
 def test_sentinel_value_is_reported_in_degrees_too(log, leaf):
     broken, _ = with_implausible_samples(log, leaf, "steering_wheel_angle", _fixed(np.deg2rad(-9999.0), MIDDLE, 120))
     assert "(-9999 deg)" in drop_implausible(broken, broken.start_ns)[1][0].text

@@ -49,6 +49,12 @@ def test_corrections_of_errors_are_tried_together(leaf):
     assert [one.advice for one in try_corrections(findings, broken, leaf)] == [one.advice for one in findings]
 
 
+def test_correction_outside_the_limits_of_the_vehicle_file_is_not_tried(leaf):
+    advice = Advice("vehicle", "steering_wheel_offset: 5 rad", {"steering_wheel_offset": 5.0})
+    given = Finding("steering_offset", Severity.WARNING, ("road_wheel_angle",), "a fault", advice=advice)
+    assert try_corrections([given], exact_drive(leaf, 60.0), leaf) == [given]
+
+
 @pytest.mark.parametrize("ahead", [2.0, -2.0])
 def test_wrong_correction_is_refused_on_a_steady_circle(leaf, ahead):
     """Steering gain and offset are not separable there; unbounded, they would explain any error."""

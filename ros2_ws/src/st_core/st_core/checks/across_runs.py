@@ -13,7 +13,7 @@ from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
 CONFIDENCE = 0.95  # of the tests of consistency
-MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by their mean
+MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - faultless value|
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RunComparison:
     between: float  # standard deviation between runs in excess of their uncertainties
     lowest: float  # estimate of one run
     highest: float
-    consistent: bool  # whether the runs agree within their intervals, or differ little (MAX_RELATIVE_SPREAD)
+    consistent: bool  # few intervals exclude the mean, and the spread is insignificant or below MAX_RELATIVE_SPREAD
 
     @property
     def text(self) -> str:
@@ -51,7 +51,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparisons of the quantities of findings that at least MIN_COMPARED_RUNS estimate, most often reported first."""
+    """Comparisons of the quantities of findings that at least MIN_COMPARED_RUNS runs estimate, most often reported
+    first; without quantities that are consistent and whose interval contains the faultless value."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():

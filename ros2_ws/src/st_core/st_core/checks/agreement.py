@@ -21,7 +21,7 @@ LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger b
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # fraction of the variance; interpolation and filters cause a residual of 1 % of a signal
-GRID_ERROR = 0.1  # fraction of the variance by which a minimum between two lags of the grid is overestimated
+GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds a minimum beside it
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
 
@@ -56,8 +56,8 @@ class Agreement:
 def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndarray, measured: np.ndarray,
                    cutoff: float, *, derived_is_angle: bool = False, fit_bias: bool = True,
                    expected_lag: float = 0.0, max_fitted_lag: float = MAX_LAG) -> Agreement | None:
-    """Agreement of two estimates of a quantity; None if they are constant, overlap by less than MIN_COMMON_TIME or span
-    more than MAX_SPAN, or if the lag exceeds max_fitted_lag.
+    """Agreement of two estimates of a quantity. None if `derived` is constant, if they overlap by less than
+    MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
     whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the result

@@ -22,7 +22,7 @@ from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, 
 ESTIMATES_BIASED_BY_SIDESLIP = ("steering_lag", "yaw_rate_lag", "yaw_lag")
 MAX_INS_DISTANCE = 3.0  # m; largest distance of the INS ahead of the rear axle
 MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle per a_y): road cars 0.003 to 0.008
-MIN_INS_SAMPLES = 50  # with fewer samples, only the time stamps are checked
+MIN_INS_SAMPLES = 50  # with fewer samples, only implausible samples and time stamps are reported
 
 
 @dataclass
@@ -45,9 +45,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); comparison with the vehicle, unless it is None. Each check works on a copy without the
-    known faults. Never raises for the content of a recording: a channel that is too short or too inaccurate gives no
-    finding.
+    accelerations, other speeds); comparison with the vehicle and trial of the corrections, unless it is None. Each
+    check works on a copy without the known faults. Never raises for the content of a recording: channels that are too
+    short or too inaccurate are not compared.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -131,7 +131,8 @@ def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured.
+    """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured; lags
+    that an unmeasured sideslip explains become notes, except that of the steering, and have no correction.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r

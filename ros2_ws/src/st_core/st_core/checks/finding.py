@@ -28,7 +28,7 @@ def _format_yaml(value: Any) -> str:
 class Advice:
     """What the user can do about a finding. line: text to paste, or an instruction.
 
-    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` holds values of the vehicle file;
+    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` holds values of the vehicle file [SI];
     "option": `line` is a command-line option; "look": `line` is an instruction.
     """
 
@@ -100,7 +100,7 @@ class Channel:
     noise: float  # standard deviation of white noise [unit]
     resolution: float  # quantisation step [unit]; 0 if the values are not quantised
     repeated: float  # fraction of samples equal to the previous one
-    missing: int = 0  # number of rows without a value
+    missing: int = 0  # number of rows without a usable value
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class Comparison:
     time: np.ndarray  # (n,) [s since the first INS measurement]
     measured: np.ndarray  # (n,)
     derived: np.ndarray  # (n,)
-    findings: tuple[str, ...] = ()  # names of the findings based on this comparison
+    findings: tuple[str, ...] = ()  # names of all findings that this comparison can yield
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ class Limits:
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
-    min_correlation: float = 0.6  # of two estimates of a quantity that are compared
+    min_correlation: float = 0.6  # magnitude for two estimates of a quantity; at a lower one they are not compared
     acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
     steering_unit_ratio: float = 1.5  # for steering and curvature: ratio, wheelbase and stiffnesses may be inaccurate

@@ -70,7 +70,7 @@ class Motion:
         return replace(self, **signals)
 
     def with_earlier(self, seconds: float, *names: str) -> "Motion":
-        """The motion with INS channels moved to earlier times; at the end their last value is held."""
+        """The motion with INS channels moved to earlier times; beyond the recorded time, the value at its end."""
         return replace(self, **{name: np.interp(self.time + seconds, self.time, getattr(self, name)) for name in names})
 
     def select_ins(self, mask: np.ndarray) -> "Motion":
@@ -111,10 +111,11 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives, in any units. True if the recording is too short to judge.
+    """Whether the car drives; either positions or velocity may have a wrong unit. True if the recording is too short.
 
-    The speed from positions or velocity must exceed MIN_MOVING_SPEED, and the direction of travel must persist or the
-    forward velocity must far exceed its noise. Neither is true of a parked car with drift.
+    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition the
+    direction of travel must persist, or the forward velocity must far exceed its noise, unlike in a parked car with
+    drift.
     """
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
@@ -254,8 +255,8 @@ def _reject_constant(ratio: float) -> float:
 
 
 def _fit_slope(y: np.ndarray, x: np.ndarray) -> float:
-    """Robust slope of turns y versus turns x [rad], with a small intercept that absorbs a bias of the yaw rate; NaN if
-    both are small, or if one is only bias or noise."""
+    """Robust slope of turns y versus turns x [rad], with a small intercept that absorbs a bias of the yaw rate; NaN
+    with fewer than MIN_WINDOWS turns, if both are small, or if one is only bias or noise."""
     if len(y) < MIN_WINDOWS:
         return float("nan")
     (small_size, _), (large_size, larger) = sorted(

@@ -58,7 +58,7 @@ CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
 
 
 class _Channel:
-    """Samples of a varying channel that are not NaN, (n,). rows: their indices in the log."""
+    """Finite samples of a varying channel, (n,). rows: their indices in the log."""
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
         self.name, self.limits, self.rows, self.time, self.values = name, CHANNEL_LIMITS[name], rows, time, values
@@ -77,7 +77,7 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
     sample is left out of the steering only. A channel with more than half of its samples implausible keeps all of them,
-    and its finding is an error. start_ns: zero of the times in the findings.
+    and its findings are errors. start_ns: zero of the times in the findings.
     """
     bad: dict[str, np.ndarray] = {}  # mask of the implausible samples by channel
     findings: list[Finding] = []
@@ -110,35 +110,37 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False if over half would be left out.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False if more than half of the finite
+    samples would be left out.
     """
     bad = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES or np.count_nonzero(np.diff(values[rows])) < 2:
         return bad, []
     channel = _Channel(name, rows, time[rows], values[rows])
-    findings = []
+    samples_by_kind = {}
     large = channel.step > channel.limit  # steps
     implausible = np.zeros(len(channel.values), bool)
     for kind, samples in (("channel_wraps", _find_wraps(channel)),
                           ("sentinel_values", _find_sentinels(channel, large, moving[channel.rows])),
                           ("sample_spikes", _find_spikes(channel, large)),
                           ("out_of_range", _find_out_of_range(channel, large))):
-        new = np.setdiff1d(samples, np.flatnonzero(implausible))
-        implausible[new] = True
-        if len(new):
-            findings.append(_make_finding(kind, channel, new))
-    bad[channel.rows[implausible]] = True
+        samples_by_kind[kind] = np.setdiff1d(samples, np.flatnonzero(implausible))
+        implausible[samples] = True
+    is_unusable = bool(implausible.mean() > MAX_BAD_SHARE)
+    findings = [_make_finding(kind, channel, samples, is_unusable) for kind, samples in samples_by_kind.items()
+                if len(samples)]
+    bad[channel.rows[implausible]] = not is_unusable
     if name not in ("x", "y") and len(jumps := _find_jumps(channel, large, implausible)):
         if name == "yaw":  # a yaw in degrees also steps where it wraps, so only a reversal of the heading is reported
             jumps = jumps[(np.abs(channel.step[jumps - 1] - np.pi) < MAX_REVERSAL_ERROR)
                           & moving[channel.rows[jumps]] & moving[channel.rows[jumps - 1]]]
-        findings += [_make_finding("channel_jumps", channel, jumps)] if len(jumps) else []
-    return (bad if bad.mean() <= MAX_BAD_SHARE else np.zeros_like(bad)), findings
+        findings += [_make_finding("channel_jumps", channel, jumps, False)] if len(jumps) else []
+    return bad, findings
 
 
 def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
-    """Channels that cannot be compared with others, because they keep faulty samples."""
+    """Channels that cannot be compared with others, because they jump or too many samples are implausible."""
     return {channel for finding in findings for channel in finding.channels
             if finding.name == "channel_jumps" or finding.severity is Severity.ERROR}
 
@@ -175,7 +177,7 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     sum_of_ends = channel.values[steps] + channel.values[steps + 1]
     wraps = (np.abs(np.abs(change) - size) < WRAP_SPREAD * size) & (np.abs(sum_of_ends) < WRAP_SYMMETRY * size)
     # A wrapping channel stays within +/- R/2, unlike one with spikes or sentinels.
-    if wraps.sum() < 2 or wraps.mean() < MAX_BAD_SHARE or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
+    if wraps.sum() < max(2, 0.5 * len(steps)) or np.abs(channel.values).max() > (0.5 + WRAP_SPREAD) * size:
         return steps[:0]
     level = np.zeros(len(channel.values), np.int64)
     level[steps[wraps] + 1] = -np.sign(change[wraps]).astype(np.int64)
@@ -200,12 +202,14 @@ def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion."""
+    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion. One of
+    the steps may be missing at a gap or at an end of the drive."""
     first, last = find_groups(channel.step != 0.0)
     count = last - first + 1
     usual_count = float(np.percentile(count, 98))
     sentinels = []
-    # Smallest step that leads to a sentinel 0, which is nearer to the usual values than other sentinels.
+    # A sentinel 0 is nearer to the usual values than others, so a step of 8 median steps suffices. In a channel that
+    # holds its values, it must also reach 0.3 of the limit.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
@@ -253,7 +257,8 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate(spikes))
 
 
-def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
+def _make_finding(kind: str, channel: _Channel, samples: np.ndarray, is_unusable: bool) -> Finding:
+    """Finding of the samples of one kind. is_unusable: whether the channel keeps its implausible samples."""
     share = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
@@ -278,11 +283,10 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray) -> Finding:
                          f"{when}, and does not return: it is left out of all comparisons",
     }[kind]
     severity = Severity.NOTE if kind == "sample_spikes" and share <= LIMITS.note_share else Severity.WARNING
-    if share > (MAX_WRAPPED_SHARE if kind == "channel_wraps" else MAX_BAD_SHARE):
+    if is_unusable or (kind == "channel_wraps" and share > MAX_WRAPPED_SHARE):
         severity = Severity.ERROR
-    text += "" if severity is Severity.ERROR or kind == "channel_jumps" else "; these samples are left out"
-    advice = {"channel_wraps": "change the definition of the signal: more bits, or a larger factor",
-              "channel_jumps": "check the sensor and the settings of the logger",
-              }.get(kind, "check the sensor and the settings of the logger; no command uses these samples")
+    text += "" if is_unusable or kind == "channel_jumps" else "; these samples are left out"
+    advice = ("change the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
+              "check the sensor and the settings of the logger")
     return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED_STRETCHES],
                    advice=Advice("look", advice))

@@ -5,6 +5,7 @@
 Each cause of a residual contributes a term that is linear in the size of the cause:
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
+    velocity scale 1/s    v = v_true / s                         s - 1 times the derived displacement
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
@@ -45,7 +46,7 @@ MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_B
 
 
 class Cause(NamedTuple):
-    """A cause of a residual. corrected_channel, key: of its correction in run.yaml. text: template of the finding's."""
+    """A cause of a residual. channels, unit, text: of its finding. corrected_channel, key: of its correction."""
 
     channels: tuple[str, ...]
     corrected_channel: str
@@ -98,7 +99,8 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, an estimate of every cause as its finding reports it)."""
+    """(motion corrected for the causes found, the findings, an estimate of every cause as its finding reports it); with
+    fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
     causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
@@ -127,8 +129,8 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) with a scale error of the velocity attributed to the positions instead, if the wheel speed
-    agrees with the recorded velocity. wheel: ratio of wheel speed to recorded velocity."""
+    """(motion, findings) with a scale error of the velocity attributed to the positions instead, if it is at least
+    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: ratio of the two."""
     scale_error = next((finding for finding in findings if finding.name == "velocity_scale"), None)
     if scale_error is None or not scale_error.value or abs(wheel.value - 1.0) > 0.5 * abs(scale_error.value - 1.0) or (
             abs(scale_error.value - 1.0) < WHEEL_SCALE_TOLERANCE):
@@ -145,7 +147,8 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
-    """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y."""
+    """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y; inf
+    with fewer than MIN_WINDOWS windows."""
     problem = make_residual_regression(motion)
     return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
@@ -191,7 +194,7 @@ def make_lateral_sign_finding() -> Finding:
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; without their correction if the opposite sign of velocity_y fits equally well, as on a circle."""
+    """The findings; without correction those that a wrong sign of velocity_y explains equally well, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings

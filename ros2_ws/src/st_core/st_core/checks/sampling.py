@@ -79,8 +79,8 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding], start_ns: int) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, which are no gap.
-    start_ns: zero of the times in the findings."""
+    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, where gaps are not
+    reported. start_ns: zero of the times in the findings."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
@@ -313,11 +313,12 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
-# By channel: its rate from other channels, the largest bias of that rate, and the change above which it must change.
+# By channel: its rate from other channels, the largest bias of that rate, and the expected change above which a
+# constant value is a fault.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     "x": (lambda m: m.velocity_map.real, 0.0, 1.0), "y": (lambda m: m.velocity_map.imag, 0.0, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
-# By channel: a quantity derived from other channels, and its change [SI] above which the channel must change too.
+# By channel: a quantity derived from other channels, and its range [SI] above which a constant channel is a fault.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),

@@ -24,6 +24,8 @@ MAX_LISTED_JUMPS = 50
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
+MIN_AGE, MAX_AGE = 0.15, 1.2  # of stale samples, divided by the sampling interval
+MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # age of a stale sample divided by the median age
 MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
 MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
 MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
@@ -66,13 +68,13 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
         return no_steps, []
     step = along - np.median(along[known])  # s, < 0: back along the track
     spacing = float(np.median(np.diff(motion.time)))
-    small = np.abs(step[known]) < 0.15 * spacing
+    small = np.abs(step[known]) < MIN_AGE * spacing
     spread = SIGMA_PER_MAD * float(np.median(np.abs(step[known][small]))) if small.any() else np.inf
     speed = motion.speed[1:]
     across = np.sqrt(np.maximum(np.abs(errors) ** 2 - np.where(known, along * speed, 0.0) ** 2, 0.0))
     # At low speed, position noise resembles an age of many milliseconds, but is as large across the track as along it.
     noise = SIGMA_PER_MAD * float(np.median(across[known]))
-    large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, 0.15 * spacing))
+    large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, MIN_AGE * spacing))
              & (np.abs(step) * speed > OUTLIER_SIGMAS * noise))
     # Stale samples cause steps along the track only, whereas jumps have any direction.
     if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
@@ -80,9 +82,10 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
         return no_steps, []
     delay = float(np.median(np.abs(step[large])))
     similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - delay))) < MAX_AGE_SPREAD * delay
-    back, forward = known & (step < -0.5 * delay), known & (step > 0.5 * delay)
+    back, forward = known & (step < -MIN_AGE_RATIO * delay), known & (step > MIN_AGE_RATIO * delay)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
-    if not similar or not balanced or delay > 1.2 * spacing or float(np.median(np.abs(errors[large]))) < 3.0 * rounding:
+    if not similar or not balanced or delay > MAX_AGE * spacing or (
+            float(np.median(np.abs(errors[large]))) < 3.0 * rounding):
         return no_steps, []
     share = float(back.sum() / known.sum())
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
@@ -91,7 +94,8 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
             f"{delay * 1e3:.0f} ms before, and the next ones step forward again")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
-    is_stale = (back | forward) & (np.abs(step) < 1.6 * delay) & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors))
+    is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * delay)
+                & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors)))
     where = find_stretches(motion.time[1:][back], 5.0)[:MAX_LISTED]
     return is_stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, where,

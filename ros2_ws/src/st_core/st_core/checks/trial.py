@@ -35,7 +35,7 @@ MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-MAX_STARTS = 100  # longer runs are reduced to 100 to 199 starts; more would change the error by less than 1 %
+REDUCED_STARTS = 100  # smallest number after a reduction, largest 199; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
@@ -100,7 +100,7 @@ def _compute_prediction_error(state: State | None) -> float | None:
         return None
     log, vehicle = state
     starts = regular_starts(log, HORIZON)
-    starts = starts[::max(len(starts) // MAX_STARTS, 1)]
+    starts = starts[::max(len(starts) // REDUCED_STARTS, 1)]
     angle = log.road_wheel_angle
     try:
         base, gain, offset = (
@@ -125,11 +125,11 @@ def _apply_advice(state: State, advice: Advice | None) -> State | None:
     log, vehicle = state
     if advice is None or not advice.entry:
         return None
-    if advice.kind == "vehicle":
-        values: dict[str, Any] = {name: float(value) for name, value in advice.entry.items()}
-        vehicle = replace(vehicle, **values)
-        return (log.with_steering(vehicle) if log.steering_wheel_angle is not None else log), vehicle
     try:
+        if advice.kind == "vehicle":
+            values: dict[str, Any] = {name: float(value) for name, value in advice.entry.items()}
+            vehicle = replace(vehicle, **values)
+            return (log.with_steering(vehicle) if log.steering_wheel_angle is not None else log), vehicle
         if unit := advice.entry.get("units", {}).get("t"):
             start = log.start_ns
             log = replace(log, **{

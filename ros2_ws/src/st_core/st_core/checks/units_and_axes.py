@@ -22,8 +22,8 @@ MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
+COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which is uncertain by ten per cent in one short bend
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
-COURSE_TOLERANCE = 1.2  # the same for the course, which is uncertain by ten per cent in one short bend
 MAX_SCALE_ERROR = 0.005  # relative scale error of a faultless gyroscope or projection
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
@@ -221,7 +221,7 @@ def _remove_wraps(motion: Motion) -> np.ndarray:
 
 
 def _correct_position_axes(motion: Motion) -> MotionAndFinding:
-    """Correct mirrored or exchanged x and y, if yaw and yaw rate agree."""
+    """If yaw and yaw rate agree: correct mirrored or exchanged x and y, or a clockwise yaw and yaw rate."""
     ratios = compute_ratios(motion)
     if not (_matches(ratios.yaw_to_course, -1.0) and _matches(ratios.yaw_to_rate, 1.0)):
         return motion, None
