@@ -1,4 +1,4 @@
-"""Single-track vehicle models, prediction and evaluation. Pure Python: no ROS, no clock, no files in the equations.
+"""Single-track vehicle models, prediction and evaluation, without ROS; the equations read no clock and no files.
 
 The paper cited in docstrings: Aertssen et al., Short-Horizon Position Accuracy of Single-Track Models, AVEC 2026."""
 

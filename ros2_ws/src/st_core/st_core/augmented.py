@@ -21,9 +21,9 @@ Values = Mapping[str, Mapping[str, float]]
 class AugmentedModel(Model):
     """A base model with effects and the values of their parameters, created by `augment`.
 
-    It extends Model with `effective_vehicle`, which applies effects to the vehicle parameters; `steering`, which
-    applies delay, play and lag to a recorded road wheel angle; and `observe` and `correct`, which convert true values
-    to INS readings and back. Models that differ only in values share their compiled functions.
+    `effective_vehicle` applies effects to the vehicle parameters, and `steering` applies delay, play and lag to a
+    recorded road wheel angle; `observe` and `correct` convert true values to INS readings and back. Models that differ
+    only in values share their compiled functions.
     """
 
     base: Model = field(kw_only=True)  # model without effects
@@ -159,9 +159,9 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with further effects.
 
-    effects: values by effect and parameter, optional for parameters that are not fitted; or names (initial values).
-    Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated effect, one that does not
-    apply to the base model, and a value that is missing or outside its bounds.
+    effects: values by effect and parameter, by default null for parameters that are not fitted; or names (initial
+    values). Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated effect, one that
+    does not apply to the base model, an unknown parameter, and a value that is missing or outside its bounds.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):

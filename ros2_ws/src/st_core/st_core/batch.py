@@ -31,7 +31,7 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as corrected by a model."""
+    """Signals of a drive as corrected by a model."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
@@ -50,9 +50,9 @@ class LogBatch:
     step; auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
     backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
     LogSignals; ignored if `log` is a LogSignals. signals: (time [ns], values), by name, of the signals that a model
-    needs in addition to its inputs.
+    needs in addition to its inputs; their values at the start are held, unless inputs = measured.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid
-    substeps and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
+    inputs or substeps, and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
     """
 
     def __init__(self, log: DriveLog | LogSignals, starts_ns: np.ndarray, horizon: float = 5.0, step: float = 0.05, *,
@@ -100,7 +100,7 @@ class LogBatch:
     def predict(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
         """States of one model at the CG, (n, k, 6), columns as STATE_NAMES; NaN from the first unknown input on.
 
-        n: starts; all NaN for an unknown start. k: points of the horizon.
+        n: starts; all NaN where the measured state at the start is unknown. k: points of the horizon.
         """
         model = get_model(model)
         for name in model.signals:
@@ -123,8 +123,8 @@ class LogBatch:
     def errors(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
         """Errors of `predict`, (n, k, 3): longitudinal, lateral [m], yaw [rad], predicted minus measured at the INS."""
         model = get_model(model)
-        half = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
-        measured = self.signals.ins_at(self.starts_ns[:, None] + half, "x", "y", "yaw")
+        after_ns = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
+        measured = self.signals.ins_at(self.starts_ns[:, None] + after_ns, "x", "y", "yaw")
         return reading_errors(model, vehicle, self.predict(model, vehicle), *measured)
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
@@ -174,7 +174,7 @@ class LogBatch:
         return [angle, acceleration, *extra]
 
     def _sample_separately(self, block: GridBlock, signals: LogSignals, model: Model) -> list[np.ndarray]:
-        """Like `_sample`, for planned inputs, and for held inputs of a model with steering memory."""
+        """Like `_sample`, for planned inputs, and for held inputs of a model with steering dynamics."""
         times, log = block.times_ns, self.signals.log
         if isinstance(self._inputs, str):
             angle = self.signals.road_wheel_angle_at(times[0])

@@ -18,6 +18,7 @@ STANDSTILL_SPEED = 0.5  # m/s; a car that is never faster counts as stationary
 class Channel:
     """One measured quantity.
 
+    errors(measured, readings): measured minus predicted, by column; None: the plain difference of the one signal.
     noise(log, step, x, y, yaw, v_x, v_y, r): standard deviation, by column, of the errors at the end of windows due to
     noise alone, from redundant measurements; arrays (windows, instants `step` [s] apart). None: the noise is white and
     is estimated from third differences, to which the motion of a car does not contribute.

@@ -17,9 +17,9 @@ from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, 
 from .regression import SIGMA_PER_MAD
 
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass: while the drift is unknown, and for the result
-STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; a lower limit of the uncertainty
-GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80
-MIN_OVERLAP = 20.0  # s
+STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; its rounding error is part of the uncertainty
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one signal is below the first, refused if all are
+MIN_OVERLAP = 20.0  # s, if no offset fits with an overlap of 40 % of the shorter recording
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
@@ -53,12 +53,12 @@ class ClockStep(NamedTuple):
 
 
 class _Prepared(NamedTuple):
-    """The usable signals of two recordings, resampled. Times as floats count from the first sample of the first signal
-    in each recording."""
+    """The usable signals of two recordings, resampled. Times as floats count from the first sample of the first usable
+    signal in each recording."""
 
     coarse: list[Pair]  # at COARSE_CUTOFF
     fine: list[Pair]  # at FINE_CUTOFF
-    reasons: tuple[str, ...]  # why other signals are not usable; never empty without pairs
+    reasons: tuple[str, ...]  # why signals are left out; never empty without pairs
     reference_ns: int = 0  # origin of reference times
     other_ns: int = 0  # origin of other times
     latency_uncertainty: float = 0.0  # largest of the signals [s]
@@ -110,7 +110,7 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
         return given
     difference = check.offset_ns * 1e-9 - offset
     reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
-              "middle of the log")
+              "middle of the common time")
     close = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
     return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
                    peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
@@ -122,7 +122,7 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
-    the shorter one, or by 20 s if no offset fits with this overlap. search: bounds of reference minus other time [s].
+    the shorter one and 10 s, or by 20 s if no offset fits with that. search: bounds of reference minus other time [s].
 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
@@ -234,8 +234,7 @@ def _describe_unusual_drift(result: Alignment) -> list[str]:
 def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets [s], reference minus other clock, and the mean correlation of the signals at each.
 
-    Empty if no signal is usable. The correlation is 0 at lags with an overlap below 40 % of the
-    shorter recording.
+    Empty if no signal is usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s.
     """
     prepared = _prepare(signals)
     curve = mean_correlation(prepared.fine, _min_overlap(prepared.fine), (-np.inf, np.inf)) if prepared.fine else None
@@ -257,7 +256,7 @@ def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list
 
 def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray,
                     threshold: float = 0.3) -> np.ndarray:
-    """The values, with NaN where the speed stays below `threshold` [m/s] from 2 s before to 2 s after.
+    """The values, with NaN where no speed above `threshold` [m/s] was recorded within 2 s.
 
     Standstill contains no information about the offset, but correlates with every other standstill.
     """
@@ -287,7 +286,9 @@ def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, 
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Alignment by CAN frames with the time of the INS: a robust line (soft L1) through the median offset per second.
+    """Alignment by CAN frames with the time of the INS: a robust line (soft L1) through their offsets.
+
+    At two frames per second or more, the median offset of each second is used.
 
     other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none. reference_time_ns:
     time in the frame, UTC. resolution: resolution of the time in the frame [s]. latency: delay from the time in a frame

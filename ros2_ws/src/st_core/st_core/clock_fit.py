@@ -70,7 +70,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
 
-    minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with a shorter overlap.
+    minimum_overlap: duration of the samples known in both [s]; r is 0 at lags with less, or with hardly any variation.
     Source: Padfield, Masked object registration in the Fourier domain, IEEE Trans. Image Processing 21 (2012).
     """
     mask_f, mask_g = reference.known.astype(float), other.known.astype(float)
@@ -128,8 +128,9 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
     middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
-    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated. A weak prior (100 ppm)
-    limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the signals do not vary.
+    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
+    independent residuals. A weak prior (100 ppm) limits the drift. free_drift: if False, the drift is not fitted.
+    Raises ValueError if a signal has less than 2 s in common, or if the signals do not vary.
     """
     splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])
@@ -241,7 +242,8 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
-    The second is at least PEAK_DISTANCE from the first, with a valley in between. None if no correlation is positive.
+    The second is over PEAK_DISTANCE from the first, beyond a valley; its correlation is 0 if there is none. None if no
+    correlation in the span is positive.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:

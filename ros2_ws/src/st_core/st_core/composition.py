@@ -3,7 +3,8 @@
 The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
 recreates, retraces or recompiles the functions. Layout of a composed model:
 
-    p     = AugmentedParameters: parameters of the base model, theta of each effect that acts in inputs or equations
+    p     = AugmentedParameters: parameters of the base model, theta of each effect that acts in inputs or equations;
+            p of the base model alone if none does
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model);
             w of the base model alone if no effect acts in the equations
     state = the six states of the base model, then the extra states of each effect
@@ -34,7 +35,7 @@ class AugmentedParameters(NamedTuple):
 class Composition:
     """Functions of an augmented model."""
 
-    acting: tuple[type[Effect], ...]  # effects with a theta in p; if empty, p is the p of the base model
+    acting: tuple[type[Effect], ...]  # effects with a theta in p
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None

@@ -23,9 +23,9 @@ from .vehicle import VehicleParameters
 STEP, STEPS = 0.05, 40  # s; number of steps
 SPEEDS = (4.0, 8.0, 15.0, 25.0)  # m/s
 STANDSTILL_SPEEDS = (-1.0, 0.0, 1e-9, 0.5, 2.0)  # m/s
-ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|)
+ROUNDING = 1e-9  # largest difference between backends, relative to max(1, |value|), and between mirror images
 CORRECTION_RESIDUAL = 0.05  # largest residual after `correct`, as a fraction of the change by `observe`
-MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s, largest increase of the growth rate of a mode by an effect
+MAX_GROWTH_RATE_INCREASE = 0.1  # 1/s, of a lateral mode by an effect: above 0 or above the rate of an unstable base
 MIRROR_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, -1.0, -1.0])  # signs of the states under left-right mirroring
 ODD_READINGS = ("y", "yaw", "velocity_y", "yaw_rate", "acceleration_y", "yaw_acceleration")
 READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)

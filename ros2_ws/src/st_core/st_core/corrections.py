@@ -58,8 +58,8 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
     An INS channel that is shifted in time is interpolated at the stamps of the other channels. Samples without a value
     there (at the ends, in gaps longer than MAXIMUM_GAP) are removed; an acceleration is NaN instead. The stamps of the
-    steering are shifted. A steering wheel angle is corrected so that ratio and offset of `vehicle` give the corrected
-    road wheel angle; without a vehicle it is removed.
+    steering are shifted. If its angle is scaled or offset, the steering wheel angle is corrected so that ratio and
+    offset of `vehicle` give the corrected road wheel angle; without a vehicle it is removed.
 
     leave_out: intervals of INS samples to remove, (start, end) [s] after the first recorded sample, both included.
     Raises StCoreError for invalid corrections (`check_corrections`), and if the time shifts leave no sample.
@@ -91,7 +91,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
 
 
 def check_corrections(corrections: Mapping[str, Correction]) -> None:
-    """Raises StCoreError for an unknown channel, a field that does not apply to it, and a value outside its limits."""
+    """Raises StCoreError for an unknown channel, two corrections of the steering, and invalid fields or values."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
             raise StCoreError(f"{channel}: unknown channel; known are {', '.join(CHANNELS)}")

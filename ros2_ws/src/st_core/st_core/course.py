@@ -141,9 +141,9 @@ class Course:
         if not isinstance(document, dict):
             raise ConfigurationError("not a course file; write one with st course build")
         check_keys("", document, keys, required=keys)
-        if (document["schema"], document["spacing"], document["columns"]) != (SCHEMA, SPACING, list(COLUMNS)):
-            raise ConfigurationError(f"schema: {document['schema']}, spacing: {document['spacing']} or other columns "
-                                     f"(expected {SCHEMA} with {SPACING:g}); run st course build again")
+        for key, expected in (("schema", SCHEMA), ("spacing", SPACING), ("columns", list(COLUMNS))):
+            if document[key] != expected:
+                raise ConfigurationError(f"{key}: {document[key]} is not {expected}; run st course build again")
         if _digest(text.replace(f"hash: {document['hash']}\n", "", 1).rstrip("\n")) != document["hash"]:
             raise ConfigurationError("hash: the content was edited or cut off; run st course build again")
         entries = document["passes"] or []
@@ -167,7 +167,7 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """The parts of a drive between pauses, gaps and position jumps. Raises StCoreError, one line, if there is none."""
+    """Parts of a drive between pauses, gaps and position jumps, from MIN_LENGTH on. Raises StCoreError if none."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))

@@ -32,7 +32,7 @@ from .timeseries import NANOSECOND
 from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
 
-RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a driver returns to the line within about 10 s
+RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
 DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
@@ -43,7 +43,7 @@ FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two hori
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """Initial E [m^2], in the order of the forecasts in the module docstring, from errors of real laps held out in turn."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
-MAX_JUMP = 2.0  # m, largest difference between displacement and distance driven; with a larger one the tracker restarts
+MAX_JUMP = 2.0  # m, plus 0.1 of the distance driven: largest difference between it and the displacement, else a restart
 MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car; horizons of it that are used
 MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 

@@ -109,7 +109,8 @@ class Evaluator:
             self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
-        """Scores of the predictions whose horizon both signals cover, or ended SIGNAL_TIMEOUT before newest_ns.
+        """Scores of predictions whose horizon is covered by both signals or ended SIGNAL_TIMEOUT before newest_ns, and
+        of abandoned ones.
 
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """

@@ -4,8 +4,8 @@ its stability: whether a step is stable at a speed, and how to make it stable.
 `derivative(state, w, p)` returns the time derivative of the state for the inputs w at one instant and constants p.
 
 The lateral dynamics of a car become stiffer at lower speed: their damping is proportional to C / (m v). Classical
-Runge-Kutta with step h and stability function R damps a mode of eigenvalue s if |R(h s)| <= 1; otherwise a prediction
-oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the damping of the models is constant.
+Runge-Kutta with step h and stability function R does not amplify a mode of eigenvalue s if |R(h s)| <= 1; otherwise a
+prediction oscillates, diverges or converges to a wrong value. Below minimum_slip_speed the damping is constant.
 """
 
 import math

@@ -16,15 +16,15 @@ INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")
 Acceleration = Literal["causal", "zero_phase"]
-SLOPE_HALF_WIDTH = 0.025  # s; a longer time would attenuate 2.5 Hz by over 3 %, a shorter one would amplify noise
+SLOPE_HALF_WIDTH = 0.025  # s; a longer time would attenuate 2.5 Hz by over 2.5 %, a shorter one would amplify noise
 
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
     """Measurements of one drive, INS and steering each on its own time base. Arrays are read-only.
 
-    The INS channels are at the INS point, in body axes forward and left. Gaps are not filled. Only OPTIONAL_INS_SIGNALS
-    may be NaN. Raises StCoreError, naming the log and the signal, if an array violates these rules.
+    The INS channels are those of the INS point, velocity and acceleration in body axes. Gaps are not filled. Only
+    OPTIONAL_INS_SIGNALS may be NaN. Raises StCoreError, naming log and signal, if an array violates these rules.
     """
 
     name: str
@@ -40,7 +40,7 @@ class DriveLog:
     steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], left +
     acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2], NaN at samples without a value
     acceleration_y: np.ndarray | None = None  # as acceleration_x
-    sideslip_measured: bool = True  # False: velocity_y and yaw are from the vehicle file (`sideslip`)
+    sideslip_measured: bool = True  # False: velocity_y and yaw are computed with the vehicle file (`sideslip`)
 
     def __post_init__(self) -> None:
         for base, signals in (("ins_time_ns", (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), ("steering_time_ns", STEERING)):
@@ -137,7 +137,7 @@ def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
 
 class LogSignals:
     """Measurements of a DriveLog interpolated at any instants; NaN in gaps. The vectorised counterpart of
-    `measurement_history.MeasurementHistory`, with identical results. Checked by: test_batch.py.
+    `MeasurementHistory`, with identical results, but without detection of position jumps. Checked by: test_batch.py.
 
     maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
     """

@@ -1,8 +1,8 @@
 """Evaluates models on a recorded drive: a prediction every 100 ms is compared with the measured motion.
 
-The offline counterpart of Predictor and Evaluator: from the same start it gives the same trajectory and the same error,
-which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a time; for each start only the
-mean, mean square and largest error over the horizon and the errors at whole seconds are kept.
+The offline counterpart of Predictor and Evaluator, without detection of position jumps: from the same start it gives
+the same trajectory and error, which `st verify` checks. Trajectories of only a few blocks of starts are in memory at a
+time; for each start only mean, mean square and largest error over the horizon and errors at whole seconds are kept.
 """
 
 import math
@@ -227,7 +227,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
 
 def usable_starts(signals: LogSignals, vehicle: VehicleParameters, requested: np.ndarray,
                   minimum_speed: float) -> tuple[np.ndarray, dict[str, int]]:
-    """The requested starts [ns] with known inputs and |v_x| >= minimum_speed [m/s]; number of others by reason."""
+    """Requested starts [ns] with known inputs and |v_x| >= minimum_speed [m/s] at the CG; others counted by reason."""
     speed, yaw_rate, acceleration = signals.ins_at(requested, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(requested)
     no_ins, no_steering = np.isnan(speed) | np.isnan(acceleration), np.isnan(angle)

@@ -69,7 +69,7 @@ class Manoeuvre:
     profile: Shape  # lateral acceleration divided by `lateral`, over the time in a period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
-    pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; never above `speed`
+    pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; capped at `speed`
     closed_loop: bool = False
     description: str = field(default="", compare=False)  # one line
 

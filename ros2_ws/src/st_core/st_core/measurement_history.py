@@ -45,7 +45,7 @@ X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
 def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
-    """|d| [m] between two samples (see the module docstring) if above the tolerance, else and after long gaps 0.
+    """|d| [m] between two samples (see the module docstring); 0 within the tolerance and over gaps > MAX_EXAMINED_GAP.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
@@ -76,9 +76,9 @@ class MeasurementHistory:
 
     Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
     refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
-    When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. The signals
-    are unknown between samples further apart than maximum_gap and across a position jump. jump_count: position
-    jumps since the start. last_jump: the one found last; None after a restart.
+    When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. A signal is
+    unknown between samples further apart than maximum_gap, that of the INS also across a position jump. jump_count:
+    position jumps since the start. last_jump: the one found last; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """

@@ -32,7 +32,7 @@ def colour_of(model: str) -> str:
 
 
 def rgb(colour: str, strength: float = 1.0) -> tuple[int, int, int]:
-    """Red, green, blue (0 to 255) of "#rrggbb", mixed with white where strength < 1."""
+    """Red, green, blue (0 to 255) of "#rrggbb", mixed with white if strength < 1."""
     red, green, blue = (round(255 - strength * (255 - int(colour[i:i + 2], 16))) for i in (1, 3, 5))
     return red, green, blue
 

@@ -61,7 +61,7 @@ class PlannedInputs:
         """
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
-        if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or speed.shape != seconds.shape:
+        if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
             # Not differentiable: the shape is refused here, too few or unordered points by `find_plan_problem`.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)

@@ -74,8 +74,8 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input
-    makes all states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
+    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input makes all
+    states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
@@ -120,7 +120,7 @@ class Start:
 class Skip:
     """No prediction at this time."""
 
-    kind: Literal["stale", "slow"]  # stale: a measurement is missing, too old, in the future or in a gap
+    kind: Literal["stale", "slow"]  # stale: a measurement is missing, old, in the future, in a gap or before a jump
     reason: str
 
 

@@ -187,13 +187,13 @@ class ModelView:
 
     @staticmethod
     def extend_span(models: Sequence[Model], span: float) -> float:
-        """Length of the history [s] for a time span [s]; it is longer if a model has steering memory."""
+        """Length of the history [s] for a time span [s]: MEMORY_TIME longer if a model has steering dynamics."""
         return span + MEMORY_TIME if any(has_steering_dynamics(model) for model in models) else span
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
         """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
 
-        With steering memory the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
+        With steering dynamics the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
         """
         sample, now = self._history.ins_at(time_ns), self._history.inputs_at(time_ns)
         if sample is None or now is None:

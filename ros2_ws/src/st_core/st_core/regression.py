@@ -3,7 +3,7 @@
 Neighbouring samples share slow errors of INS and road, so treating them as independent would underestimate the
 uncertainty considerably. With the influence psi_c of block c on the estimate, and k blocks,
 
-    covariance = k / (k - 1) sum_c psi_c psi_c^T * sqrt(f f^T)
+    covariance = k / (k - 1) sum_c d_c d_c^T * sqrt(f f^T),    d_c = psi_c - mean of psi
     least squares:  psi_c = (k - 1) / k (A - A_c)^-1 g_c,   A_c = J_c^T J_c,   g_c = J_c^T e_c
     f = sum_ij rho^|i - j| / k,    i, j: blocks of the same run
 
@@ -75,7 +75,7 @@ def extrapolation_uncertainty(full: tuple[float, float, float], low: tuple[float
 
     full, low: (C, its variance, mean range a) of this secant and of a secant in a lower range, a_low < a.
 
-        C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - (u_low^2 - u^2), 0)) a / (a - a_low) / sqrt(3)
+        C(a) = C_0 - s a,    u = sqrt(max((C_low - C)^2 - max(u_low^2 - u^2, 0), 0)) a / (a - a_low) / sqrt(3)
 
     u_low^2 - u^2: variance of the difference if the curve is a line (Hausman, Specification tests in econometrics,
     1978). sqrt(3): rectangular distribution (GUM 4.3.7). Checked by: test_stiffness_model_error.py.

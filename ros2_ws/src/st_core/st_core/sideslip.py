@@ -35,7 +35,8 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with heading and velocities of steady cornering, if it has no velocity_y and its yaw is a course."""
+    """The drive with heading and velocities of steady cornering; unchanged if it has velocity_y or little sideslip, or
+    if its yaw is a heading."""
     if log.velocity_y.any() or len(log.ins_time_ns) < 3:
         return log
     fast = log.velocity_x > MIN_SPEED
@@ -65,7 +66,7 @@ def has_derived_yaw_rate(log: DriveLog) -> bool:
 
 
 def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
-    """Whether yaw is the direction of the displacement. At any point of the car, sideslip is about a r / v + b r v."""
+    """Whether yaw is the direction of the displacement; sideslip is about a r / v + b r v with constants a and b."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))

@@ -77,8 +77,8 @@ class TimeSeries:
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
         """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
 
-        Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are refused.
-        The series restarts if the clock was set back.
+        Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are refused. If
+        the clock was set back, the series restarts from the SETBACK_SAMPLES late samples, and the position is 0.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -153,7 +153,7 @@ class TimeSeries:
         return int(times[after - 1]) if after > 0 else None
 
     def describe_unknown(self, time_ns: int) -> str:
-        """Reason why the signal is unknown at an instant, naming the samples around it."""
+        """Reason why the signal is unknown at an instant, such as "gap of 0.200 s"."""
         times = self.times
         if not len(times):
             return "no samples"

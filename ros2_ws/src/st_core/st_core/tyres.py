@@ -58,9 +58,9 @@ def magic_formula_peak(load, tyre: MagicFormula):
 
 
 def magic_formula_coefficients(load, tyre: MagicFormula):
-    """(B, D, E) of one tyre at load [N], the coefficients that depend only on the load.
+    """(B, D, E) of one tyre at load [N], the coefficients that depend only on the load; D: `magic_formula_peak`.
 
-        D = (p_dy1 + p_dy2 df) lambda_muy F_z,  B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
+        B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
 
     F_z >= 1 N and E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
     """

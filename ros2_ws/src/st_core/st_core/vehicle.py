@@ -18,7 +18,7 @@ from .yaml_text import check_keys, format_number, load, quote
 class Quantity:
     """One key of a vehicle file."""
 
-    units: Mapping[str, float]  # permitted units with their factor to SI
+    units: Mapping[str, float]  # permitted units with their factor to SI, the SI unit first
     minimum: float  # limit in SI, inclusive
     maximum: float  # limit in SI, inclusive
     required: bool = True  # whether every vehicle file must contain the key

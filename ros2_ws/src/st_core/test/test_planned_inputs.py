@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drives import T0, wavy_drive
 from st_core.augmented import augment
+from st_core.errors import StCoreError
 from st_core.evaluation import Evaluator
 from st_core.log_evaluation import EvaluationSettings, evaluate_log
 from st_core.models import get_model
@@ -84,6 +85,11 @@ def test_slip_free_steering_is_used_only_by_models_without_tyres(leaf, model, sl
     used = select_inputs(get_model(model), planned).road_wheel_angle
     expected = planned.signals["slip_free_angle"] if slip_free else planned.road_wheel_angle
     np.testing.assert_array_equal(used, expected)
+
+
+def test_path_with_arrays_of_unequal_length_is_refused(leaf):
+    with pytest.raises(StCoreError, match="plan: road_wheel_angle has 60 values, time has 61"):
+        PlannedInputs.from_path(START, plan().time_ns, np.full(61, 10.0), np.full(60, 0.02), leaf)
 
 
 @pytest.mark.parametrize(("changes", "reason"), [

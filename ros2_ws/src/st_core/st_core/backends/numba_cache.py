@@ -26,7 +26,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, fingerprint: str) -> Path | None:
-    """Cache a function before it is compiled; delete unused kernels. Returns the folder; None if none can be used."""
+    """Enable the cache of a kernel before its compilation; delete unused kernels. Returns its folder, or None."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (fingerprint, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
@@ -100,7 +100,7 @@ def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -
 
 
 def find_references(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """(name, value) of all objects outside a function to which its code refers."""
+    """(name, value) of the closure variables, globals and attributes of modules to which a function refers."""
     cells = function.__closure__ or ()
     yield from zip(function.__code__.co_freevars, (cell.cell_contents for cell in cells), strict=True)
     names = _find_names(function.__code__)
@@ -130,7 +130,7 @@ def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> s
     digest = hashlib.sha256()
     functions = find_reachable(function, stop)
     number = {f: str(i) for i, f in enumerate(functions)}
-    describe = partial(_describe_value, number=number, stop=stop)
+    describe = partial(_describe_value, number=number)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):
         # A function entered at a prompt has no file: only its code and constants are hashed.
         digest.update(hashlib.sha256(file.read_bytes() if file.is_file() else b"").digest())
@@ -147,7 +147,7 @@ def _describe_constants(code: CodeType) -> str:
     return repr([_describe_constants(c) + c.co_code.hex() if isinstance(c, CodeType) else c for c in code.co_consts])
 
 
-def _describe_value(value: Any, number: dict[FunctionType, str], stop: frozenset[str]) -> str:
+def _describe_value(value: Any, number: dict[FunctionType, str]) -> str:
     if value is None or isinstance(value, bool | int | float | str | bytes):
         return f"{type(value).__name__}:{value!r}"
     if isinstance(value, FunctionType):
@@ -157,8 +157,7 @@ def _describe_value(value: Any, number: dict[FunctionType, str], stop: frozenset
     if isinstance(value, type):
         return f"class {value.__module__}.{value.__qualname__}{getattr(value, '_fields', '')}"
     if isinstance(value, tuple):
-        inner = ",".join(_describe_value(v, number, stop) for v in value)
-        return f"{_describe_value(type(value), number, stop)}({inner})"
+        return f"{_describe_value(type(value), number)}({','.join(_describe_value(v, number) for v in value)})"
     if isinstance(value, BuiltinFunctionType) and isinstance(value.__self__, ModuleType):
         return f"{value.__module__}.{value.__qualname__}"
     raise UnhashableError(f"{value!r}")

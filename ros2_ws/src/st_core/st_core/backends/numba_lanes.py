@@ -57,7 +57,7 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
 
 
 def can_compile(model: Model, p: Any, fields: int, states: int) -> bool:
-    """Whether numba can compile `advance` for these numbers of fields of w and of states; compiles or loads it."""
+    """Whether numba can compile the kernel for these numbers of fields of w and of states; compiles or loads it."""
     return _get_kernel(model, p, _collect_numbers(p, []), fields, states) is not None
 
 
@@ -121,7 +121,7 @@ def make_kernel(model: Model, type_of_p, fields: int, states: int):
 def interleave_vectors() -> Iterator[None]:
     """Compile with INTERLEAVE full-width vectors.
 
-    By default LLVM uses one vector, and half its width on Intel server processors, which is 40 % slower. The options
+    By default LLVM uses one vector, of half the width on Intel server processors, which is 40 % slower. The options
     apply to the whole process and are therefore reset.
     """
     _, _, features = cpu_target.target_context.codegen().magic_tuple()

@@ -1,8 +1,8 @@
 """The functions of `st_core.ops` for numba, without branches, so that a loop over lanes can be vectorised.
 
-Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is split into two parts, the first with 33 bits, so that r is exact
-up to |n| = 2^20 or 1.6e6 rad. Arc tangent: in each of four ranges atan x = base + atan t with |t| <= tan(pi/12) and one
-division. The polynomials interpolate at Chebyshev nodes in r^2 or t^2, with a relative error below 6e-17. They are
+Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is split into two parts, the first with 33 bits, so that n times it
+is exact up to |n| = 2^20 or 1.6e6 rad. Arc tangent: in each of four ranges atan x = base + atan t with one division and
+|t| <= tan(pi/12). The polynomials interpolate at Chebyshev nodes in r^2 or t^2, with relative errors < 6e-17. They are
 evaluated by Estrin's scheme, since the longest chain of operations limits the speed. The arc tangent of an infinite
 number is NaN here. Checked by: test_backends.py.
 """
@@ -42,7 +42,7 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
-    """Register a plain function for compiled code, inlined at every call; returns the function."""
+    """Register a plain function, or its implementation, for compiled code, inlined at every call; returns it."""
     @overload(function, jit_options=OPTIONS, strict=False)
     def implement(*args, **kwargs):
         return implementation or function

@@ -30,7 +30,7 @@ class Model:
     extra_states: tuple[str, ...] = ()  # names of the states that follow the six
     start: Callable[[tuple, tuple, Any], tuple] | None = None
     signals: tuple[str, ...] = ()  # names of further measured quantities that the model needs
-    axle_forces: AxleForces | None = None  # lateral, of a dynamic base model, whose rhs is from `make_rhs`
+    axle_forces: AxleForces | None = None  # lateral forces of a dynamic base model, whose rhs is from `make_rhs`
 
     @property
     def has_tyres(self) -> bool:
@@ -44,7 +44,7 @@ class Model:
     def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
         """Specific force at the CG (a_x, a_y) [m/s^2], body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
 
-        r is the derivative of yaw, which is valid for the kinematic model as well.
+        r is the derivative of yaw, since the state yaw_rate of the kinematic model is constant.
         """
         derivative = self.rhs(state, w, p)
         return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]
