@@ -1,4 +1,4 @@
-"""Verifies and computes the counters and checksums of CAN messages, in one frame or in all frames of a log at once."""
+"""Verifies counters and checksums of CAN messages, in one frame or in all frames of a log at once."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Mode(StrEnum):
 
 
 def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
-    """The check nibble for which the XOR of all nibbles of the frame is 0; data: payload with the check nibble at 0.
+    """The check nibble for which the XOR of all nibbles of the payload is 0; data: payload with the check nibble at 0.
 
     Source: derived from 1963 recorded frames of 0x002, all at one steering angle.
     """
@@ -30,9 +30,9 @@ def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
 
 
 def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
-    """Low byte of the sum of all bytes and both bytes of the identifier; data: payload with the check byte at 0.
+    """Low byte of the sum of all bytes and the bytes of the identifier; data: payload with the check byte at 0.
 
-    Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, 2035 of 0x284 and 0x285 at rest.
+    Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, and 2035 of 0x284 and 0x285 at rest.
     """
     return (sum(data) + (arbitration_id >> 8) + (arbitration_id & 0xFF)) & 0xFF
 

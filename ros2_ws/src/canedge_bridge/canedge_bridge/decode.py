@@ -34,8 +34,9 @@ class DecodedFrame:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. dropped: failed in
-    mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals, or None."""
+    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. implausible: without
+    plausible frames that are withheld. dropped: failed in mode `drop`. lost: missing by the counter. last_seen_ns: time
+    of the last good frame with signals, or None."""
 
     good: int = 0
     wrong_length: int = 0
@@ -61,8 +62,8 @@ class Decoder:
     """Decodes the messages of one signal table; raises the errors of `load_table`.
 
     For a bad frame (wrong length, wrong counter or checksum in mode drop, a value that is not finite or not plausible),
-    `decode` only counts the fault; it never raises. skipped: counts of frames that are not decoded, by reason: "error"
-    frame, "remote" frame, "unknown" identifier.
+    `decode` counts the fault and returns None; it never raises. skipped: counts of frames that are not decoded, by
+    reason: "error" frame, "remote" frame, "unknown" identifier.
     """
 
     def __init__(self, dbc_file: str | Path, signals_file: str | Path, needed: Sequence[str] = (),
@@ -81,7 +82,7 @@ class Decoder:
         return self._states[self.table.messages[message].key].statistics
 
     def decode(self, frame: can.Message, time_ns: int) -> DecodedFrame | None:
-        """The signals of a frame received at time_ns; None if it is bad or contains none of the table's signals."""
+        """The signals of a frame received at time_ns; None if skipped, bad, withheld or without known signals."""
         if frame.is_error_frame:
             self.skipped["error"] += 1
             return None
@@ -124,7 +125,7 @@ class Decoder:
         return not any(check.fault for check in state.plausibility.values())
 
     def implausible_signals(self) -> list[str]:
-        """A message for every signal that is currently withheld because of implausible values."""
+        """A text for every signal whose message is currently withheld because of its implausible values."""
         return [check.fault for state in self._states.values() for check in state.plausibility.values()
                 if check.fault]
 
@@ -149,8 +150,8 @@ class Decoder:
         """A frame with correct counter and checksum.
 
         message: any message of the DBC. values: by canonical name in SI units, or by DBC name in the DBC's unit; a
-        message with date and time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A
-        value outside the range of an integer is clipped, as by a sensor; angles of the INS are wrapped into the range.
+        message with GPS time takes `ins_unix_time`. Other signals get the `fill` value of the table, or raw 0. A value
+        outside the range of an integer is clipped, as by a sensor; WRAPPED_SIGNALS are wrapped into the DBC's range.
         Raises KeyError for an unknown message or signal, ValueError for a value that is not finite.
         """
         dbc = self.table.database.get_message_by_name(message)

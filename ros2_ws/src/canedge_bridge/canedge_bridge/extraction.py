@@ -21,7 +21,7 @@ Data = bytes | np.ndarray
 
 
 def strip_padding(data: bytes, length: int) -> bytes | None:
-    """The first `length` bytes of a frame; None if it is shorter, or if anything but padding follows."""
+    """The first `length` bytes of a frame; None if it is shorter, or if anything but equal padding bytes follows."""
     tail = data[length:]
     if len(data) < length or (tail and (tail[0] not in PADDING or tail.count(tail[0]) != len(tail))):
         return None
@@ -40,7 +40,7 @@ def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndar
 
 
 def stack_bytes(payload: np.ndarray, length: int) -> np.ndarray:
-    """The first `length` bytes of n frames as rows (length, n) of uint64. payload: (n, length or more) uint8."""
+    """The first `length` bytes of n frames, (length, n) uint64: one row per byte. payload: (n, >= length) uint8."""
     return payload[:, :length].T.astype(np.uint64, order="C")
 
 
@@ -69,8 +69,8 @@ class Field:
         if signal.byte_order == "little_endian":  # the start bit is the lowest
             last = first + (bit + signal.length - 1) // 8
             return cls(tuple(range(last, first, -1)), first, bit, signal.length)
-        last, unused = divmod(8 * first + 7 - bit + signal.length - 1, 8)  # the start bit is the highest
-        return cls(tuple(range(first, last)), last, 7 - unused, signal.length)
+        last, from_highest = divmod(8 * first + 7 - bit + signal.length - 1, 8)  # the start bit is the highest
+        return cls(tuple(range(first, last)), last, 7 - from_highest, signal.length)
 
     @cached_property
     def mask(self) -> int:

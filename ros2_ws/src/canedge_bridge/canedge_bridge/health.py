@@ -26,13 +26,13 @@ class Health:
         self._now_ns = now_ns
         self._started_at = self._rates_updated_at = time.monotonic()
         self._previous_bad = 0
-        self._previous_counts: dict[str, int] = {}  # of frames on the bus and of good frames, by bus or message name
-        self._rates: dict[str, float] = {}
+        self._previous_counts: dict[str, int] = {}  # good frames by name of the message; "": all frames on the bus
+        self._rates: dict[str, float] = {}  # of the same counts [frames/s]
 
     def checks(self) -> list[Check]:
         plausibility = Check("plausibility", OK, "all decoded signals are plausible")
         if implausible := self._decoder.implausible_signals():
-            plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; the signal is withheld")
+            plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; its message is not published")
         return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
 
     def _check_bus(self) -> Check:
@@ -42,11 +42,11 @@ class Health:
         elapsed = now - self._rates_updated_at
         if elapsed > _RATE_INTERVAL:
             good = {name: self._decoder.statistics(name).good for name in self._decoder.table.messages}
-            counts, previous = {self._bus_name: status.frames, **good}, self._previous_counts
+            counts, previous = {"": status.frames, **good}, self._previous_counts
             self._rates = {name: (count - previous.get(name, 0)) / elapsed for name, count in counts.items()}
             self._rates_updated_at, self._previous_counts = now, counts
         values = {
-            "state": status.state, "rate [frames/s]": self._rates.get(self._bus_name, 0.0), "frames": status.frames,
+            "state": status.state, "rate [frames/s]": self._rates.get("", 0.0), "frames": status.frames,
             "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
             "failures": status.failures, "frames not processed": status.callback_errors,
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,

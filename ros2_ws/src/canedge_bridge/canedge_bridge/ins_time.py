@@ -38,7 +38,7 @@ def _from_gps_seconds(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:
-    """UTC [s since 1970] of a date and time in GPS time; NaN if they are invalid."""
+    """UTC [s since 1970] of a date and time in GPS time; NaN if the date, hour or minute is invalid."""
     n = {name: np.nan_to_num(part, nan=-1).astype(np.int64) for name, part in parts.items()}
     day = _day_number(n["gps_century"] * 100 + n["gps_year_of_century"], n["gps_month"], n["gps_day"])
     is_time = (n["gps_hour"] < 24) & (n["gps_minute"] < 60)

@@ -7,8 +7,8 @@ import numpy as np
 
 from .signals import MessageSpec, SignalSpec
 
-# A signal with more than MAX_IMPLAUSIBLE implausible values in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz) is withheld
-# until MAX_IMPLAUSIBLE consecutive values are plausible: with a wrong DBC, plausible values are isolated.
+# After more than MAX_IMPLAUSIBLE implausible values of a signal in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz), also its
+# plausible ones are withheld until MAX_IMPLAUSIBLE are consecutive: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 Reference = tuple[int, float]  # time [ns] and value, in the unit of the signal, of an earlier frame
@@ -56,7 +56,7 @@ class Plausibility:
 
     @property
     def fault(self) -> str:
-        """Reason why the signal is currently withheld; empty if it is not."""
+        """Reason why plausible values of the signal are currently withheld too; empty if they are not."""
         bad = self._recent.count(False)
         if bad <= MAX_IMPLAUSIBLE or all(list(self._recent)[-MAX_IMPLAUSIBLE:]):
             return ""

@@ -34,7 +34,7 @@ class BusState(StrEnum):
     ERROR_PASSIVE = "error-passive"  # after many errors, the controller no longer sends active error flags
     BUS_OFF = "bus-off"              # the controller has disconnected from the bus
     DOWN = "down"                    # the interface exists but is switched off
-    GONE = "gone"                    # no such interface, or it cannot be opened
+    GONE = "gone"                    # the bus cannot be opened (no such interface), or reading it failed
 
 
 @dataclass
@@ -60,7 +60,7 @@ class ReceiverStatus:
 class Receiver:
     """Calls `on_frame(frame, time_ns)` in its own thread for every frame, including error and remote frames.
 
-    open_bus: opens the bus; if it raises, it is called again after 0.1 s, a delay that doubles each time up to 5 s.
+    open_bus: opens the bus; called again after a failure to open or read it: after 0.1 s, doubled each time up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a data or remote frame after which an open bus counts as silent.
     network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a
@@ -185,7 +185,7 @@ class Receiver:
             self._set_state(BusState.SILENT, f"no frame for more than {self._silence:g} s")
 
     def _handle_failure(self, error: Exception) -> None:
-        """Reports a failure and waits. A socket recovers when its network is up; other failures need a new socket."""
+        """Reports a failure and waits. A socket recovers from ENETDOWN by itself; other failures need a new socket."""
         with self._lock:
             self._status.failures += 1
         if _error_number(error) == errno.ENETDOWN and self._bus is not None:
@@ -224,8 +224,7 @@ def _describe(error: Exception) -> str:
 
 # Error frames of SocketCAN, bits as in linux/can/error.h. python-can passes the identifier without flags.
 _BUS_OFF, _RESTARTED, _CONTROLLER = 0x040, 0x100, 0x004
-_ACTIVE = 0x40  # controller status: back to error-active
-
+_ACTIVE, _PASSIVE = 0x40, 0x30  # in the controller status: error-active; receive or transmit error-passive
 _CLASSES = {
     0x001: "transmit timeout", 0x002: "lost arbitration", 0x004: "controller", 0x008: "protocol violation",
     0x010: "transceiver", 0x020: "no acknowledge", 0x040: "bus-off", 0x080: "bus error", 0x100: "controller restarted",
@@ -239,7 +238,6 @@ _PROTOCOL = {
     0x01: "single bit", 0x02: "frame format", 0x04: "bit stuffing", 0x08: "dominant bit not sent",
     0x10: "recessive bit not sent", 0x20: "bus overload", 0x40: "active error announcement", 0x80: "on transmission",
 }
-_PASSIVE = 0x30
 
 
 def describe_error_frame(frame: can.Message) -> tuple[str, BusState | None]:

@@ -31,8 +31,8 @@ CANONICAL_SIGNALS = {
 }
 WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Range of the steering wheel angle to either side [rad], assumed if the table gives none; half must be representable.
-MIN_STEERING_SPAN = math.radians(180)
+# Range of the steering wheel angle to either side [rad] if the table gives none; half must be representable.
+DEFAULT_STEERING_RANGE = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
 _SIGNAL_ATTRIBUTE = re.compile(r"^(?:SIG_VALTYPE_|SG_MUL_VAL_) +(?P<id>\d+) .*;", re.MULTILINE)
@@ -60,9 +60,9 @@ def find_unit(text: str | None) -> str | None:
 class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
-    unit: as in the table. factor: converts this unit to SI. minimum, maximum: possible range [unit]. max_rate: largest
-    possible rate of change [unit/s]. sign: for a sensor that sends magnitude and sign separately: extractor of the sign
-    signal; `physical` is negative unless this signal is 0 or not in the frame.
+    unit: key of UNITS. factor: converts this unit to SI. minimum, maximum: possible range of si / factor [unit].
+    max_rate: largest possible rate of its change [unit/s]. sign: for a sensor that sends magnitude and sign separately:
+    extractor of the sign signal; `physical` is negated unless this signal is 0 or not in the frame.
     """
 
     extractor: Extractor
@@ -159,8 +159,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
     """The signal table of a DBC and its YAML file, checked against each other.
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
-    Raises TableError for an unreadable file, an unknown key, a unit other than the DBC's, a needed message or signal
-    that the DBC lacks, a layout that cannot represent the signal, or a sample that decodes to another value.
+    Raises TableError for an invalid file, a unit other than the DBC's, a needed message that the DBC lacks, a signal
+    that its message lacks, a layout that cannot represent the signal, or a sample that decodes to another value.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
@@ -192,8 +192,8 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
     """cantools database of a DBC file; if the file is invalid, of the given messages only.
 
-    In public DBC files of real cars, messages that are not needed have overlapping signals, 29-bit identifiers without
-    the extended flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.
+    In public DBC files of real cars, some messages have overlapping signals, 29-bit identifiers without the extended
+    flag, or names that begin with a digit. Raises TableError if the given messages are invalid too.
     """
     try:
         text = path.read_bytes().decode("cp1252", "replace")  # the encoding that cantools assumes for DBC
@@ -259,7 +259,7 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) 
 
 
 def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
-    """Raises TableError for signals that overlap, lie outside their message or have an implausible factor."""
+    """Raises TableError for signals that overlap, lie outside their message or have an implausible factor or offset."""
     try:
         dbc.refresh(strict=True)
     except Exception as error:  # any type, as in load_dbc
@@ -299,7 +299,8 @@ def _read_signal(entry: Entry, message: DbcMessage, dbc: DbcSignal, dbc_path: Pa
 
 
 def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
-    """Unit of a signal in the table; raises TableError if the DBC gives another known unit."""
+    """Key of UNITS for a signal's unit in the table. Raises TableError if it is unknown, not a unit of the canonical
+    signal, or other than a known unit in the DBC."""
     text = entry.get("unit", str)
     unit, dbc_unit = find_unit(text), find_unit(dbc.unit)
     if unit is None:
@@ -316,10 +317,10 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError if a layout cannot reach half of both limits of its range, e.g. an unsigned steering angle."""
+    """Raises TableError unless a layout reaches half of each limit of its range, as an unsigned angle does not."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
-        low, high = -MIN_STEERING_SPAN / spec.factor, MIN_STEERING_SPAN / spec.factor
+        low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
     if not math.isfinite(high) or spec.dbc.is_float:
         return
     physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in raw_range(spec.dbc)]

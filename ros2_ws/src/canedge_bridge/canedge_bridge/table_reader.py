@@ -117,7 +117,7 @@ class Entry:
         value = self._value[key]
         if not isinstance(value, list) or len(value) != 2:
             raise self.error(key, "expected [minimum, maximum]")
-        low, high = (self._number(key, v, -math.inf, math.inf) for v in value)
+        low, high = (self._number(key, v, -1e12, 1e12) for v in value)
         if not low < high:
             raise self.error(key, f"{low:g} is not below {high:g}")
         return low, high

@@ -109,7 +109,7 @@ class Field:
     def encode(self, buffer: bytearray, value: Value) -> None:
         """Write a value into the 8 bytes, except its flag byte; None: invalid, no change if only a flag declares this.
 
-        A scaled quantity is clipped to the range of its format. A count or code out of range raises NcomError.
+        A scaled or "shifted" quantity is clipped to the range of its format; others out of range raise NcomError.
         """
         if self.kind.startswith("text"):
             size = int(self.kind[4:])
@@ -409,7 +409,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
 def decode_event_time(channel: int, data: bytes) -> int | None:
     """GPS time of an event [ns since 1980-01-06, in steps of 4 us] from the 8 bytes of a trigger channel.
 
-    None for another channel, and if no event has occurred yet.
+    None for another channel, for a count of 0 (no event yet), and for an invalid minute.
     """
     if channel not in TRIGGER_CHANNELS:
         return None
@@ -450,4 +450,3 @@ def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
                             f"{field.validity.text}")
         field.encode(buffer, values.get(name))
     return bytes(buffer)
-

@@ -1,7 +1,8 @@
 """Derives the vendor's additional quantities from decoded packets: level-frame values, speed, slip, distance, ISO axes.
 
-Level frame: forward, right, down without pitch and roll; Iso: forward, left, up. NaN where an input is missing and in
-packets without valid navigation (status other than 3, 4, 21, 22). Checked by: tests/golden/test_ncom_vectors.py.
+Level frame: forward, right, down without pitch and roll; Iso: forward, left, up. NaN where an input is missing, and in
+packets without valid navigation (status other than 3, 4, 21, 22); angular accelerations (Yx, Yy, Yz) and filtered
+values are also given at status 2, but not at 21 and 22. Checked by: tests/golden/test_ncom_vectors.py.
 """
 
 from collections.abc import Mapping, Sequence

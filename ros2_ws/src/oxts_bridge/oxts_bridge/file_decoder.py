@@ -189,7 +189,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     ahead = step % packet_time.MINUTE_MS
     is_late, is_jump = ahead >= packet_time.HALF_MINUTE_MS, ahead * 1_000_000 > packet_time.LARGEST_STEP_NS
     wraps = np.cumsum((step < 0) & ~is_late)
-    # Minute of each packet that has one, less the rollovers before it: constant while the count is right.
+    # Minute of each packet that has one, less the rollovers up to it: constant while the count is right.
     timed = np.flatnonzero(minutes >= 0)
     bases = minutes[timed] - wraps[timed]
     stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])

@@ -27,9 +27,9 @@ class Health:
     live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
     ellipsoidal altitude. silence_after: time without a packet that is an error [s].
 
-    The node updates the public attributes. last_packet_at: time of receipt on the monotonic clock [s]. failures: number
-    of packets that could not be published. incomplete: number of packets with a fix, but with an invalid position,
-    velocity, angle or rate.
+    The node updates the public attributes. navigation_status: newest defined one, except of triggers. last_packet_at:
+    time of receipt on the monotonic clock [s]. failures: number of packets that could not be published. incomplete:
+    number of packets with a fix, but with an invalid position, velocity, angle or rate.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
@@ -133,7 +133,7 @@ class Health:
         status = self._status
         degraded, missing = [], []
         if self._parser.clock.minute is None:
-            degraded.append("absolute time (channel 0): only ins/ncom can be stamped")
+            degraded.append("absolute time (channel 0): topics with stamps of the unit are not published")
         elif self._parser.minute_from_host:
             degraded.append("absolute time (channel 0): minute taken from the host's clock")
         if status.get("Undulation") is None and not self._ellipsoidal:

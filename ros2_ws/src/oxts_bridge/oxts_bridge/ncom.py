@@ -32,10 +32,10 @@ VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
 CHANNEL_AT, BATCH_S_AT, CHECKSUM_3_AT = 62, 63, 71
 BATCH_S = slice(BATCH_S_AT, CHECKSUM_3_AT)
 
-ACCELERATION_UNIT = 1e-4
-ANGULAR_RATE_UNIT = 1e-5
-VELOCITY_UNIT = 1e-4
-ANGLE_UNIT = 1e-6
+ACCELERATION_UNIT = 1e-4  # m/s^2
+ANGULAR_RATE_UNIT = 1e-5  # rad/s
+VELOCITY_UNIT = 1e-4  # m/s
+ANGLE_UNIT = 1e-6  # rad
 
 INVALID_I24 = -0x800000
 LARGEST_I24 = 0x7FFFFF
@@ -86,8 +86,8 @@ _DEFINED: dict[int, StatusRule] = {
 }
 STATUS_RULES: tuple[StatusRule, ...] = tuple(
     _DEFINED.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
-# Statuses in which channel 0 sets the GPS minute. Status-only packets are included because files start with them; raw
-# IMU (status 1) is excluded because the unit's clock is not set yet.
+# Statuses in which channel 0 sets the GPS minute, and channel 16 the UTC offset. Files start with status-only packets.
+# Raw IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
 
 # Names of the GNSS modes, numbered from 0, for position, velocity and orientation.
@@ -262,5 +262,3 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
         counters.skipped_bytes += following - start
         start, in_sync = following, False
     return start, in_sync
-
-

@@ -169,7 +169,7 @@ class OxtsBridge(LifecycleNode):
             publishers.publish_raw(received)
         if received.order not in (NEW, SAME):
             return
-        if received.rule.is_defined:
+        if received.rule.is_defined and received.rule.kind != "trigger":
             self._health.navigation_status = received.packet.navigation_status
         if self._status.update_from(received) and received.packet.channel in _ACCURACY_CHANNELS:
             self._accuracy = Accuracy.from_status(self._status)

@@ -68,7 +68,7 @@ class SourceStatus:
     datagrams: received datagrams, or packets of a replay.
     ignored: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
     ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
-    loops: completed repetitions of a replay.
+    loops: completed passes of a looped replay.
     """
 
     name: str

@@ -40,8 +40,8 @@ class StatusTracker:
                position: tuple[float, float, float] | None = None) -> dict[str, Value]:
         """Set and return the values in the 8 bytes of a channel; empty if they repeat (except _NEVER_SKIPPED).
 
-        gps_seconds: time of the packet, for the wheel speed. position: latitude, longitude [rad], altitude [m] of the
-        packet, for channel 25.
+        Empty also for an incomplete local frame (channels 66 and 67). gps_seconds: time of the packet, for the wheel
+        speed. position: latitude, longitude [rad], altitude [m] of the packet, for channel 25.
         """
         if self.raw.get(channel) == data and channel not in _NEVER_SKIPPED:
             return {}
@@ -77,7 +77,7 @@ class StatusTracker:
         return fields
 
     def update_from(self, received: ReceivedPacket) -> dict[str, Value]:
-        """Set and return the values in a packet; empty if its status channel is invalid or unchanged."""
+        """Set and return the values in a packet; empty if it has no status channel, else as from `update`."""
         if not received.rule.has_status:
             return {}
         packet = received.packet
@@ -129,8 +129,8 @@ def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, 
                            altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 
-    x, y: current position in the local frame [m]. heading: heading of the x axis, clockwise from north [deg]. latitude,
-    longitude [rad], altitude [m]: current position. Iterates because the radii of curvature depend on the origin.
+    x, y (left of x): current position in the local frame [m]. heading: of the x axis, clockwise from north [deg].
+    latitude, longitude [rad], altitude [m]: current position. Iterates because the radii depend on the origin.
     """
     s, c = sin(radians(heading)), cos(radians(heading))
     north, east = x * c + y * s, x * s - y * c

@@ -27,7 +27,7 @@ class ReceivedPacket:
     order: relative to the newest packet: NEW (newer), SAME (equal time), DUPLICATE (equal bytes), LATE (older).
     event_ns: GPS time of an edge of an event input or output that this packet is the first to report, else None; the
     status channel identifies the input or output and its edge, and byte 7 of batch S counts its events.
-    received_ns: host time of receipt [ns since 1970], as given to feed().
+    received_ns: host time of receipt [ns since 1970], None if unknown.
     """
 
     packet: Packet
@@ -46,7 +46,7 @@ class NcomParser:
     """Parses datagrams or pieces of a file; a packet may extend over several of them.
 
     utc_offset: UTC - GPS as sent by the unit [s], None until then. minute_from_host: whether the GPS minute is from the
-    host's clock, because a live stream lacks channel 0, normally in every 10th packet.
+    host's clock, because a live stream has no channel 0 (normally sent in every 10th packet).
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class NcomParser:
         self._tail, self._in_sync = b"", True
 
     def feed(self, data: bytes, received_ns: int | None = None) -> list[ReceivedPacket]:
-        """All packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
+        """Accepted packets completed by these bytes, in order; received_ns: host time of receipt [ns since 1970]."""
         buffer = self._tail + data if self._tail else bytes(data)
         packets: list[ReceivedPacket] = []
         start = 0

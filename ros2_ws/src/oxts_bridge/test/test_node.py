@@ -218,6 +218,7 @@ def test_trigger_event_is_published_once_with_its_own_time(rig, packet):
     rig.send(packet(START + 40, 24, batch_s=encode_trigger(24, event_ns + 25_000_000, 10)))
     event = rig.messages("ins/trigger", 2)[1]
     assert (event.count, event.pose_valid) == (10, False)
+    assert {message.navigation_status for message in rig.received["ins/status"]} == {4}
 
 
 def test_parameters_of_origin_stamps_altitude_frames_and_topics(rig, packet):

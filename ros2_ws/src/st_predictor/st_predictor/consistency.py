@@ -140,4 +140,3 @@ def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], durati
         return Verdict(severity.value, text, values)
     new = f", to be confirmed: {', '.join(fault.name for fault in faults)}" if faults else ""
     return Verdict("note" if findings else "", f"signals agree in the newest {duration:.0f} s{new}", values)
-

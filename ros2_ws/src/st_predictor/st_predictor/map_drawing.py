@@ -46,7 +46,7 @@ class Ribbon:
     right: np.ndarray
 
     def make_triangles(self, stride: int) -> np.ndarray:
-        """(k, 3, 2) triangles [m] that fill the band, with corners at every `stride`-th point and at its end."""
+        """(k, 3, 2) triangles [m] that fill the band, with corners at every `stride`-th and at the last two points."""
         last = len(self.left) - 1
         rows = np.unique(np.append(np.arange(0, last, stride), (last - 1, last)))
         left, right = self.left[rows], self.right[rows]

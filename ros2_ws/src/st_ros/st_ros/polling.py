@@ -102,7 +102,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self) -> bool:
-        """Whether it has subscribers, counted every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
+        """Whether it has subscribers, counted at most every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
         if self._publisher is not None and (now := time.monotonic()) - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
             self._counted_at = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

@@ -164,4 +164,3 @@ def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorS
     message.coverage_50, message.coverage_90 = (coverage.coverage_at(level) if coverage else math.nan
                                                 for level in (0.5, 0.9))
     return message
-

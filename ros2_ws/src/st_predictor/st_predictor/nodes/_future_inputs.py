@@ -70,7 +70,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from a course, None without a `course_file`. horizon, step: of the predictions [s].
+    """Predicts inputs from `course`, None without a `course_file`. horizon, step: of the predictions [s].
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of another site is not used.

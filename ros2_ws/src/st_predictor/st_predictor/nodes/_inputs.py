@@ -89,7 +89,7 @@ class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
     on_change: called when the warning about competing publishers has changed, to publish it at once. received: number
-    of messages by signal, with refused ones. last_refusal: why the newest message was refused, "" if it was not.
+    of messages of the accepted publisher by signal, with refused ones. last_refusal: why the newest was refused, or "".
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
@@ -174,7 +174,7 @@ class Inputs:
             self.received[signal] += 1
             self.last_refusal[signal] = ""
         else:
-            self._refuse(signal, "values not finite, or stamp not later than that of the previous sample")
+            self._refuse(signal, "values not finite, or stamp repeated or more than 0.5 s older than the newest")
 
     def _refuse(self, signal: str, reason: str) -> None:
         self.received[signal] += 1

@@ -56,7 +56,7 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence by node, for publishers of `topics` that have been silent longer than SILENCE_TIMEOUT."""
+        """Seconds of silence, if above SILENCE_TIMEOUT, by node, for nodes that alone publish one of `topics`."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:
@@ -130,7 +130,7 @@ class RecorderNode(Node):
             self._resume()
 
     def _resume(self) -> None:
-        """Resume in a new bag: at once if the directory was moved or deleted, else when the disk has RESUME_SPACE."""
+        """Resume in a new bag if the disk has space; at once if the directory was moved, else after RESUME_PERIOD."""
         now = time.monotonic()
         if self._resume_at == float("inf"):
             self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
@@ -142,8 +142,8 @@ class RecorderNode(Node):
             existing = next(path for path in (folder, *folder.parents) if path.exists())
             if shutil.disk_usage(existing).free < RESUME_SPACE:
                 return
-            self._resume_at = float("inf")
             bag = open_bag(self._values, self._records)
+            self._resume_at = float("inf")
             self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
             for topic, (subscription, _, message_type, qos) in self._subscribed.items():
                 channel = bag.add_topic(topic, message_type, qos)
