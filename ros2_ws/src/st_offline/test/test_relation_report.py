@@ -65,7 +65,7 @@ def format_report(search: RelationSearch) -> str:
                          ids=[f"{p}-{q}-{b}" for p, q, _, b in CANDIDATES])
 def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, place, quantity, parity, by):
     relation = make_relation(place, quantity, parity, by)
-    (tmp_path / "relation.py").write_text(effect_source(relation, ["lap"], "2026-01-01T00:00:00"))
+    (tmp_path / f"{effect_name(relation)}.py").write_text(effect_source(relation, ["lap"], "2026-01-01T00:00:00"))
     assert load_folder(str(tmp_path)) == (effect_name(relation),)
     written = augment("nonlinear", {effect_name(relation): {"share": 1.0}})
     heights = {f"c{k}": h for k, h in enumerate(relation.coefficients)}
@@ -91,7 +91,7 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
 def test_effect_file_meets_the_requirements_on_an_effect(tmp_path, registry, place, quantity, parity, by):
     relation = make_relation(place, quantity, parity, by)
     gentle = replace(relation, coefficients=0.3 * relation.coefficients)
-    (tmp_path / "relation.py").write_text(effect_source(gentle, ["lap"], "2026-01-01T00:00:00"))
+    (tmp_path / f"{effect_name(relation)}.py").write_text(effect_source(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
     assert not any(check_effect(EFFECTS[effect_name(relation)], CAR).values())
 

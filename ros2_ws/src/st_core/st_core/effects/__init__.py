@@ -36,8 +36,9 @@ __all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_D
 
 def load_folder(path: str) -> tuple[str, ...]:
     """Import every module of a folder, except names with a leading _, and return the names of its effects, sorted. A
-    folder that is already loaded is not read again. Raises ConfigurationError, naming the file, for a missing folder, a
-    module that fails to import or registers nothing, and a name in use. No effect of the folder is then registered."""
+    folder of which a module is already loaded is not read again. Raises ConfigurationError, naming folder or file, for
+    a missing folder or one without modules, a module that fails to import or registers nothing, a name in use, and an
+    unknown name in confounded_with or members. No effect of the folder is then registered."""
     folder, package = _find_package(path)
     if package not in sys.modules:
         names = _list_modules([folder])
@@ -89,7 +90,7 @@ def _load_modules(folder: str, package: str, names: Sequence[str]) -> None:
     try:
         for name in names:
             _import_module(f"{package}.{name}", f"{folder}/{name}.py")
-        available = {*EFFECTS, *_list_modules([folder])}  # each file has the name of its effect
+        available = {*EFFECTS, *_list_modules([folder])}  # a file normally has the name of its effect
         for name, key in itertools.product(sorted(set(EFFECTS) - before), ("confounded_with", "members")):
             for other in (other for other in getattr(EFFECTS[name], key) if other not in available):
                 raise ConfigurationError(f"{folder}: effect {name}: {key}: unknown effect {other}"

@@ -138,7 +138,8 @@ class Effect:
     observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS that it changes.
     ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force:
     whether it is observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base
-    model, if it turns one into another. extra_units: units of `extra_states`. costly: whether it evaluates the tyres
+    model, if it turns one into another. signals: names of the inputs that it requires in addition to steering angle and
+    acceleration. extra_states, extra_units: names and units of its states. costly: whether it evaluates the tyres
     again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
     since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
     same hook, lowest first.

@@ -3,8 +3,9 @@
     u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline with integer knots, k = -1 ... 6
 
-f, optionally times one `by_` quantity, is added to a term with a weight `to_`. parity: -1 odd, +1 even, 0 neither.
-All weights, the range and the parity are constants, so that all relations of a kind share a compiled function.
+f is added to a term with a weight `to_`; for steering and body terms optionally times one `by_` quantity. parity: -1
+odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind share a
+compiled function.
 There are three kinds: `law` is a function of present quantities, `law_memory` of a lagged quantity q or of its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau

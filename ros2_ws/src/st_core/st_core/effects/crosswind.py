@@ -16,10 +16,10 @@ SMALL_SQUARE = 1.0e-6  # (m/s)^2; keeps the derivative of the root finite
 
 
 class Car(NamedTuple):
-    mass: float
-    yaw_inertia: float
-    side_area: float
-    side_force_arm: float
+    mass: float  # kg
+    yaw_inertia: float  # kg m^2
+    side_area: float  # m^2
+    side_force_arm: float  # m ahead of the CG
 
 
 def compute_flow_term(along, across):

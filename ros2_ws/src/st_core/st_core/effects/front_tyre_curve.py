@@ -2,8 +2,8 @@
 
     D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
 
-curvature > 1 means an earlier and sharper peak, < 1 a later one. p_ey1 and p_ey2 stay within the limits of the vehicle
-file. A fit determines the curve only within the slip angles of the drives; `st_core.identification.axle_curve` computes
+curvature > 1 means an earlier and sharper peak, < 1 a later one. The tyre parameters are clipped to the limits of the
+vehicle file. A fit determines the curve only within the slip angles of the drives; `identification.axle_curve` computes
 that part with its confidence band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
@@ -22,7 +22,7 @@ PARAMETERS = (
 
 
 def reshape(tyre, theta):
-    """The tyre with another peak and curvature, its cornering stiffness unchanged at every load."""
+    """The tyre with peak and curvature changed, and its cornering stiffness unchanged, at every load."""
     return tyre._replace(lambda_muy=TYRE_QUANTITIES["lambda_muy"].clip(tyre.lambda_muy * theta.peak),
                          p_ey1=TYRE_QUANTITIES["p_ey1"].clip(1.0 - theta.curvature * (1.0 - tyre.p_ey1)),
                          p_ey2=TYRE_QUANTITIES["p_ey2"].clip(theta.curvature * tyre.p_ey2))

@@ -4,11 +4,11 @@ from ..ops import cos, sin
 from ._base import ANY, Effect, Parameter, register
 
 
-def rotate(measured, yaw, angle):
-    """Readings in axes rotated by `angle` [rad] to the left, with a given yaw [rad]."""
+def rotate(measured, angle):
+    """Readings in axes rotated by `angle` [rad] to the left."""
     cosine, sine = cos(angle), sin(angle)
     return measured._replace(
-        yaw=yaw, velocity_x=cosine * measured.velocity_x + sine * measured.velocity_y,
+        yaw=measured.yaw + angle, velocity_x=cosine * measured.velocity_x + sine * measured.velocity_y,
         velocity_y=cosine * measured.velocity_y - sine * measured.velocity_x,
         acceleration_x=cosine * measured.acceleration_x + sine * measured.acceleration_y,
         acceleration_y=cosine * measured.acceleration_y - sine * measured.acceleration_x)
@@ -29,8 +29,8 @@ class HeadingMisalignment(Effect):
 
     @staticmethod
     def observe(measured, theta):
-        return rotate(measured, measured.yaw + theta.angle, theta.angle)
+        return rotate(measured, theta.angle)
 
     @staticmethod
     def correct(measured, theta):
-        return rotate(measured, measured.yaw - theta.angle, -theta.angle)
+        return rotate(measured, -theta.angle)

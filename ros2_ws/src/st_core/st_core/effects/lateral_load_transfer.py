@@ -22,8 +22,8 @@ from ._base import Effect, Parameter, register
 
 class Car(NamedTuple):
     tyres: TyreParameters
-    track_width: float
-    load_transfer_front: float
+    track_width: float  # m
+    load_transfer_front: float  # fraction of the transfer on the front axle
 
 
 def compute_tyre_forces(slip, load, transfer, tyre):
@@ -34,7 +34,7 @@ def compute_tyre_forces(slip, load, transfer, tyre):
 @register
 class LateralLoadTransfer(Effect):
     physics = ("F = F(F_z/2 + dF) + F(F_z/2 - dF) per axle, dF = share m a_y h / track; "
-               "M_z = -track/2 sin(delta) dF_y of the front")
+               "M_z = -track/2 sin(delta) (F_right - F_left) of the front")
     excited_by = "cornering to the limit, transients; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
     confounded_with = ("friction", "front_stiffness", "rear_stiffness")

@@ -1,4 +1,4 @@
-"""Angle of the road wheels at zero steering wheel angle: delta = delta_measured + angle."""
+"""Angle of the road wheels where the measured one is zero: delta = delta_measured + angle."""
 
 from dataclasses import replace
 

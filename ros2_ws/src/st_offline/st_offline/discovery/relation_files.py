@@ -73,16 +73,13 @@ def relation(u):
 
 @register
 class {cls}(Effect):
-    name = "{name}"
     physics = "{physics}"
     excited_by = "{quantity} from {low:.3g} to {high:.3g} {quantity_unit}"
     kind, slot = "{kind}", "{slot}"
     applies_to = DYNAMIC
     order = 90{memory}
-    parameters = (
-        Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
-                  source="st discover --propose"{odd}),
-    )
+    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0),
+                          meaning="fraction of the fitted curve", source="st discover --propose"{odd})
 {body}
 '''
 
@@ -123,7 +120,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         quantity_unit=QUANTITIES[c.quantity], unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.",
         before=relation.position_5s[0], after=relation.position_5s[1], p_value=relation.p_value, formulas=formulas,
         interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),
-        odd=", odd=True" if c.is_one_sided else "", name=effect_name(relation),
+        odd=", odd=True" if c.is_one_sided else "",
         ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_source(c)[0],
         physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
