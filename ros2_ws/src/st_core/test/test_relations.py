@@ -351,7 +351,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     for smooth in PENALTIES:
         monkeypatch.setattr(relation_fit, "PENALTIES", (smooth,))
         losses[smooth] = float(fits.fit(fit.candidate, without).held_out.sum())
-    assert fit.smooth == min(losses, key=losses.get) < max(PENALTIES)
+    assert fit.smoothing == min(losses, key=losses.get) < max(PENALTIES)
     formulas = simulate_formulas(fits, fit, without)
     assert formulas and all(0.9 <= one.retained < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)

@@ -108,8 +108,8 @@ def test_curve_is_drawn_in_engineering_units():
 
 
 def test_variation_between_runs_is_reported_and_relation_of_time_writes_no_file(tmp_path, registry):
-    shares = Agreement({"lap": (1.2, 0.1), "other": (0.1, 0.1), "third": (0.9, 0.5)}, 1e-6, 0.0)
-    relation = replace(make_relation("both_grip", "run_time", 0.0), shares=shares)
+    agreement = Agreement({"lap": (1.2, 0.1), "other": (0.1, 0.1), "third": (0.9, 0.5)}, 1e-6, 0.0)
+    relation = replace(make_relation("both_grip", "run_time", 0.0), agreement=agreement)
     search = RelationSearch(relation, "it reduces the errors by 10 %", {})
     lines = format_report(search)
     sizes = "lap 1.2 ± 0.2, other 0.1 ± 0.2, third 0.9 ± 1.0"

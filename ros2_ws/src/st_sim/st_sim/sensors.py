@@ -170,7 +170,7 @@ class TransmissionLoss:
         self._fraction, self._outage_every = fraction, outage_every
         self._generator = np.random.default_rng(seed)
 
-    def loses(self, time: float) -> bool:
+    def is_lost(self, time: float) -> bool:
         """Whether the datagram or frame sent at `time` [s since the start] is lost; call once for each."""
         if self._outage_every and time >= self._outage_every and time % self._outage_every < OUTAGE_LENGTH:
             return True

@@ -115,14 +115,14 @@ class Stream:
         status, delay = status_and_delay
         due = time + self._settings["ins_latency"] + delay
         packet = self._ncom.encode_packet(reading, status)
-        if not self._ins_loss.loses(time):
+        if not self._ins_loss.is_lost(time):
             self._push(due, packet)
         if status >= INITIALISING:
             self._send_frames(self._can.encode_ins(reading), due + INS_CAN_DELAY)
 
     def _send_frames(self, frames: list[Frame], due: float) -> None:
         for i, frame in enumerate(frames):
-            if not self._can_loss.loses(due):
+            if not self._can_loss.is_lost(due):
                 self._push(due + i * FRAME_TIME, frame)
 
     def _push(self, due: float, payload: bytes | Frame | Truth) -> None:

@@ -119,10 +119,10 @@ def test_wheel_speeds_are_unsigned_and_zero_below_a_threshold():
 
 def test_losses_have_their_rate_and_outages():
     random = TransmissionLoss(0.2, 0.0, (1, 7))
-    assert np.mean([random.loses(0.01 * i) for i in range(5000)]) == pytest.approx(0.2, abs=0.02)
+    assert np.mean([random.is_lost(0.01 * i) for i in range(5000)]) == pytest.approx(0.2, abs=0.02)
     silent = TransmissionLoss(0.0, 10.0, (1, 7))
-    assert [silent.loses(t) for t in (0.0, 0.5, 9.9, 10.0, 10.9, 11.1, 20.5)] == [0, 0, 0, 1, 1, 0, 1]
-    assert not any(TransmissionLoss(0.0, 0.0, (1, 7)).loses(t) for t in range(100))
+    assert [silent.is_lost(t) for t in (0.0, 0.5, 9.9, 10.0, 10.9, 11.1, 20.5)] == [0, 0, 0, 1, 1, 0, 1]
+    assert not any(TransmissionLoss(0.0, 0.0, (1, 7)).is_lost(t) for t in range(100))
 
 
 def test_every_sensor_setting_is_tested():

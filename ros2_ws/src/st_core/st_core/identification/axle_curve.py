@@ -20,7 +20,7 @@ from ..vehicle import VehicleParameters
 from .cornering_stiffness import AXLES, SLIP_QUANTILE, AxleSamples
 
 EVALUATION_SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
-MIN_DRAWS = 20
+MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # for the lateral acceleration; error of the force below 0.1 % at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
@@ -93,8 +93,8 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
                     alternatives: Iterable[Model] = ()) -> ForceCurve:
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
-    measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is
-    their central 90 % at each slip, extended to the curves of `alternatives`, other models that explain the drives.
+    measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is their
+    central 90 % at each slip, extended to the curve and those of `alternatives`, other models that explain the drives.
     original: model at the start of the search, for `ForceCurve.file`. Raises StCoreError for fewer than two measured
     slip angles, or only zeros.
     """

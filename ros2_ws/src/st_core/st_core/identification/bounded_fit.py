@@ -19,7 +19,7 @@ Residuals = Callable[[np.ndarray], np.ndarray]
 """Function from parameters (k,) to residuals (n,), or from m sets of parameters (m, k) to residuals (m, n)."""
 
 END_TOLERANCE = 0.03  # relative tolerance of the distance from the value to an end of its interval
-MAX_SECANT_STEPS = 8
+MAX_END_STEPS = 8  # largest number of secant steps to an end
 BOUND_TOLERANCE = 1e-6  # distance within which a value is at its bound, as a fraction of the range between both bounds
 
 
@@ -40,8 +40,12 @@ class BoundedFit:
         return np.sqrt(np.diag(self.covariance))
 
     def is_at_bound(self, index: int) -> bool:
-        margin = BOUND_TOLERANCE * (self.upper[index] - self.lower[index])
-        return not self.lower[index] + margin < self.values[index] < self.upper[index] - margin
+        return not _is_inside(self.values, self.lower, self.upper)[index]
+
+
+def _is_inside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    margin = BOUND_TOLERANCE * (upper - lower)
+    return (values > lower + margin) & (values < upper - margin)
 
 
 def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], lower: Sequence[float],
@@ -53,8 +57,7 @@ def fit_within_bounds(residuals: Residuals, starts: Sequence[Sequence[float]], l
     result = _solve(residuals, best_start, low, high, 1e-10, 200)
     n, k = result.jac.shape
     deviation = math.sqrt(2.0 * result.cost / (n - k)) if n > k else math.nan
-    margin = BOUND_TOLERANCE * (high - low)
-    free = (result.x > low + margin) & (result.x < high - margin)
+    free = _is_inside(result.x, low, high)
     covariance = np.zeros((k, k))
     if free.any():
         jacobian = result.jac[:, free]
@@ -93,7 +96,7 @@ def find_interval_end(residuals: Residuals, fit: BoundedFit, index: int, side: f
     slope = fit.covariance[others, index] / error**2 if error > 0.0 else np.zeros(int(others.sum()))
     start = fit.values[others] + slope * side * distance
     last_distance = last_root = 0.0  # root: square root of the increase of S divided by the threshold
-    for _ in range(MAX_SECANT_STEPS):
+    for _ in range(MAX_END_STEPS):
         def compute_residuals(free: np.ndarray, fixed: float = value + side * distance) -> np.ndarray:
             return residuals(np.insert(free, index, fixed, axis=-1))
 

@@ -40,7 +40,6 @@ MISALIGNMENT, DELAY, RELAXATION = "ins_misalignment", SteeringDelay.name, TyreRe
 MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
-BOUND_TOLERANCE = 1e-3  # distance within which a value is at its bound, as a fraction of the range between both bounds
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
 MIN_CURVATURE_RATIO = 0.2  # smallest curvature of the loss / Gauss-Newton approximation; 0.7 for Student's errors
 Values = Mapping[str, float]
@@ -208,7 +207,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     values, step = to_quantities(vector), 1e-4
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
-    margin = BOUND_TOLERANCE * (space.high - space.low)
+    margin = 1e-3 * (space.high - space.low)  # a value nearer to a bound counts as at the bound
     effects_at_bound = {space.free[i].effect for i in indices
                         if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points, columns = len(windows.time), len(windows.columns)

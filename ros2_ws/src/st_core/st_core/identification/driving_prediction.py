@@ -230,4 +230,3 @@ def describe_model(base: str | Model) -> str:
     if isinstance(base, AugmentedModel):
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"
-

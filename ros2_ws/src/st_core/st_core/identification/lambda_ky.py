@@ -31,7 +31,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         axle = tyre.removeprefix("tyre_")
         key = f"cornering_stiffness_{axle}"
         stated = vehicle.provenance.get(key)
-        if stated is None or stated.uncertainty is None:
+        if stated is None or not stated.uncertainty:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
                                       "and use the resulting vehicle.yaml. (If a file has no lambda_ky, it is derived "
                                       "from the stiffness.)")

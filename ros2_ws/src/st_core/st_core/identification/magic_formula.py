@@ -221,10 +221,10 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     inner = np.abs(data.slip) <= max(math.radians(2.0), np.sort(np.abs(data.slip))[min(3, len(data.slip) - 1)])
     slope = float(data.slip[inner] @ data.force[inner]) / float(data.slip[inner] @ data.slip[inner])
     level = float(data.load.mean())
-    start_stiffness = slope / abs(float(magic_formula_stiffness(level, base._replace(p_ky1=-1.0))))
+    start_p_ky1 = slope / abs(float(magic_formula_stiffness(level, base._replace(p_ky1=-1.0))))
     friction = float(np.abs(data.force).max()) / level
     names = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
-    starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_stiffness)
+    starts = [base._replace(p_cy1=shape, p_dy1=friction, p_ey1=curvature, p_ky1=start_p_ky1)
               for shape, curvature in STARTS]
     return _with_values(base, names, _fit(data, starts, names).values.tolist())
 

@@ -39,8 +39,8 @@ UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations witho
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
-MAX_UNEXPLAINED = 0.2  # largest RMS residual divided by RMS yaw rate; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
-MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for straights
+MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
+MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for driving with few bends
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
 MIN_BEND_ANGLE = 0.02  # rad; minimum |l r / v| in a bend
 MIN_LOADED_ACCELERATION = 1.5  # m/s^2; minimum |v r| with a significant load on the tyres
@@ -78,7 +78,7 @@ class OnlineFit:
 
     values: tuple[float, ...]  # (3,) in the order of NAMES
     deviations: tuple[float, ...]  # standard deviations (3,)
-    unexplained: float = 0.0  # RMS residual divided by RMS yaw rate
+    residual_ratio: float = 0.0  # RMS residual of the yaw rate divided by the RMS yaw rate, at least MIN_YAW_RATE
     at_bound: tuple[str, ...] = ()  # names of values at a bound
     problem: str = ""  # why the fit failed, or empty
 
@@ -218,8 +218,8 @@ class OnlineIdentifier:
     def _describe_implausible_values(self) -> Mapping[str, str]:
         """Reasons why values are implausible, by parameter."""
         fit, (offset, ratio, scale) = self.fit, self.fit.values
-        if fit.unexplained > MAX_UNEXPLAINED:
-            return dict.fromkeys(NAMES, f"the residual is {100 * fit.unexplained:.0f} % of the yaw rate: "
+        if fit.residual_ratio > MAX_RESIDUAL_RATIO:
+            return dict.fromkeys(NAMES, f"the residual is {100 * fit.residual_ratio:.0f} % of the yaw rate: "
                                         "road, load or a sensor differs from the assumptions of the model")
         reasons = {}
         if abs(offset) > MAX_OFFSET:

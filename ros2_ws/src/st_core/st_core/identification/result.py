@@ -181,7 +181,7 @@ def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
 def compare_with_file(vehicle: VehicleParameters, estimate: ParameterEstimate) -> str:
     """A sentence if the estimate differs significantly (5 %) from a file value with an uncertainty, else ""."""
     stated = vehicle.provenance.get(estimate.parameter)
-    if stated is None or stated.uncertainty is None or estimate.status == "unidentifiable":
+    if stated is None or not stated.uncertainty or estimate.status == "unidentifiable":
         return ""
     origin = f"the vehicle file ({stated.method or vehicle.sources[estimate.parameter]}, {stated.date or 'no date'})"
     return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), stated.uncertainty, origin)

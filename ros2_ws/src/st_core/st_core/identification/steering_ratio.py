@@ -77,7 +77,7 @@ def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.nda
     return result
 
 
-MIN_ROWS = 5
+MIN_ROWS = 5  # minimum number of rows of a table
 MIN_RANGE = math.radians(90.0)  # rad, minimum range of the steering wheel angle
 MAX_STEERING_WHEEL_ANGLE = math.radians(1200.0)
 MAX_ROAD_WHEEL_ANGLE = math.radians(60.0)
@@ -153,7 +153,7 @@ def _check_rows(data: Turntable) -> None:
 
 def _make_warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
-    left_turn, right_turn = data.steering > MIN_RANGE, data.steering < -MIN_RANGE
+    left_turn, right_turn = data.steering > ANGLE_BIN_WIDTH, data.steering < -ANGLE_BIN_WIDTH
     split = data.left - data.right - np.median(data.left - data.right)
     inner = np.concatenate([split[left_turn], split[right_turn]])
     if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):

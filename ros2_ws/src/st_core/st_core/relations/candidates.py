@@ -30,7 +30,7 @@ FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("st
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                    "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
-"""Channel of `st check` and reading of the INS, by sensor term."""
+"""Reading of the INS by sensor term; also the name of its channel in `st check`."""
 TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02, "rear_force": 0.02, "front_grip": 0.1,
                  "rear_grip": 0.1, "both_grip": 0.1, "yaw_moment": 0.05, "side_force": 0.1, "sensor_yaw_rate": 0.005,
                  "sensor_acceleration_y": 0.2, "sensor_velocity_y": 0.05, "sensor_heading": 0.005}

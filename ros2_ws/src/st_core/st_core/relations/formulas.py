@@ -11,7 +11,7 @@ from ..regression import add_ridge
 from .candidates import NEITHER, Candidate
 from .relation_fit import RelationFit, RelationFits
 
-MAX_FORMULAS, POINTS = 3, 61
+MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; points in the range of a curve
 MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
 MIN_EXPLAINED_MORE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
@@ -119,10 +119,9 @@ CAUSES: Mapping[tuple[str, ...], str] = {
 }
 CONSTANT_CAUSES = {
     "front_steer": "a steering offset, toe", "rear_steer": "a misaligned rear axle",
-    "yaw_moment": "unequal drag or brakes",
-    "side_force": "steady wind, a banked road", "sensor_yaw_rate": "a bias of the sensor",
-    "sensor_acceleration_y": "a bias or tilt of the sensor", "sensor_velocity_y": "a misaligned unit",
-    "sensor_heading": "a misaligned unit",
+    "yaw_moment": "unequal drag or brakes", "side_force": "steady wind, a banked road",
+    "sensor_yaw_rate": "a bias of the sensor", "sensor_acceleration_y": "a bias or tilt of the sensor",
+    "sensor_velocity_y": "a misaligned unit", "sensor_heading": "a misaligned unit",
 }
 """Causes of a constant, by term."""
 
@@ -198,8 +197,8 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
     vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
-    a formula must have the sign of the curve and stay below MAX_RANGE times its largest value, and it must not increase
-    the held-out position error of the discovered model.
+    a formula must have mostly the sign of the curve, and magnitudes up to MAX_RANGE times the largest of the curve. Its
+    held-out position error must not exceed the in-sample error of the discovered model.
     """
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())

@@ -91,7 +91,7 @@ def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, r
     options = []
     for manoeuvre, windows in simulate_manoeuvres(fits.windows, fits.model.base):
         loss = _make_loss(fits, windows, candidate, fit)
-        residuals = 0.0 * np.nan_to_num(loss.errors.at(fit.vector))
+        residuals = np.zeros_like(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)
         added = REPETITIONS * loss.quadratic(residuals, sensitivities).hessian.sum(axis=0)
         ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))

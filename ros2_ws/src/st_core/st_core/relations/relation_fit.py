@@ -31,14 +31,14 @@ ROUGHNESS = _SECOND_DIFFERENCE.T @ _SECOND_DIFFERENCE + SIZE_PENALTY * np.eye(SP
 
 @dataclass(frozen=True, eq=False)
 class RelationFit:
-    """A fit with a candidate, or of the discovered model without a relation (candidate None). smooth: one of PENALTIES.
-    vector: in the space of the candidate. residuals: (n, m) [SI], a row per window. indices: (a,) free parameters, the
-    coefficients last. sensitivities: (a, n, m), reduction of the residuals per scale of these parameters. penalty:
-    (a, a). quadratic: approximation of the loss, by block. held_out: (b,) loss of each block at values fitted without
-    its fold. steps: by fold, step to these values [parameter scales]."""
+    """A fit with a candidate, or of the discovered model without a relation (candidate None). smoothing: one of
+    PENALTIES, 0 without a candidate. vector: in the space of the candidate. residuals: (n, m) [SI], a row per window.
+    indices: (a,) free parameters, the coefficients last. sensitivities: (a, n, m), reduction of the residuals per scale
+    of these parameters. penalty: (a, a). quadratic: approximation of the loss, by block. held_out: (b,) loss of each
+    block at values fitted without its fold. steps: by fold, step to these values [parameter scales]."""
 
     candidate: Candidate | None
-    smooth: float
+    smoothing: float
     vector: np.ndarray
     residuals: np.ndarray
     indices: np.ndarray
@@ -121,12 +121,12 @@ class RelationFits:
         """Quadratic approximation of the loss, summed by block."""
         return loss.quadratic(residuals, sensitivities).sum_groups(self.block, self.blocks)
 
-    def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smooth: float) -> np.ndarray:
+    def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smoothing: float) -> np.ndarray:
         """(a, a) penalty on all free parameters, the coefficients last. hessian: (a, a)."""
         penalty = np.zeros(hessian.shape)
         if candidate:
             curvature = float(np.trace(hessian[-SPLINES:, -SPLINES:])) / SPLINES
-            penalty[-SPLINES:, -SPLINES:] = smooth * curvature * ROUGHNESS + 1e-9 * np.eye(SPLINES)
+            penalty[-SPLINES:, -SPLINES:] = smoothing * curvature * ROUGHNESS + 1e-9 * np.eye(SPLINES)
         return penalty
 
     def find_left_out_steps(self, q: Quadratic, penalty: np.ndarray,
@@ -159,8 +159,8 @@ class RelationFits:
         sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
         strong, *weaker = sorted(PENALTIES, reverse=True)
         best = self._fit(candidate, loss, indices, strong, sensitivities, without.vector)
-        for smooth in weaker:
-            fit = self._fit(candidate, loss, indices, smooth, best.sensitivities, best.vector)
+        for smoothing in weaker:
+            fit = self._fit(candidate, loss, indices, smoothing, best.sensitivities, best.vector)
             if fit.held_out.sum() >= best.held_out.sum():
                 break
             best = fit
@@ -186,9 +186,9 @@ class RelationFits:
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[removed] = [null[self.space.free[i].parameter] for i in removed]
         loss, indices = self.make_loss(candidate), np.concatenate([others, self.relation_indices])
-        return self._fit(candidate, loss, indices, fit.smooth, loss.sensitivities(vector, indices), vector)
+        return self._fit(candidate, loss, indices, fit.smoothing, loss.sensitivities(vector, indices), vector)
 
-    def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smooth: float,
+    def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smoothing: float,
              sensitivities: np.ndarray, vector: np.ndarray) -> RelationFit:
         vector, scale = vector.copy(), self.space.scale
         for iteration in range(ITERATIONS):
@@ -198,7 +198,7 @@ class RelationFits:
             q = self.sum_quadratic(loss, loss.errors.at(vector), sensitivities)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
-                penalty = self.make_penalty(candidate, h, smooth)
+                penalty = self.make_penalty(candidate, h, smoothing)
             distance = ((vector - self.start) / scale)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
@@ -218,4 +218,4 @@ class RelationFits:
         residuals = loss.errors.at(vector)
         q = self.sum_quadratic(loss, residuals, sensitivities)
         steps, held_out = self.find_left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
-        return RelationFit(candidate, smooth, vector, residuals, indices, sensitivities, penalty, q, held_out, steps)
+        return RelationFit(candidate, smoothing, vector, residuals, indices, sensitivities, penalty, q, held_out, steps)

@@ -37,9 +37,9 @@ class Relation:
     [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for the tried
     candidates. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
     without the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of
-    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. shares: relative
-    size by run. redundant: effects of the result that the relation replaces, with the residual reduction [1] that
-    each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
+    their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of its
+    sizes in the runs, relative to the whole. redundant: effects of the result that the relation replaces, with the
+    residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
@@ -55,7 +55,7 @@ class Relation:
     model: AugmentedModel
     others: Mapping[str, float] = field(default_factory=dict)
     formulas: Sequence[Formula] = ()
-    shares: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
+    agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
     redundant: Mapping[str, float] = field(default_factory=dict)
     next_drives: NextDrives = field(default_factory=NextDrives)
 
@@ -77,7 +77,7 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
-        """Model terms without a candidate whose detection limit is at most MAX_DETECTABLE typical magnitudes."""
+        """Model terms whose candidates all have detection limits above MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")

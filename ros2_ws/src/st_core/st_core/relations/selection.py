@@ -97,14 +97,14 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
     to_all = np.concatenate([without.sensitivities, to_vehicle, sensitivities])
     q_all = fits.sum_quadratic(loss, without.residuals, to_all)
     distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
-    penalties = {smooth: fits.make_penalty(candidate, h, smooth) for smooth in PENALTIES}
-    losses = {smooth: fits.predict_held_out_loss(q, penalty, distance) for smooth, penalty in penalties.items()}
-    smooth = min(losses, key=lambda share: float(losses[share].sum()))
+    penalties = {smoothing: fits.make_penalty(candidate, h, smoothing) for smoothing in PENALTIES}
+    losses = {smoothing: fits.predict_held_out_loss(q, penalty, distance) for smoothing, penalty in penalties.items()}
+    smoothing = min(losses, key=lambda level: float(losses[level].sum()))
     h = q_all.hessian.sum(axis=0)
     cross = np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
     gradient = q_all.gradient[:, -SPLINES:] - q_all.gradient[:, :-SPLINES] @ cross
     information = h[-SPLINES:, -SPLINES:] - h[-SPLINES:, :-SPLINES] @ cross
-    inverse = np.linalg.pinv(information + penalties[smooth][-SPLINES:, -SPLINES:])
+    inverse = np.linalg.pinv(information + penalties[smoothing][-SPLINES:, -SPLINES:])
     drawn = np.einsum("di,ij,dj->d", signs @ gradient, inverse, signs @ gradient)
     mean = max(float(drawn.mean()), 1e-30)
     total = gradient.sum(axis=0)
@@ -113,7 +113,7 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
     after = residual_gradient[:, -SPLINES:] - residual_gradient[:, :-SPLINES] @ cross
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
     return ScreenedCandidate(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom,
-                             design_effect, float((base - losses[smooth]).sum()), information)
+                             design_effect, float((base - losses[smoothing]).sum()), information)
 
 
 def compute_lower_bound(values: np.ndarray, p: float) -> float:
@@ -146,7 +146,8 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: Vehic
 
 def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
     """Reason to reject a relation that increases the mean held-out position error after 5 s, or increases it in one run
-    significantly and by at least `limits.relevant_position`; "" if there is none. before, after: (n,) [m]."""
+    significantly and by at least `limits.relevant_position`; "" if there is none. Runs with fewer than
+    three blocks are not tested. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
         return ""

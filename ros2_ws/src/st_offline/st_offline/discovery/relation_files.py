@@ -214,8 +214,8 @@ def build_relation_document(search: RelationSearch) -> dict:
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
         "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
         "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
-        "shares": {name: list(pair) for name, pair in relation.shares.ratios.items()},
-        "p_equal": relation.shares.p_equal,
+        "shares": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
+        "p_equal": relation.agreement.p_equal,
         "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained, "causes": f.causes}
                      for f in relation.formulas]}}
 

@@ -96,11 +96,11 @@ def _uncertainty(relation: Relation) -> list[str]:
                            for low, high in relation.next_drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, turning to both sides")
-    absent = [name for name, (ratio, deviation) in relation.shares.ratios.items()
+    absent = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
               if ratio + report_text.Z95 * deviation < 0.5]
-    if absent and relation.shares.p_equal < SIGNIFICANCE_LEVEL:
+    if absent and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
-                           relation.shares.ratios.items())
+                           relation.agreement.ratios.items())
         lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (relative size by run, 95 %: "
                      f"{shares})")
     return lines
