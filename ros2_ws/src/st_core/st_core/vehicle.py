@@ -40,35 +40,35 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, 
     return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
 
 
-# The limits are wide, from a go-kart to a loaded truck: they only detect a wrong unit or a misplaced digit.
+# The limits are wide, from a model car of scale 1:16 to a loaded truck. `_check_scale` detects a misplaced digit.
 OPTIONAL_QUANTITIES = {
-    "track_width": _quantity("m", 0.3, 4.0, default=1.54),
+    "track_width": _quantity("m", 0.03, 4.0, default=1.54),
     "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
     "brake_front": _quantity("1", 0.0, 1.0, default=0.65),
     "load_transfer_front": _quantity("1", 0.0, 1.0, default=0.55),
-    "side_area": _quantity("m^2", 0.1, 60.0, default=2.5),
+    "side_area": _quantity("m^2", 1.0e-3, 60.0, default=2.5),
     "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
 }
 """Quantities that only some effects need. The defaults describe a front-wheel-drive passenger car."""
 VEHICLE_QUANTITIES = {
-    "mass": _quantity("kg", 50.0, 60000.0),
-    "yaw_inertia": _quantity("kg m^2", 10.0, 1.0e6),
-    "wheelbase": _quantity("m", 0.5, 15.0),
-    "cg_to_front_axle": _quantity("m", 0.1, 14.0),
+    "mass": _quantity("kg", 1.0, 60000.0),
+    "yaw_inertia": _quantity("kg m^2", 1.0e-3, 1.0e6),
+    "wheelbase": _quantity("m", 0.1, 15.0),
+    "cg_to_front_axle": _quantity("m", 0.02, 14.0),
     "cg_height": _quantity("m", 0.0, 4.0),
     "cg_to_ins_x": _quantity("m", -15.0, 15.0),
     "cg_to_ins_y": _quantity("m", -3.0, 3.0),
     "steering_ratio": _quantity("1", 1.0, 60.0),
     "steering_wheel_offset": Quantity({"rad": 1.0, "deg": math.pi / 180.0}, -math.pi, math.pi),
-    "cornering_stiffness_front": _quantity("N/rad", 1000.0, 5.0e6),
-    "cornering_stiffness_rear": _quantity("N/rad", 1000.0, 5.0e6),
+    "cornering_stiffness_front": _quantity("N/rad", 1.0, 5.0e6),
+    "cornering_stiffness_rear": _quantity("N/rad", 1.0, 5.0e6),
     "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
-    "length": _quantity("m", 0.5, 30.0),
-    "width": _quantity("m", 0.3, 4.0),
+    "length": _quantity("m", 0.1, 30.0),
+    "width": _quantity("m", 0.03, 4.0),
     **OPTIONAL_QUANTITIES,
 }
 TYRE_QUANTITIES = {
-    "nominal_load": _quantity("N", 100.0, 1.0e5),
+    "nominal_load": _quantity("N", 1.0, 1.0e5),
     "p_cy1": _quantity("1", 0.5, 3.0),
     "p_dy1": _quantity("1", 0.05, 3.0),
     "p_dy2": _quantity("1", -1.0, 1.0),
@@ -253,6 +253,7 @@ class VehicleParameters:
             check_keys(f"{tyre}.", section, list(TYRE_QUANTITIES), required)
             tyres[tyre] = MagicFormula(**_read_section(f"{tyre}.", section, TYRE_QUANTITIES, sources, provenance))
         vehicle = cls(name=name, **values, **tyres, sources=sources, provenance=provenance)
+        _check_scale(vehicle)
         return vehicle.with_derived_scales([tyre for tyre in TYRES if "lambda_ky" not in document[tyre]])
 
     def with_derived_scales(self, tyres: Sequence[str] = TYRES) -> "VehicleParameters":
@@ -380,6 +381,20 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
         if not isinstance(texts[name], str):
             raise ConfigurationError(f"{key}.{name}: {texts[name]!r} is not a string")
     return Provenance(uncertainty, **texts)
+
+
+def _check_scale(car: VehicleParameters) -> None:
+    """Raises ConfigurationError if a value has another order of magnitude than the rest of the car, at any scale."""
+    for key, low, high, reference, name in (
+            ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
+            ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,
+             f"{car.mass:g} kg and a wheelbase of {car.wheelbase:g} m"),
+            *((f"cornering_stiffness_{axle}", 0.05, 500.0, car.mass * GRAVITY, f"{car.mass:g} kg")
+              for axle in ("front", "rear"))):
+        if not low * reference <= (value := getattr(car, key)) <= high * reference:
+            raise ConfigurationError(
+                f"{key}: {value:g} {VEHICLE_QUANTITIES[key].si_unit} does not fit a car with {name} (limit "
+                f"{low * reference:.2g} to {high * reference:.2g}); check the values and their units")
 
 
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:

@@ -77,8 +77,8 @@ def test_values_are_applied_to_the_vehicle_with_provenance(leaf):
 
 
 def test_value_outside_vehicle_bounds_is_rejected(leaf):
-    with pytest.raises(ConfigurationError, match="mass: 10 is outside 50 to 60000 kg"):
-        apply_to_vehicle(leaf, [make_identification(make_estimate("mass", 10.0))], "2026-05-01")
+    with pytest.raises(ConfigurationError, match="mass: 0.5 is outside 1 to 60000 kg"):
+        apply_to_vehicle(leaf, [make_identification(make_estimate("mass", 0.5))], "2026-05-01")
 
 
 def test_contradiction_with_the_vehicle_file_is_reported_with_numbers(leaf):

@@ -33,7 +33,7 @@ from ..log import DriveLog
 from ..models import Model, get_model
 from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
-from ..vehicle import VehicleParameters
+from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
 from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
@@ -157,16 +157,17 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
     delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
-    inertia, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
+    row, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
     # Change of the inertia per change of the dead time, with all other parameters refitted.
-    change = abs(float(fit.noise_covariance[inertia, delay] / fit.noise_covariance[delay, delay]))
+    change = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
     systematic = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
                                   systematic)
     estimate = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
-    implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=max(estimate.value, 10.0)))
+    inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
+    implausible = [text for text in find_implausible_values(replace(vehicle, yaw_inertia=inertia))
                    if text.startswith("yaw_inertia")]
     if implausible:
         text = f"{implausible[0]}: the transients are too weak, or steering or tyre dynamics are mistaken for inertia."
