@@ -108,8 +108,11 @@ def test_reported_findings_are_described_in_the_manual(checked):
 
 
 def test_proposed_correction_removes_the_finding(faulty_drive, tmp_path):
+    car = tmp_path / "car"  # of table recordings: without DBC and signal table
+    car.mkdir()
+    (car / "vehicle.yaml").write_text(CAR.read_text())
     corrected = tmp_path / "corrected" / "run.yaml"
-    result = st("check", faulty_drive, "--vehicle", CAR, "--output", tmp_path / "a", "--propose-correction", corrected)
+    result = st("check", faulty_drive, "--car", car, "--output", tmp_path / "a", "--propose-correction", corrected)
     assert result.exit_code == 1 and "# error: yaw_rate_scale: " in corrected.read_text()
     scale = yaml.safe_load(corrected.read_text())["correct"]["yaw_rate"]["scale"]
     assert math.isclose(scale, 1 / DEGREES_PER_RADIAN, rel_tol=0.02)

@@ -77,7 +77,7 @@ def test_values_are_applied_to_the_vehicle_with_provenance(leaf):
 
 
 def test_value_outside_vehicle_bounds_is_rejected(leaf):
-    with pytest.raises(ConfigurationError, match="mass: 0.5 is outside 1 to 60000 kg"):
+    with pytest.raises(ConfigurationError, match=r"mass: 0\.5 is outside 1 to 60000 kg"):
         apply_to_vehicle(leaf, [make_identification(make_estimate("mass", 0.5))], "2026-05-01")
 
 

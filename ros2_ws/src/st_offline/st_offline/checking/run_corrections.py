@@ -104,7 +104,9 @@ def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
     """Settings of the run's own run.yaml, overridden by the options of the command line."""
-    given = {"dbc": read.dbc, "signals": read.signals, "offset": read.offset,
+    # A car of table recordings has neither DBC nor signal table.
+    bus = {"dbc": read.dbc, "signals": read.signals}
+    given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
     layout = settings.pop("layout", None)
