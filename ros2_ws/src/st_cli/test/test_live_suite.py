@@ -241,7 +241,7 @@ def test_band_coverage_is_printed_below_the_table() -> None:
             for mode, count in (("forecast", 8), ("hindsight", 0))]
     lines = render_lines(SuiteState(ErrorSummary(statistics=rows)))
     (line,) = [line for line in lines if "band" in line]
-    assert line == "inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8"
+    assert line == "inside the 90 | 50 % band, forecast: linear 88 % | 25 % of 8 scores"
 
 
 def test_faults_are_printed_with_the_most_severe_first() -> None:

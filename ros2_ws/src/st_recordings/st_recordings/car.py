@@ -44,8 +44,8 @@ class Car:
 def load_car(text: str) -> Car:
     """Loads a car by the name of its folder in config/car, or by the path of any folder. car.yaml is optional.
 
-    Raises RunError for a folder that does not exist or has no vehicle file, and for a car.yaml with anything but
-    steering_sign (1 or -1) and steering_latency (0 to 1 s).
+    Raises RunError for a file, for a folder that does not exist or has no vehicle file, and for a car.yaml with
+    anything but steering_sign (1 or -1) and steering_latency (0 to 1 s).
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
     if folder.is_file():

@@ -95,7 +95,8 @@ steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of i
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover uses it as a prior of the value. Without it a default is used, which st car check prints.
+# st discover uses it as a prior of the value. Without it, st discover uses a default or fits the value freely, as
+# st car check prints.
 name: FILL_IN
 """
 
@@ -144,7 +145,7 @@ def find_problems(folder: str) -> list[str]:
 
 
 def list_remarks(folder: str) -> list[str]:
-    """Lists remarks on a valid car: values that are unusual for a road car, and the uncertainties in use."""
+    """Lists remarks on a valid car: values unusual for a road car, doubtful CAN signals, and uncertainties in use."""
     car = load_car(folder)
     vehicle = read_vehicle(car.vehicle)
     return [*(f"{car.vehicle}: unusual: {text}" for text in find_implausible_values(vehicle)), *_list_bus_remarks(car),
@@ -221,7 +222,7 @@ def _find_bus_problems(car: Car) -> list[str]:
 
 
 def _list_bus_remarks(car: Car) -> list[str]:
-    """A line for each used signal whose unit in the DBC is unknown; one on speed signals that the table leaves out."""
+    """A line for each used signal with an unknown unit in the DBC; one on the speed signals there if none is used."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)

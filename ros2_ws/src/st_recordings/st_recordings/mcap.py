@@ -32,7 +32,7 @@ CHUNK_SIZE = 1024 * 1024
 FLUSH_PERIOD = 0.5
 """Period [s] of writes. A killed process loses up to 1 s of data: this period and the delay of flush_when_due."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors after which the newest chunks are dropped until the index fits; after others, all written data are kept."""
+"""Errors of writing the index after which the newest chunks are dropped until it fits; after others, all are kept."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 

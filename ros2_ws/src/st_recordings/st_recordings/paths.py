@@ -35,15 +35,15 @@ def config(relative: str) -> Path:
 
 
 def source_version() -> str:
-    """`git describe` of the checkout, else the version of the installed wheel, else "unknown"."""
+    """Version of the installed wheel if its files are used, else `git describe` of the checkout; "unknown" if neither
+    is known."""
     try:
-        command = ["git", "-C", str(project_root()), "describe", "--always", "--dirty", "--tags"]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        try:
+        if (root := project_root()) == INSTALLED_FILES:  # git may find a repository around the environment of the wheel
             return metadata.version(DISTRIBUTION)
-        except metadata.PackageNotFoundError:
-            return "unknown"
+        command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
+    except (OSError, subprocess.SubprocessError, metadata.PackageNotFoundError):
+        return "unknown"
 
 
 class OutputError(OSError):
@@ -51,8 +51,8 @@ class OutputError(OSError):
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """Absolute path of `given` or else runs/<name>-<time>, which is created if `create`. Raises OutputError if it is a
-    file, is not empty or cannot be created, or if its disk is full."""
+    """Absolute path of `given` or else runs/<name>-<time>; if `create`, the folder is created. Raises OutputError if it
+    is a file, is not empty or cannot be read or created, and if `create` and its disk is full."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
@@ -106,7 +106,7 @@ def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[
 def natural_sort_key(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Sort key for file names with numbers: drive_9 comes before drive_10."""
     parts = re.split(r"(\d+)", path.stem)
-    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts], path.suffix
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts], path.suffix
 
 
 def json_ready(value: Any) -> Any:

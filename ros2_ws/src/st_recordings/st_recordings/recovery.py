@@ -1,6 +1,6 @@
 """Repairs a bag or an MCAP file that was truncated by a crash, a killed process or a full disk.
 
-Every complete chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
+Every undamaged chunk is kept byte for byte. Missing indexes, summary, footer and metadata.yaml are rebuilt.
 A repair in place keeps the original as NAME.mcap.cut (.cut2, ...). A bag that needs no repair is not changed.
 """
 
@@ -235,13 +235,14 @@ def _parse_qos(text: str) -> list[Any]:
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
     """Whether metadata.yaml has the same files, counts by topic and duration; other entries vary between recorders."""
-    expected, found = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
-    counts: Counter[str] = Counter()  # a topic may have two types
-    for topic in information.topics:
-        counts[topic.name] += topic.count
+    documents = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
+    counts: tuple[Counter[str], ...] = Counter(), Counter()  # a topic with two types may have one entry or two
     try:
-        found_counts = {t["topic_metadata"]["name"]: t["message_count"] for t in found["topics_with_message_count"]}
+        for document, count_by_topic in zip(documents, counts, strict=True):
+            for topic in document["topics_with_message_count"]:
+                count_by_topic[topic["topic_metadata"]["name"]] += topic["message_count"]
     except (KeyError, TypeError):
         return False
-    return found_counts == counts and all(
+    expected, found = documents
+    return counts[0] == counts[1] and all(
         found.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))

@@ -173,7 +173,7 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
 
 
 def collect_versions() -> dict[str, str]:
-    """Versions of the suite, of Python and of those libraries on which results depend that are installed."""
+    """Versions of the suite, of Python, and of the installed libraries on which results depend."""
     versions = {"source": source_version(), "python": platform.python_version()}
     for name in ("numpy", "scipy", "mcap", "rosbags", "cantools", "python-can", "ros-jazzy-rclpy"):
         try:
@@ -184,7 +184,7 @@ def collect_versions() -> dict[str, str]:
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
-    """Formats the observed coverage of the bands, one line for each mode; its count is the largest of all models.
+    """Formats the observed coverage of the bands, one line for each mode, with the largest number of scores of a model.
 
     rows: statistics of st_msgs/ErrorSummary.
     """
@@ -195,5 +195,5 @@ def format_band_lines(rows: Sequence[Any]) -> list[str]:
             coverage = ", ".join(f"{row.model} {100 * row.coverage_90:.0f} % | {100 * row.coverage_50:.0f} %"
                                  for row in rows_of_mode)
             count = max(row.n_bands for row in rows_of_mode)
-            lines.append(f"inside the 90 | 50 % band, {mode}: {coverage} of {count}")
+            lines.append(f"inside the 90 | 50 % band, {mode}: {coverage} of {count} scores")
     return lines

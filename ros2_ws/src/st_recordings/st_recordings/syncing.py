@@ -71,8 +71,10 @@ class Syncer:
                 while self._folders:
                     with contextlib.suppress(FileNotFoundError):  # renamed or deleted, which the writer reports
                         descriptor = os.open(self._folders[0], os.O_RDONLY | os.O_DIRECTORY)
-                        os.fsync(descriptor)
-                        os.close(descriptor)
+                        try:
+                            os.fsync(descriptor)
+                        finally:
+                            os.close(descriptor)
                     self._folders = self._folders[1:]
             except OSError as error:
                 self.error = error.strerror or str(error)

@@ -104,7 +104,7 @@ def test_bag_of_any_recorder_gives_the_drive(tmp_path: Path, storage: str) -> No
     check_drive(folder)
     (file,) = bag.storage_files(folder)
     check_drive(file)
-    without_metadata = tmp_path / f"drive{file.suffix}"
+    without_metadata = tmp_path / f"drive #1 %41?{file.suffix}"
     without_metadata.write_bytes(file.read_bytes())
     check_drive(without_metadata)
 

@@ -72,6 +72,14 @@ def save_two_rates(file: Path, columns: Columns) -> None:
                    "can": {"t_ms": 1e3 * columns["t"][::2], **{name: columns[name][::2] for name in STEERING}}})
 
 
+def save_ros_stamps(file: Path, columns: Columns) -> None:
+    stamp = {"sec": columns["t"] // 1.0, "nanosec": 1e9 * (columns["t"] % 1.0)}
+    stamp_of_steering = {name: values[::2] for name, values in stamp.items()}
+    savemat(file, {"odometry": {**stamp, **{name: columns[name] for name in columns if name not in ("t", *STEERING)}},
+                   "steering": {**stamp_of_steering, **{name: columns[name][::2] for name in STEERING}},
+                   "classes": make_struct_array(["label"], [(np.arange(3.0),), (np.arange(3.0),)])})
+
+
 def save_parquet_with_index(file: Path, columns: Columns) -> None:
     pd.DataFrame(columns).set_index("t").to_parquet(file)
 
@@ -86,6 +94,7 @@ def load(file: Path) -> DriveLog:
 @pytest.mark.parametrize(("save", "extension"), [
     (save_flat, ".mat"), (save_nested, ".mat"), (save_milliseconds, ".mat"), (save_simulink, ".mat"),
     (save_control_desk, ".mat"), (save_signal_structs, ".mat"), (save_two_rates, ".mat"),
+    (save_ros_stamps, ".mat"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather")])
 def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,

@@ -43,8 +43,8 @@ class BagDrive:
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     warnings: tuple[str, ...]
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
-    frame: str = ""  # frame_id of the first odometry message
-    unknown: tuple[str, ...] = ()  # "topic (type)" of topics that were not read and that the suite does not publish
+    frame: str = ""  # frame_id of the first odometry message, or of reconstructed odometry
+    unknown: tuple[str, ...] = ()  # "topic (type)" of topics that are not read, nor published by suite or ROS
     origin: tuple[float, float, float] | None = None  # of the map: latitude, longitude [rad], altitude [m]
 
 
@@ -69,19 +69,21 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag contains odometry but no steering topic of the suite; the steering may then be in a CAN log."""
+    """Whether a bag contains odometry, but neither steering nor CAN frames of the suite; the steering may then be in a
+    CAN log."""
     types = _read_types(path)
     return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
 
 
 def is_own_can_log(path: Path) -> bool:
-    """Whether the steering of a bag may be in its own CAN frames, recorded by a bridge of another make."""
-    return lacks_steering(path) and CAN_MSGS_FRAME in _read_types(path)
+    """Whether the steering of a bag may be in its own CAN frames (can_msgs/Frame), recorded by another bridge."""
+    types = _read_types(path)
+    return types >= {ODOMETRY, CAN_MSGS_FRAME} and not types & {STEERING, CAN_FRAMES}
 
 
 def may_carry_steering(topic: Topic) -> bool:
-    """Whether --steering-topic may name a topic: its messages are not odometry, raw data or text, and it is not one of
-    KNOWN_TOPICS."""
+    """Whether --steering-topic may name a topic: its messages are not odometry, raw data or text, and its name does not
+    begin with one of KNOWN_TOPICS."""
     return not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
         ODOMETRY, NCOM, CAN_MSGS_FRAME, CAN_FRAMES, "std_msgs/msg/String")
 

@@ -61,7 +61,7 @@ class Storage(ABC):
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Yields (log time [ns], serialised message) of a topic in the order of the file, or of time for SQLite."""
+        """Yields (log time [ns], serialised message) of a topic in the order of an MCAP file, else in order of time."""
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
@@ -86,8 +86,8 @@ class Storage(ABC):
             yield log_ns, message
 
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
-        """Numeric fields (CdrLayout) of all messages, by topic name and field. Omits topics without messages, with
-        messages of different layouts or, in MCAP, with several publishers."""
+        """Numeric fields (CdrLayout) of all messages, by topic name and field. Omits topics without messages or without
+        one of the fields, with messages of different layouts or, in an indexed MCAP file, with several publishers."""
         uniform = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
@@ -122,7 +122,7 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     """Opens a bag directory or a single storage file. Raises RunError for files of another kind and for a file that was
     not closed or is damaged. files: the parts of a split recording in order, if there are two or more."""
     if len(files) < 2:
-        files = [path] if path.is_file() else storage_files(path)
+        files = storage_files(path) if path.is_dir() else [path]
     for file in files:
         check_readable(file)
     if path.is_dir() and read_information(path).get("compression_mode"):
@@ -212,7 +212,7 @@ def _read_blocks(file: Path, summary: Summary, channels: Collection[int]) -> Ite
 def _query(file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
     """Yields the rows that a query of an SQLite file returns. Raises RunError."""
     try:
-        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
+        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
             yield from database.execute(text, values)
     except sqlite3.Error as error:
         raise RunError(file, f"cannot be read as a bag ({shorten(error)})", "copy it again") from None
@@ -353,7 +353,8 @@ class RosbagsStorage(Storage):
 
 
 class _GatheredFields:
-    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first."""
+    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first, and
+    it contains the fields."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store

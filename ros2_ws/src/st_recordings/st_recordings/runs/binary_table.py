@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..paths import cached_by_version
-from .columns import Layout, find_columns
+from .columns import Layout, find_columns, find_stamp_columns
 from .errors import RunError, shorten
 
 ARROW_EXTENSIONS = (".parquet", ".feather")
@@ -76,8 +76,8 @@ def _read_matlab(file: Path) -> Any:
 
 
 def _join_signals(signals: list[Signal]) -> Any:
-    """Table of the signals. With several time vectors, each time [s] has a row, in which other signals are NaN; without
-    any, the signals of the most frequent length are taken."""
+    """Table of the signals with a time vector. With several time vectors, each time [s] has a row, in which signals of
+    the other vectors are NaN. Without any, the table has the signals of the most frequent length."""
     import pandas as pd
 
     leaves = Counter(signal.path[-1] for signal in signals)
@@ -113,8 +113,10 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
     """Signals in structs, arrays of structs and matrices. times: (name, times) of the surrounding structs."""
     if isinstance(value, dict):
         vectors = [name for name, entry in value.items() if _is_vector(entry)]
-        source = find_columns(Path(), vectors, Layout()).get("t")
+        source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
         own = [(vectors[source.column], value[vectors[source.column]])] if source else []
+        if source and stamp and source.column == stamp[0]:  # seconds and nanoseconds of a ROS stamp
+            own = [("t [s]", own[0][1] + 1e-9 * value[vectors[stamp[1]]])]
         if isinstance(axis := value.get("X"), dict) and _is_vector(axis.get("Data")):
             own.append(("time", axis["Data"]))  # dSPACE ControlDesk
             value = {name: entry for name, entry in value.items() if name != "X"}
@@ -125,8 +127,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
                                      unit if is_sample_field else "", (*own, *times))
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
         for number, entry in enumerate(value, 1):
-            labels = [entry[name] for name in NAME_FIELDS if entry.get(name)] if isinstance(entry, dict) else []
-            yield from _find_signals(entry, (*path[:-1], str(labels[0])) if labels else (*path, str(number)), "", times)
+            labels = [label for name in NAME_FIELDS
+                      if isinstance(entry, dict) and isinstance(label := entry.get(name), str) and label]
+            yield from _find_signals(entry, (*path[:-1], labels[0]) if labels else (*path, str(number)), "", times)
     elif _is_vector(value):
         yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
     elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < value.shape[1] <= MAX_MATRIX_COLUMNS:

@@ -23,7 +23,7 @@ from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreada
 
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
-MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a frame whose time is further from both neighbours has a damaged time
+MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
 MIN_DECREASING_SHARE = 0.2
 """Times in a candump that begins at 0 are relative to the previous frame if more of them decrease, or none changes."""
@@ -163,7 +163,7 @@ def _build_frames(messages: Sequence[can.Message]) -> Frames:
     payload = b"".join([bytes(m.data).ljust(width, b"\0") for m in messages])
     seconds = np.array([m.timestamp for m in messages])
     return Frames(
-        # Microseconds are the finest resolution of these formats; rounding removes the error of float seconds.
+        # Rounding to microseconds removes the error of float seconds since 1970, 0.1 us.
         time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
         id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
         length=np.array([len(m.data) for m in messages], np.uint8),

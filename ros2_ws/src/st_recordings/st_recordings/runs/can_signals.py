@@ -62,8 +62,9 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """Decodes and checks every message of the table.
 
     Frames are checked as by the live decoder (canedge_bridge.decode): length, checksum, counter, range and rate. Of
-    several frames with the same time, only the first is used. If several buses carry the identifier of a message and
-    its frames fail a check when taken together, only the bus with the most usable frames is used.
+    several frames with the same time, only the first can be used. If several buses carry the identifier of a message
+    and its frames fail a check when taken together, only the bus with the most valid frames is used, unless the buses
+    together have more.
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
@@ -190,7 +191,7 @@ def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:
-    """Loads a DBC and its signal table. Raises RunError if a file is missing or the two contradict each other."""
+    """Loads a DBC and its signal table. Raises RunError if a file is missing or invalid, or they do not match."""
     for file, option in ((table, "--signals"), (dbc, "--dbc")):
         if not file.is_file():
             raise RunError(file, "the file does not exist, and a CAN log cannot be decoded without it",

@@ -115,11 +115,11 @@ class CdrLayout:
     """Byte layout of the messages of one type that have the strings and sequence lengths of an example.
 
     template: the serialised example. fields: path, such as "pose.pose.position.x" -> position of the number. A time is
-    one field ("header.stamp"): nanoseconds in columns, sec and nanosec in the message.
+    one field of two numbers, sec and nanosec; if its path ends with "stamp", its column contains nanoseconds instead.
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
-        """Raises ValueError for a type with wide strings, which no message of the suite has."""
+        """Raises an exception of rosbags for a type with wide strings, which no message of the suite has."""
         self._store = store
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
@@ -166,7 +166,7 @@ class CdrLayout:
     def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Serialises n messages to (n, length) uint8; fields without a column have the values of the example.
 
-        columns: path -> (n,) or (n, count); times in ns.
+        columns: path -> (n,) or (n, count); stamps in ns.
         """
         rows = np.repeat(self.template[None, :], n, axis=0)
         for path, given in columns.items():
@@ -178,7 +178,7 @@ class CdrLayout:
         return rows
 
     def column(self, buffer: np.ndarray, starts: np.ndarray, path: str) -> np.ndarray:
-        """One field of the messages that begin at `starts` in a uint8 buffer: (n,) or (n, count); times in ns."""
+        """One field of the messages that begin at `starts` in a uint8 buffer: (n,) or (n, count); stamps in ns."""
         field = self.fields[path]
         windows = np.ndarray((max(len(buffer) - field.width + 1, 0), field.width), np.uint8, buffer.data, 0, (1, 1))
         values = windows[starts + field.offset].view(field.dtype)
@@ -195,7 +195,7 @@ class CdrLayout:
 
 
 def get_field(message: Any, path: str) -> Any:
-    """Gets the field of a deserialised message at a path; times in ns."""
+    """Gets the field of a deserialised message at a path; a stamp in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
@@ -218,8 +218,8 @@ class Block:
 def read_summary(path: Path) -> Summary | None:
     """Reads channels, schemas and chunk indexes of an MCAP file that was closed.
 
-    Returns None for a file without a complete index: truncated, not MCAP, or written without message indexes or without
-    channels and schemas in its summary.
+    Returns None for a file without a complete index: truncated, not MCAP, without chunks, or written without message
+    indexes or without statistics, channels or schemas in its summary.
     """
     try:
         with path.open("rb") as stream:
