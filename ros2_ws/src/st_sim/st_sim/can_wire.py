@@ -17,7 +17,7 @@ VEHICLE_BUS, INS_BUS = 1, 2  # CANedge channels of the car and of the INS; on a 
 FRAME_TIME = 0.00025  # s, duration of a frame at 500 kbit/s; frames of one encoder call are sent at this interval
 CAR_CAN_RATE = 1750  # frames per second on the Car-CAN of a Leaf, counted in a recording with 52 identifiers
 
-# Periods [ms] of other identifiers in that recording, which `--can-rate full` sends with random data.
+# Periods [ms] of the most frequent other identifiers in that recording, which `--can-rate full` sends in addition.
 _BACKGROUND = {
     **dict.fromkeys((0x174, 0x176, 0x180, 0x182, 0x1CA, 0x1CB, 0x1D5, 0x1D6, 0x215, 0x216, 0x245, 0x260), 10),
     **dict.fromkeys((0x280, 0x292, 0x2DE, 0x300), 20),
@@ -95,9 +95,9 @@ class CanWire:
 
 
 class BackgroundTraffic:
-    """Other frames of the Car-CAN, for a realistic load on filters and queues.
+    """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues.
 
-    Together with the decoded frames (about 217 per second) they add up to CAR_CAN_RATE; INS frames are additional.
+    1540 per second; with the 217 encoded by CanWire, about CAR_CAN_RATE. INS frames are additional.
     """
 
     def __init__(self, seed: int):
@@ -106,12 +106,6 @@ class BackgroundTraffic:
         for index, (identifier, period) in enumerate(_BACKGROUND.items()):
             message = can.Message(arbitration_id=identifier, is_extended_id=False, data=generator.bytes(8))
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
-        decoded = 100 + 2 * 50 + 1000 / 60  # per second: steering, wheel speeds, gear
-        listed = sum(1000 / period for period, _, _ in self._frames)
-        # The recording has more identifiers; additional frames of the most frequent ones replace them.
-        frequent = [frame for period, _, frame in self._frames if period == 10]
-        extra = max(0, round((CAR_CAN_RATE - decoded - listed) / 100))
-        self._frames += [(10, i % 10, frequent[i % len(frequent)]) for i in range(extra)]
 
     def select_frames(self, millisecond: int) -> list[Frame]:
         """The frames sent in a millisecond of the drive."""

@@ -70,9 +70,9 @@ def read_car(file: str | Path) -> Car:
     if not isinstance(document, Mapping):
         raise SimulationError(f"{path}: expected lines `key: value`")
     values = {key: _read_number(document, key, path, "") for key in _CAR_KEYS}
-    for key in ("mass", "yaw_inertia", "wheelbase", "cornering_stiffness_front", "cornering_stiffness_rear"):
-        if not values[key] > 0:
-            raise SimulationError(f"{path}: {key}: {values[key]:g} is not above 0")
+    for key, value in values.items():
+        if value <= 0 and key not in ("cg_height", "cg_to_ins_x", "cg_to_ins_y", "steering_wheel_offset"):
+            raise SimulationError(f"{path}: {key}: {value:g} is not above 0")
     front_load = values["mass"] * GRAVITY * (values["wheelbase"] - values["cg_to_front_axle"]) / values["wheelbase"] / 2
     rear_load = values["mass"] * GRAVITY * values["cg_to_front_axle"] / values["wheelbase"] / 2
     return Car(name=str(document.get("name", path.stem)),

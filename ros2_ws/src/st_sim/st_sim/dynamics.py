@@ -11,7 +11,7 @@ from .car import GRAVITY, TRACK_WIDTH, Car, Tyre
 from .settings import Settings
 
 AIR_DENSITY = 1.2  # kg/m^3
-SIDE_AREA = 2.5  # m^2, side force coefficient (about 0.5) times the Leaf's side area (4.7 m^2)
+SIDE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's side area (4.7 m^2)
 WIND_ARM = 0.25  # m, distance of the side force of the wind ahead of the CG
 BRAKE_SHARE_FRONT = 0.65  # fraction of the brake force at the front axle
 ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front axle
@@ -36,7 +36,7 @@ TyreCoefficients = tuple[float, ...]
 
 class Constants(NamedTuple):
     """Parameters of the equations of motion [SI]; see SETTINGS. to_front, to_rear: from the CG to each axle. ackermann:
-    half the left minus right front wheel angle / squared sine of their mean. max_relaxation_rate: limit for a stable
+    (left - right front wheel angle) / 2 / squared sine of their mean. max_relaxation_rate: limit for a stable
     integration [1/s]. transfer_x: load change of one wheel per a_x, transfer_y: of both wheels of a side per a_y [kg].
     static_front, static_rear: static load of one wheel [N]."""
 

@@ -74,7 +74,7 @@ class NcomWire:
         self._status = StatusChannels(origin, rate)
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72-byte packet of one epoch; values that the navigation status does not provide are marked invalid."""
+        """The 72-byte packet of one epoch; values that the status does not provide are invalid, time and position 0."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)

@@ -113,8 +113,9 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """DBC and signal table of the Leaf; the virtual car sends the Leaf's messages with every vehicle file.
 
-    They are searched for next to the vehicle file (with --config, only if they are in it), then in --config; without
-    --config, in the config folders above the vehicle file, of the checkout, and of the current folder and its parents.
+    They are searched for in the folder of the vehicle file (with --config, only if that contains it), then in --config;
+    without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the current
+    folder and its parents.
     """
     vehicle, config = options.vehicle, options.config and options.config.resolve()
     roots = [Path(os.environ.get("ST_ENVIRONMENT") or Path.cwd()), Path.cwd(), *Path.cwd().parents]

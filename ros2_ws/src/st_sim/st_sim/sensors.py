@@ -22,8 +22,9 @@ MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
 class InsReading:
     """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI].
 
-    stamp: reported time since the start [s]. roll: right side down +, pitch: nose up +. rates: about x, y, z.
-    specific_force: along x, y, z, gravity included; at rest +9.81 along z.
+    stamp: reported time since the start [s]. velocity_x: along the road, also sent as the horizontal speed (0.5 % too
+    much on a grade of 0.1 rad). velocity_z: up +. roll: right side down +, pitch: nose up +. rates: about x, y, z.
+    specific_force: along x, y, z, gravity included; at rest on level ground +9.81 along z.
     """
 
     stamp: float
@@ -40,9 +41,9 @@ class InsReading:
     specific_force: tuple[float, float, float]
 
 
-# Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. The errors of an RT3000
-# v3 with RTK are 0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch; they vary slowly because its filter
-# smooths them. The white noise of rates and forces is vibration caused by the road.
+# Standard deviations of white and slow noise [SI], and correlation time of the slow noise [s]. About half the specified
+# accuracy of an RT3000 v3 with RTK (0.01 m, 0.014 m/s, 0.1 deg in heading, 0.03 deg in roll and pitch); errors vary
+# slowly because its filter smooths them. The white noise of rates and forces is vibration caused by the road.
 NOISE = {
     **dict.fromkeys(("x", "y"), (0.001, 0.006, 60.0)), "z": (0.002, 0.012, 60.0),
     **dict.fromkeys(("velocity_x", "velocity_y"), (0.002, 0.005, 20.0)), "velocity_z": (0.003, 0.007, 20.0),

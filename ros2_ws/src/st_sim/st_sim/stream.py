@@ -21,7 +21,7 @@ from .settings import Settings, SimulationError
 
 Source = SimulatedCar | RecordedDrive
 TICK_MS = 2
-# Period and phase [ms]; the control units of the car are not synchronous with the INS.
+# Period and phase [ms]; the phases differ, as without a common clock.
 TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
 EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
@@ -188,7 +188,7 @@ def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_f
     for output in outputs:
         deadline = time.monotonic() if started is None else started + output.due
         wait = deadline - time.monotonic()
-        # Only frames may be sent early: a packet must not arrive before its time of measurement.
+        # A packet must not arrive before its time of measurement.
         if wait > (0.0 if isinstance(output.payload, bytes) else EARLY_TOLERANCE):
             time.sleep(wait)
         if stop_requested():
