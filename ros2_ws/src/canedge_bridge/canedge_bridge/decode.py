@@ -34,7 +34,7 @@ class DecodedFrame:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. implausible: without
+    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. implausible: excludes
     plausible frames that are withheld. dropped: failed in mode `drop`. lost: missing by the counter. last_seen_ns: time
     of the last good frame with signals, or None."""
 

@@ -60,7 +60,8 @@ class ReceiverStatus:
 class Receiver:
     """Calls `on_frame(frame, time_ns)` in its own thread for every frame, including error and remote frames.
 
-    open_bus: opens the bus; called again after a failure to open or read it: after 0.1 s, doubled each time up to 5 s.
+    open_bus: opens the bus; called again after a failure to open or read it (except ENETDOWN when reading). The delay
+    is 0.1 s at first, and doubles with each failure up to 5 s.
     on_state(state, reason): called in the same thread at every change of state or reason.
     silence: seconds without a data or remote frame after which an open bus counts as silent.
     network_interface: monitored, because not every socket reports that its interface is down or removed; empty for a

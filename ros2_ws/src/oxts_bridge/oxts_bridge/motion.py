@@ -100,7 +100,7 @@ class Origin:
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
         """The map frame, chosen now if not before; None while waiting for the unit's local frame.
 
-        now_ns: time on any clock [ns]; a step back ends the wait.
+        now_ns: time on any clock [ns]; a step back to before the wait ends it.
         """
         if self.frame is not None:
             return self.frame

@@ -93,7 +93,7 @@ def test_minute_is_known_after_a_short_interruption_over_a_wrap():
     assert clock.jumps == 0
 
 
-def test_step_longer_than_the_time_of_reception_is_a_jump():
+def test_step_longer_than_the_pause_of_reception_is_a_jump():
     clock = GpsClock()
     feed(clock, (1000, MINUTE, 0), (6000, None, SECOND // 100))
     assert clock.jumps == 1

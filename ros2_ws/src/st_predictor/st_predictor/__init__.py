@@ -1,1 +1,1 @@
-"""Predictor, evaluator and recorder nodes and the launch files of the suite."""
+"""The nodes predictor, evaluator, recorder, identifier and markers, and the launch files of the suite."""

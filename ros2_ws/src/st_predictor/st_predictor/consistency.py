@@ -1,4 +1,4 @@
-"""Checks the newest measurements for consistency with `st_core.checks`, for /diagnostics."""
+"""Checks the consistency of the newest measurements by means of `st_core.checks`, for /diagnostics."""
 
 import math
 import time

@@ -109,6 +109,7 @@ class IdentifierNode(Node):
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")
 
     def _find_file_value(self, estimate: OnlineEstimate) -> float:
+        """Value in the vehicle file; 1 for the stiffness scale, which is relative to the file."""
         return float(getattr(self._vehicle, estimate.parameter, 1.0))
 
     def _make_checks(self) -> list[Check]:
@@ -132,7 +133,7 @@ class IdentifierNode(Node):
         if self._problem:
             checks.append(Check("vehicle file", diagnostics.WARN, f"{self._problem}; the previous values are kept"))
         else:
-            text = "changed, and the estimates were reset" if self._resets else "as at the start"
+            text = "changed, and the estimates were reset" if self._resets else "unchanged since the start"
             checks.append(Check("vehicle file", diagnostics.OK, text, {"resets": self._resets}))
         return checks
 
