@@ -77,8 +77,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     # Removing the mean first keeps the rounding errors of the transforms far below the sums.
     f, g = (np.where(s.known, s.values - (s.values[s.known].mean() if s.known.any() else 0.0), 0.0)
             for s in (reference, other))
-    total = len(f) + len(g) - 1
-    size = next_fast_len(total, real=True)
+    size = next_fast_len(len(f) + len(g) - 1, real=True)
     f_hat, mask_f_hat = rfft(f, size), rfft(mask_f, size)
     g_hat, mask_g_hat = np.conj(rfft(g, size)), np.conj(rfft(mask_g, size))
 
@@ -129,8 +128,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
-    independent residuals. A weak prior (100 ppm) limits the drift. free_drift: if False, the drift is not fitted.
-    Raises ValueError if a signal has less than 2 s in common, or if the signals do not vary.
+    independent residuals. A weak prior (100 ppm) limits the drift. Raises ValueError if a signal has less than 2 s in
+    common, or if the signals do not vary.
     """
     splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
     parameters = np.array([offset, drift])
@@ -242,8 +241,7 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
-    The second is over PEAK_DISTANCE from the first, beyond a valley; its correlation is 0 if there is none. None if no
-    correlation in the span is positive.
+    The second is over PEAK_DISTANCE from the first, beyond a valley, or has correlation 0. None if none is positive.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:

@@ -37,10 +37,8 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     """The drive with heading and velocities of steady cornering; unchanged if it has velocity_y or little sideslip, or
     if its yaw is a heading."""
-    if log.velocity_y.any() or len(log.ins_time_ns) < 3:
-        return log
     fast = log.velocity_x > MIN_SPEED
-    if not fast.any():
+    if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not fast.any():
         return log
     steady = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
     angle = np.arctan2(steady_velocity_y(steady, vehicle), np.maximum(log.velocity_x, MIN_SPEED))

@@ -22,7 +22,7 @@ class GridBlock:
 
     number: int
     rows: slice  # starts in the block
-    start_columns: np.ndarray  # (rows,), column of each start
+    start_columns: np.ndarray  # (starts,), column of each start
     starts_ns: np.ndarray  # (count,), start of each column
     times_ns: np.ndarray  # instants to sample, (m,) if shared, else (instants, columns)
     offsets: np.ndarray  # instant k of column i is element `offsets[k] + i` of a row of the table
@@ -122,13 +122,12 @@ def _join_pieces(number: int, pieces: list[_Piece], instants_ns: np.ndarray, lan
     count = int(first[-1]) - (len(instants_ns) - 1) // spacing
     columns = _round_up(count, lanes)
     width[-1] += columns - count
-    indices = sum(width)
     times = [piece.origin_ns + half * np.arange(w * spacing) for piece, w in zip(pieces, width, strict=True)]
     starts = np.concatenate([t[::spacing] for t in times])[:count]
     start_columns = np.concatenate([piece.column + f for piece, f in zip(pieces, first, strict=False)])
     k = np.arange(len(instants_ns))
     return GridBlock(number, slice(pieces[0].rows.start, pieces[-1].rows.stop), start_columns, starts,
-                     np.concatenate(times), (k % spacing) * indices + k // spacing, columns, spacing)
+                     np.concatenate(times), (k % spacing) * sum(width) + k // spacing, columns, spacing)
 
 
 def _round_up(count: int, lanes: int) -> int:

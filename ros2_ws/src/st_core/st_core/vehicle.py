@@ -203,8 +203,7 @@ class VehicleParameters:
 
         Stated in the file and > 0, else from DEFAULT_UNCERTAINTIES; None if neither contains it, or if it is 0.
         """
-        entry = self.provenance.get(key)
-        if entry is not None and entry.uncertainty:
+        if (entry := self.provenance.get(key)) and entry.uncertainty:
             return entry.uncertainty
         if (default := DEFAULT_UNCERTAINTIES.get(key)) is None:
             return None

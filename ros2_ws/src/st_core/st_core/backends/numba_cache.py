@@ -25,10 +25,10 @@ from numba.core.registry import cpu_target
 KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted: each edit of an equation adds one
 
 
-def enable_cache(kernel, fingerprint: str) -> Path | None:
+def enable_cache(kernel, identity: str) -> Path | None:
     """Enable the cache of a kernel before its compilation; delete unused kernels. Returns its folder, or None."""
     files = sorted(Path(__file__).parent.glob("*.py"))
-    parts = (fingerprint, numba.__version__, np.__version__, platform.python_version(),
+    parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
              *(hashlib.sha256(file.read_bytes()).hexdigest() for file in files))
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
