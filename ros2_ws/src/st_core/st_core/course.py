@@ -99,7 +99,7 @@ class Course:
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame, in which the old origin is at (east, north) [m].
+        """The course in a parallel map frame, in which `origin`, which is not changed, is at (east, north) [m].
 
         Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
         """

@@ -237,8 +237,8 @@ def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameter
         columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
-            if (ahead := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
-                inputs[:, k] = ahead.road_wheel_angle, ahead.velocity_x_dot, ahead.signals[SLIP_FREE]
+            if (future := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
+                inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE]
         return tuple(inputs)
 
     return predict_inputs

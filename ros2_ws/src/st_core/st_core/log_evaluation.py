@@ -361,7 +361,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """All bins that are not empty; a start with unknown conditions (NaN) is in no bin."""
+    """All bins that are not empty; starts with unknown conditions (NaN) are in none, reversing in none of speed."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [

@@ -230,19 +230,19 @@ class Predictor:
         problem = find_plan_problem(plan, start.time_ns, start.state, start.inputs, settings.horizon, self.vehicle)
         return problem or plan.sequence(start.time_ns, settings.steps, settings.step)
 
-    def run(self, start: Start, model: str, ahead: InputSequence | None = None) -> Trajectory:
+    def run(self, start: Start, model: str, future_inputs: InputSequence | None = None) -> Trajectory:
         """The trajectory of one model from a start, at the CG of the model (`car`).
 
-        ahead: inputs on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: held inputs.
+        future_inputs: on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: held inputs.
         """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
         view, settings = self._views[model], self.settings
         state, inputs = (view.read_start(start.time_ns, settings.steps, settings.step) if view.is_augmented
                          else (start.state, start.inputs))
-        if ahead is not None:
+        if future_inputs is not None:
             steering = self.history.steering
-            inputs = apply_steering_dynamics(view.model, ahead, start.time_ns, settings.step, steering.times,
+            inputs = apply_steering_dynamics(view.model, future_inputs, start.time_ns, settings.step, steering.times,
                                              steering.rows[:, 0], settings.maximum_gap)
         if model in self._runners:
             return self._runners[model](state, inputs)

@@ -68,24 +68,24 @@ def has_steering_dynamics(model: Model) -> bool:
     return isinstance(model, AugmentedModel) and model.has_steering_dynamics
 
 
-def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, ahead: np.ndarray,
+def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, future: np.ndarray,
                          maximum_gap: float) -> np.ndarray:
-    """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `ahead` (m,) [rad].
+    """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `future` (m,) [rad].
 
     time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, which the
     wheels still follow with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):
-        return ahead
+        return future
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
     # The samples are at most half of maximum_gap apart, because the effects restart after a gap.
     parts = max(1, -(-2 * spacing // gap_ns))
-    finer, whole = np.arange(parts * (len(ahead) - 1) + 1) / parts, np.arange(len(ahead))
+    finer, whole = np.arange(parts * (len(future) - 1) + 1) / parts, np.arange(len(future))
     after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
     beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * required_lookahead_ns(model) // spacing)
     steering_ns = np.concatenate((time_ns[before], after, beyond))
-    steering = np.concatenate((angle[before], np.interp(finer, whole, ahead), np.full(len(beyond), ahead[-1])))
+    steering = np.concatenate((angle[before], np.interp(finer, whole, future), np.full(len(beyond), future[-1])))
     return interpolate(*correct_steering(model, steering_ns, steering, maximum_gap), grid_ns, gap_ns)
 
 

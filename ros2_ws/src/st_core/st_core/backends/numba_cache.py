@@ -78,16 +78,16 @@ def _list_base_folders() -> Iterator[Path]:
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
 
 
-def find_reachable(function: FunctionType, stop: frozenset[str] = frozenset()) -> list[FunctionType]:
+def find_reachable(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    They are found by the names in its code and closure, attributes of modules included. stop: modules to exclude.
+    They are found by the names in its code and closure, attributes of modules included. excluded: modules to exclude.
     """
     reachable: list[FunctionType] = []
     seen: set[FunctionType] = set()
 
     def collect(function: FunctionType) -> None:
-        if function in seen or function.__module__ in stop:
+        if function in seen or function.__module__ in excluded:
             return
         seen.add(function)
         for _, value in find_references(function):
@@ -122,13 +122,13 @@ class UnhashableError(Exception):
     """A value without a representation that is the same in every process."""
 
 
-def fingerprint(function: FunctionType, stop: frozenset[str] = frozenset()) -> str:
+def fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
     The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
     """
     digest = hashlib.sha256()
-    functions = find_reachable(function, stop)
+    functions = find_reachable(function, excluded)
     number = {f: str(i) for i, f in enumerate(functions)}
     describe = partial(_describe_value, number=number)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):

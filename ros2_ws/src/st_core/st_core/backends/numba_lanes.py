@@ -33,7 +33,7 @@ from .numba_ops import FLAGS, inline
 LANES = 48
 INTERLEAVE = 3  # vectors
 CACHE_LINE = 64  # bytes
-STOP = frozenset((ops.__name__,))  # modules with functions that are compiled by `numba_ops`
+EXCLUDED_MODULES = frozenset((ops.__name__,))  # modules with functions that are compiled by `numba_ops`
 
 _compiled: dict[Any, Any] = {}
 _inlined: set = set()
@@ -93,7 +93,7 @@ def _collect_numbers(p: tuple, numbers: list[float]) -> tuple:
 def _compile(model: Model, type_of_p, fields: int, states: int):
     kernel = make_kernel(model, type_of_p, fields, states)
     try:
-        fingerprint = numba_cache.fingerprint(cast(FunctionType, model.rhs), STOP)
+        fingerprint = numba_cache.fingerprint(cast(FunctionType, model.rhs), EXCLUDED_MODULES)
         numba_cache.enable_cache(kernel, f"{fingerprint} {type_of_p} {fields} {states}")
     except numba_cache.UnhashableError:
         pass  # not cached: compiled in every process
@@ -110,7 +110,7 @@ def _compile(model: Model, type_of_p, fields: int, states: int):
 
 def make_kernel(model: Model, type_of_p, fields: int, states: int):
     """The kernel of a model, not compiled yet, for the numba type of its parameters."""
-    for function in numba_cache.find_reachable(cast(FunctionType, model.rhs), STOP):
+    for function in numba_cache.find_reachable(cast(FunctionType, model.rhs), EXCLUDED_MODULES):
         if function not in _inlined:
             _inlined.add(inline(function))
     return _define_kernel(model.rhs, _make_parameter_reader(type_of_p), _make_loader(fields), _make_loader(states),
