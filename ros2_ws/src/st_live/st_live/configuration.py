@@ -80,7 +80,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
 
 def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfiguration,
                            model: Path | None = None) -> dict[str, dict[str, Any]]:
-    """Parameters of REPLAY_NODES: those of config/nodes.yaml, updated with the recorded ones.
+    """Parameters of REPLAY_NODES: of config/nodes.yaml, updated with the recorded ones of predictor and evaluator.
 
     model: model file to use instead of the one named in the recording, which may have moved or changed.
     """

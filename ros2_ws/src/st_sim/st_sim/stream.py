@@ -132,7 +132,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts of a real-time run. late: outputs later than LATE_THRESHOLD. worst_delay: after the deadline [s]."""
+    """Counts. can_errors: frames not sent. late: sent after LATE_THRESHOLD. worst_delay: after the deadline [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
