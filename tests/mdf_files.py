@@ -30,7 +30,7 @@ class LogFrame:
 
 
 @dataclass
-class _File:
+class MdfFile:
     content: bytearray = field(default_factory=bytearray)
 
     def block(self, name: bytes, links: Sequence[int], data: bytes) -> int:
@@ -48,13 +48,13 @@ class _File:
         struct.pack_into("<Q", self.content, block + 24 + 8 * number, target)
 
 
-def _channel(file: _File, name: str, kind: int, data_type: int, byte: int, bit: int, bits: int, composition: int = 0,
+def _channel(file: MdfFile, name: str, kind: int, data_type: int, byte: int, bit: int, bits: int, composition: int = 0,
              conversion: int = 0) -> int:
     data = struct.pack("<BBBBIIIIBBH6d", kind, kind == MASTER, data_type, bit, byte, bits, 0, 0, 0, 0, 0, *[0.0] * 6)
     return file.block(b"##CN", (0, composition, file.text(name), 0, conversion, 0, 0, 0), data)
 
 
-def _members(file: _File, extended: bool) -> int:
+def _members(file: MdfFile, extended: bool) -> int:
     """Members of CAN_DataFrame, in the record: time 0-5, id 6-9, DLC 10, length 11, direction 12, payload 13-20."""
     rows = (("ID", UNSIGNED, 6, 29 if extended else 11), ("DLC", UNSIGNED, 10, 4), ("DataLength", UNSIGNED, 11, 7),
             ("Dir", UNSIGNED, 12, 1), ("DataBytes", BYTES, 13, 64))
@@ -69,7 +69,7 @@ def _members(file: _File, extended: bool) -> int:
 
 def write_layout_2(path: Path, start_ns: int, frames: Sequence[LogFrame]) -> Path:
     """Records in the order given. start_ns: of the session, whole seconds in real files."""
-    file = _File(bytearray(64))
+    file = MdfFile(bytearray(64))
     file.content[:32] = struct.pack("<8s8s8s4xHxx", b"UnFinMF ", b"4.11    ", b"CE      ", 411)
     struct.pack_into("<H", file.content, 60, 0x25)
     header = file.block(b"##HD", [0] * 6, struct.pack("<QhhBBBBdd", start_ns, 0, 0, 0, 0, 0, 0, 0.0, 0.0))

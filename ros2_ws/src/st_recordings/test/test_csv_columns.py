@@ -279,7 +279,7 @@ def test_channel_with_mostly_missing_values_causes_a_warning(tmp_path: Path) -> 
     assert "steering_wheel_angle (column swa) has no number in more than half of the rows; the road wheel" in warnings
     assert drive.log.acceleration_x is None and drive.log.steering_wheel_angle is None
     assert (len(drive.log.x), len(drive.log.road_wheel_angle)) == (20, N)
-    with pytest.raises(RunError, match="it contains fewer than two usable rows: y has no number in 59 of 60"):
+    with pytest.raises(RunError, match="it contains fewer than two usable rows: y has no number in 59 of 60 rows"):
         read_csv(replace_cells(file, {(k, 2): "n/a" for k in range(59)}))
 
 

@@ -107,18 +107,20 @@ def test_signal_that_the_file_lacks_is_refused_by_its_name(drive, tmp_path):
 
 
 def test_names_of_repeated_and_decoded_signals(tmp_path):
-    """The longer of two signals, no unit twice, times before the trigger, and a comment as in decoded CAN logs."""
+    """The longer of two signals, no unit twice, times before the trigger, a boolean with gaps, and a comment as in
+    decoded CAN logs."""
     with MDF() as mdf:
         mdf.start_time = datetime.fromtimestamp(0, UTC)
         mdf.append([Signal(np.ones(2), np.arange(2.0), name="YawRate", unit="deg/s")])
+        mdf.append([Signal(np.ones(1, bool), np.array([2.0]), name="yaw")])
         mdf.append([Signal(np.arange(5.0), np.arange(5.0) - 0.01, name="YawRate", unit="rad/s"),
                     Signal(np.arange(5.0), np.arange(5.0) - 0.01, name="x [m]", unit="m",
                            comment="CAN2.CAN_DataFrame.ID=0x2")])
         file = mdf.save(tmp_path / "decoded.mf4")
     assert is_signal_table(file)
     names, body = read_signals(file, Layout(units={"t": "s"}), [])
-    assert names == ["t [s]", "YawRate [rad/s]", "x [m]"]
-    assert body.splitlines()[0] == "-0.010000,0,0"
+    assert names == ["t [s]", "YawRate [rad/s]", "yaw", "x [m]"]
+    assert body.splitlines()[:4:3] == ["-0.010000,0,nan,0", "2.000000,nan,1,nan"]
 
 
 def test_logs_of_frames_remain_can_logs(tmp_path):

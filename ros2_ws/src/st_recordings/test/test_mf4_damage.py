@@ -6,7 +6,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from mdf_files import LogFrame, write_layout_2
+from mdf_files import LogFrame, MdfFile, write_layout_2
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.mf4 import read_mf4
 from support import GOLDEN_DATA
@@ -105,3 +105,18 @@ def test_payload_offset_outside_the_file_is_refused(tmp_path, offset):
     file.write_bytes(content)
     with pytest.raises(RunError, match="the payload offsets in its frames are invalid"):
         read_mf4(file)
+
+
+def test_truncated_file_with_two_unsorted_groups_is_read_to_its_last_frame(tmp_path):
+    content = bytearray(REAL.read_bytes())
+    group = read_link(content, 64, 0)
+    records = read_link(content, group, 2)
+    file = MdfFile(content[:records])
+    first_records = file.block(b"##DT", (), bytes(4))
+    channels = file.block(b"##CG", (0, 0, file.text("x"), 0, 0, 0), struct.pack("<QQHH4xII", 0, 1, 0, 0, 3, 0))
+    file.link(64, 0, file.block(b"##DG", (group, channels, first_records, 0), struct.pack("<B7x", 1)))
+    file.link(group, 2, len(file.content))
+    truncated = tmp_path / "log.MF4"
+    truncated.write_bytes(file.content + content[records:-5])
+    log = read_mf4(truncated)
+    assert len(log.frames) == 261 and "the file ends in the middle of a frame" in log.warnings[0]

@@ -164,8 +164,8 @@ def _describe_missing_before(file: Path) -> str:
     """A note on files missing before this one (drive_1, drive_3); empty if none is, or the time gap does not fit."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
-               and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdigit()}
-    before = max((k for k in numbers if number.isdigit() and k < int(number)), default=None)
+               and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
+    before = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
     if before is None or (count := int(number) - before - 1) == 0:
         return ""
     earlier, own = read_time_span(numbers[before]), read_time_span(file)

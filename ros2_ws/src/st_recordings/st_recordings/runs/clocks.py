@@ -15,7 +15,7 @@ INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to 
 WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
 # Standard deviation of longitudinal slip divided by acceleration [s^2/m], which shifts a wheel speed in time by this
 # value times the speed. The ratio is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
-WHEEL_SLIP = 0.002
+WHEEL_SLIP_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the DBC describes no INS frames of this log (RT_..., as in the rt.dbc that `st car new` writes)"
@@ -97,7 +97,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
     if speed is not None:
         values = _mask_ins_standstill(ins, np.abs(velocity_x))
         delay, deviation = WHEEL_SPEED
-        slip = WHEEL_SLIP * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        slip = WHEEL_SLIP_DEVIATION * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
         return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
                 f"{NO_INS_FRAMES}: aligned by the vehicle or wheel speed with an assumed delay of "

@@ -29,8 +29,8 @@ COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
-MIN_DISTANCE_SAMPLES = 20
-"""Minimum number of samples for comparing the distance between positions with the integrated speed."""
+MIN_COMPARED_SAMPLES = 20
+"""Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
 AGREEING_ANGLE, OTHER_ANGLE = 0.1, 0.3
 """[rad]. A heading and a course agree if their median difference, due to sideslip and noise, is smaller than the first
 limit; above the second, the heading has another unit or direction."""
@@ -86,7 +86,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
         reason = ""
         if missing:
             worst = max(missing, key=lambda name: missing[name])
-            reason = f": {worst} has no number in {missing[worst]} of {len(table.time_ns) + table.rows_without_time}"
+            total = len(table.time_ns) + table.rows_without_time
+            reason = f": {worst} has no number in {format_share(missing[worst], total, 'rows')}"
             if column := next((name for name in (worst, COMPUTED_FROM.get(worst, "")) if name in table.texts), ""):
                 raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
                                f"no numbers, but text such as {table.texts[column]!r}", "export it as plain numbers")
@@ -114,8 +115,8 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS, yaw_scale: float = 1.0) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
 
-    needed: channels that every sample has; so is yaw if the table has it. Other channels may contain NaN. yaw_scale: as
-    for `build_drive`.
+    needed: channels with a number in every sample; yaw is also one of them if the table has it. Other channels may
+    contain NaN. yaw_scale: as for `build_drive`.
     """
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
@@ -158,7 +159,7 @@ def _missing_in_header(file: Path, needed: Sequence[str] = ("t", *INS_SIGNALS, R
 def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
                           completed: bool = True) -> list[str]:
     """Finds the needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may
-    derive them."""
+    derive velocity_y and yaw_rate."""
     channels = set(sources)
     if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
         channels.add("yaw")
@@ -174,7 +175,7 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: 
 
 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
-    """Raises RunError for missing columns. can: line of a run.yaml for CAN logs, as part of the advice."""
+    """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = find_missing_channels(table.sources, table.names, ("t", *needed))
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
@@ -202,10 +203,11 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
 
 
 def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
-    """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]).
+    """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]; None if the table
+    has x and y, or no fix).
 
-    Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity or
-    from the course; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
+    Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity,
+    or as `_complete_motion`; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
     """
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
@@ -253,7 +255,7 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
     source = table.sources[channel]
     cells = table.columns[channel] / source.factor
     rows = table.used & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
-    if rows.sum() < MIN_DISTANCE_SAMPLES:
+    if rows.sum() < MIN_COMPARED_SAMPLES:
         return
     errors: dict[tuple[str, str], float] = {}
     for unit in ("rad", "deg"):
@@ -279,7 +281,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
         columns["velocity_x"]))
     time = (table.time_ns[rows] - table.time_ns[:1]) * 1e-9
-    if len(rows) < MIN_DISTANCE_SAMPLES:
+    if len(rows) < MIN_COMPARED_SAMPLES:
         return
     step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
     speed = np.abs(columns["velocity_x"][rows])
@@ -313,8 +315,8 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate,
-    among channels of similar rate those rows in which most channels have numbers.
+    """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
+    Of several channels with a similar rate, this is the one in whose rows the most channels have numbers.
 
     Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
     in the other channels, are not filled.
@@ -377,7 +379,8 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
 
 
 def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Adds missing channels: velocity_y from the course, or else 0, and the yaw rate as the derivative of yaw."""
+    """Adds missing channels: velocity_y from speed and course (velocity_x is then the forward component), or else 0,
+    and the yaw rate as the derivative of yaw."""
     if not columns.keys() >= {"velocity_x", "yaw"}:
         return
     if "velocity_y" not in columns:
@@ -393,7 +396,8 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions that have a lower rate than the rows and are repeated until the next measurement."""
+    """Interpolates positions that have a lower rate than the rows and are repeated until the next measurement, and
+    extrapolates them after the last measurement."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))
@@ -440,8 +444,8 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
                      steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
-    """Chooses the steering channels to read; computes the road wheel angle if there is only the steering wheel angle.
-    Raises RunError if this needs a vehicle file."""
+    """Chooses the steering channels to read, applies the sign of an option, and computes the road wheel angle if there
+    is only the steering wheel angle. Raises RunError if this lacks a vehicle."""
     if steering is not None and not steering.topic:
         named, other = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
         columns[named] = steering.sign * columns[named]

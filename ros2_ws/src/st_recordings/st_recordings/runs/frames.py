@@ -21,7 +21,7 @@ _LENGTH = Struct("<I")
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames in order of time, one row per frame."""
+    """CAN frames, one row per frame; in order of time after `merge_by_time`."""
 
     time_ns: np.ndarray  # int64, on the logger's clock
     id: np.ndarray  # uint32, with the flag EXTENDED for a 29-bit id

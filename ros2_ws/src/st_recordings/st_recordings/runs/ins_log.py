@@ -18,7 +18,8 @@ SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_SHARE = 0.01  # of the rows; if more are not later than those before them, the clock was set back
-MAX_END_STEP = 10.0  # 95th percentiles of all time steps; after a longer first or last step, that stamp is wrong
+MAX_END_STEP = 10.0  # multiple of the 95th percentile of the time steps; if the first or last step is longer, the first
+# or last stamp is wrong
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,9 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
-    Single rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, the
-    clock was set back while recording, and only the longest part without a backward step is used. A first or last row
-    with a stamp far from the others is left out.
+    Rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, and the longest
+    part without a backward step has about as many rows as remain, the clock was set back while recording, and only this
+    part is used. A first or last row with a stamp far from the others is left out.
 
     time_ns: (n,) int64, in the order of the recording. noun: plural, of the rows.
     """

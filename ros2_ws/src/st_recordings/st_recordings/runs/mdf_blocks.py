@@ -56,11 +56,11 @@ def check_blocks(data: Buffer) -> RecordLayout | None:
     unfinalised file may have no length; its end is then not checked.
 
     Returns:
-        The layout of the records in the first data group; None if there is no group or its records are sorted.
+        The layout of the unsorted records that are last in the file; None if there are none.
     """
     if len(data) < 64 + 104:
         raise DamageError(f"it ends after {len(data)} bytes, within its header")
-    return next(iter(_BlockChecker(data).layouts), None)
+    return max(_BlockChecker(data).layouts, key=lambda layout: layout.start, default=None)
 
 
 class _BlockChecker:
@@ -72,7 +72,7 @@ class _BlockChecker:
         # Since MDF 4.10, flags mark the unfinished parts, which asammdf completes.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()
-        self.layouts: list[RecordLayout | None] = []  # one per data group
+        self.layouts: list[RecordLayout] = []  # of the data groups with unsorted records
         header = self._read_block(64, (b"##HD",), links=6, content=32)
         for link, name in ((1, b"##FH"), (3, b"##AT"), (4, b"##EV")):
             self._check_chain(header.links[link], name)
@@ -121,8 +121,8 @@ class _BlockChecker:
         while group:
             group, size = self._check_channel_group(group, layout)
             declared += size
-        is_unsorted = id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT"
-        self.layouts.append(layout if is_unsorted else None)
+        if id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT":
+            self.layouts.append(layout)
         size = self._measure_records(block.links[2], b"DT")
         if declared > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
             raise DamageError(f"the block at byte {offset} declares {declared} bytes of records, but there are {size}")

@@ -37,7 +37,7 @@ def is_signal_table(file: Path) -> bool:
 
 @cached_by_version(maxsize=256)
 def read_names(file: Path) -> list[str]:
-    """Names of the signals with their units, such as "YawRate [deg/s]". Raises RunError."""
+    """"t [s]" and the names of the signals with their units, such as "YawRate [deg/s]". Raises RunError."""
     with _open_file(file) as mdf:
         return ["t [s]", *(name for name, _, _, _ in _list_signals(mdf))]
 
@@ -45,9 +45,9 @@ def read_names(file: Path) -> list[str]:
 def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[str], str]:
     """(header, rows separated by commas) of the signals that are channels of a drive or named by the layout.
 
-    Each time at which a signal was measured has a row, in which the other signals are nan. Times are UTC, or count from
-    the start of a measurement without a date. An array appears as text. Appends a warning about each name with several
-    signals. Raises RunError for a file that asammdf cannot read.
+    Each time at which a signal was measured has a row, in which the other signals are nan; of several samples at one
+    time, the first is used. Times are UTC, or count from the start of a measurement without a date. An array appears as
+    text. Appends a warning about each name with several signals. Raises RunError for a file that asammdf cannot read.
     """
     import pandas as pd
 
@@ -65,6 +65,8 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
             samples = signal.samples
             if samples.ndim > 1 or samples.dtype.names:
                 samples = np.full(len(samples), "array")  # asammdf lists its elements, too: NAME[0], NAME[1], ...
+            elif samples.dtype.kind == "b":
+                samples = samples.astype(np.uint8)  # with gaps, pandas would write booleans as text
             elif samples.dtype.kind == "S":  # names of an enumeration
                 samples = np.array([text.decode("utf-8", "replace").translate(_NO_DELIMITERS) for text in samples])
             is_valid = slice(None) if signal.invalidation_bits is None else ~signal.invalidation_bits

@@ -31,7 +31,7 @@ from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
 from .sources import find_runs
 
 MAX_LOG_GAP = 10.0
-"""Gap [s] between frames at which a log is split into parts, since another drive may follow."""
+"""Longest gap [s] between frames in one part of a log; after a longer one, another drive may follow."""
 MAX_PARTS = 20
 """Maximum number of parts of a log for which alignment is tried, the longest first."""
 

@@ -92,7 +92,8 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes a run of it; None if none."""
+    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes a run of it, or is invalid;
+    None if there is none."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:
@@ -210,10 +211,12 @@ def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:
     try:
         labels = tuple(Label(str(entry["name"]), float(entry["start"]), float(entry["end"])) for entry in value)
     except (KeyError, TypeError, ValueError):
-        raise RunError(path, "labels: expected a list of {name, start, end} in seconds from the start") from None
+        raise RunError(path, "labels: expected a list of {name, start, end} in seconds after the first INS measurement"
+                       ) from None
     for label in labels:
         if not label.start < label.end:
-            raise RunError(path, f"labels: {label.name} ends ({label.end:g} s) before it starts ({label.start:g} s)")
+            raise RunError(path, f"labels: {label.name}: its end ({label.end:g} s) is not after its start "
+                           f"({label.start:g} s)")
     return labels
 
 

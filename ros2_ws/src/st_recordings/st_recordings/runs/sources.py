@@ -45,7 +45,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     """Finds the runs in files and folders, in order of name. A source that cannot be a run has a `problem`.
 
     Individual files that belong together (one INS recording and CAN logs, or the parts of a split bag) form one run.
-    Folders are searched recursively; other files, and bags without odometry, are ignored in folders.
+    Folders are searched recursively; in them, other files and tables and bags without a drive are ignored.
     """
     runs: list[RunSource] = []
     loose: list[Path] = []
@@ -223,7 +223,7 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
 def _is_continuation(before: Path, file: Path) -> bool:
     (stem, _, first), (next_stem, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
     same_series = (before.parent, stem, before.suffix) == (file.parent, next_stem, file.suffix)
-    if not (same_series and first.isdigit() and second.isdigit()):
+    if not (same_series and first.isdecimal() and second.isdecimal()):
         return False
     earlier, later = read_time_span(before), read_time_span(file)
     return int(second) == int(first) + 1 and earlier is not None and later is not None and (

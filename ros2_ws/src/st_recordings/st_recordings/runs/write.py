@@ -46,7 +46,7 @@ class ImportResult:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> ImportResult:
-    """Reads and checks a run of NCOM packets and CAN frames, and writes it, uncorrected, as a bag.
+    """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag, without corrections of a run.yaml.
 
     check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
     the completed fraction, 0 to 1. Raises RunError if the run cannot be read or aligned, `check` rejects it, or the bag
@@ -57,7 +57,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
                        "use it without conversion: st evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings)
     drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
-    uncovered_time = check_coverage(source, drive.log)
+    coverage_warnings = check_coverage(source, drive.log)
     findings = tuple(check(drive))
     try:
         writer = BagWriter(directory, _build_metadata_records(source, vehicle, settings, run))
@@ -84,7 +84,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
         writer.close()
     if writer.error:
         raise RunError(directory, writer.error, "check the disk and import again")
-    warnings = [*drive.warnings, *uncovered_time]
+    warnings = [*drive.warnings, *coverage_warnings]
     if drive.auxiliary.corrected:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
                         "run.yaml of the bag (bag: ...)")

@@ -75,5 +75,4 @@ def find_reader(path: Path, key: str | None = None) -> Reader | None:
 
 
 for _module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
-    if not _module.startswith("_"):
-        importlib.import_module(f"{__name__}.{_module}")
+    importlib.import_module(f"{__name__}.{_module}")

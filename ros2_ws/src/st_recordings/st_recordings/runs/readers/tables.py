@@ -1,4 +1,4 @@
-"""Registers the readers of tables (CSV, MDF, MATLAB, Arrow, VBOX) of a drive, or of the INS beside CAN logs."""
+"""Registers the readers of tables (CSV, MDF, MATLAB, Arrow, VBOX) of a drive, or of the INS for a run with CAN logs."""
 
 from collections.abc import Callable
 from dataclasses import replace
