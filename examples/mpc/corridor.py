@@ -22,7 +22,14 @@ import numpy as np
 from closed_loop import SAMPLING_TIME, Road
 from controlled_car import ControlledCar
 from controller import Controller, Tuning
-from st_core.bands import Band, CalibrationDomain, calibrate, compute_error_samples, conditions, steering_activity
+from st_core.bands import (
+    Band,
+    CalibrationDomain,
+    calibrate,
+    compute_conditions,
+    compute_error_samples,
+    steering_activity,
+)
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
 from st_core.models import get_model
@@ -144,7 +151,7 @@ def _compute_margin(tightening: Margin, state: Sequence[float], angles: Sequence
     """Distance to keep from posts at the end of each step [m]; None outside the calibrated conditions."""
     last_second = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
     activity = float(steering_activity(last_second))
-    condition = conditions(state[2], state[5], acceleration, activity)[None]
+    condition = compute_conditions(state[2], state[5], acceleration, activity)[None]
     if not tightening.domain(condition)[0]:
         return None
     stride = round(step / SETTINGS.prediction.step)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import st
 from st_core.augmented import augment
-from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, conditions
+from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, compute_conditions
 from st_core.bands.file import hash_configuration
 from st_core.integrate import rk4_step
 from st_core.log_evaluation import EvaluationSettings
@@ -120,7 +120,7 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
     file.write_text(bands.to_yaml())
     assert export("linear", "--bands", file, "--output", out).exit_code == 0
     ins_v_x = STATE[2] - STATE[5] * vehicle().cg_to_ins_y
-    start = conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
+    start = compute_conditions(np.array([ins_v_x]), np.array([STATE[5]]), np.array([INPUTS[1]]), np.array([0.02]))
     for level, name in ((0.5, "50"), (0.9, "90")):
         exported = casadi.Function.load(str(out / f"linear_band_hindsight_{name}.casadi"))
         np.testing.assert_allclose(np.array(exported(STATE, INPUTS, 0.02)),

@@ -7,12 +7,19 @@ calibrated on errors of recorded drives (`compute_error_samples`, `calibrate`) a
 
 from .adaptive import AdaptiveBand
 from .calibration import LEVELS, RELIABILITY_LEVELS, Band, calibrate, compute_highest_level
-from .conditions import CONDITIONS, CalibrationDomain, activity_instants, conditions, conditions_at, steering_activity
+from .conditions import (
+    CONDITIONS,
+    CalibrationDomain,
+    activity_instants,
+    compute_conditions,
+    conditions_at,
+    steering_activity,
+)
 from .file import Bands
 from .live import AdaptiveBands, BandCoverage, CoverageMonitor, LiveBands, conditions_now
 from .samples import ErrorSamples, NotFiniteError, compute_error_samples, join_runs, to_predicted_frame
 
 __all__ = ["CONDITIONS", "LEVELS", "RELIABILITY_LEVELS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage",
            "Bands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "LiveBands", "NotFiniteError",
-           "activity_instants", "calibrate", "compute_error_samples", "compute_highest_level", "conditions",
+           "activity_instants", "calibrate", "compute_conditions", "compute_error_samples", "compute_highest_level",
            "conditions_at", "conditions_now", "join_runs", "steering_activity", "to_predicted_frame"]

@@ -48,10 +48,9 @@ class AdaptiveBand:
         known = {} if band is None else band.factors
         for level in LEVELS:
             # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
-            default = _interpolate_default(level)
             nearest = min(known, key=lambda other: abs(other - level), default=level)
-            ratio = default / _interpolate_default(nearest)
-            self._logs[level] = math.log(known.get(nearest, default) * ratio)
+            default, of_nearest = np.interp((level, nearest), list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values()))
+            self._logs[level] = math.log(known.get(nearest, default) * default / of_nearest)
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
@@ -129,8 +128,3 @@ class AdaptiveBand:
             for level, factor in self.factors.items():
                 factors[level].append(factor)
         return {level: np.array(values) for level, values in factors.items()}, scales
-
-
-def _interpolate_default(level: float) -> float:
-    """DEFAULT_FACTORS at any level."""
-    return float(np.interp(level, list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values())))

@@ -37,12 +37,12 @@ def steering_activity(angle: np.ndarray) -> np.ndarray:
     return np.sqrt((rates * rates).mean(axis=-1))
 
 
-def conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray, velocity_x_dot: float | np.ndarray,
-               activity: float | np.ndarray) -> np.ndarray:
+def compute_conditions(velocity_x: float | np.ndarray, yaw_rate: float | np.ndarray,
+                       velocity_x_dot: float | np.ndarray, activity: float | np.ndarray) -> np.ndarray:
     """Conditions (..., 4), columns as CONDITIONS, from velocity_x [m/s], yaw_rate [rad/s] and velocity_x_dot [m/s^2] at
     the INS point, and `steering_activity` [rad/s]."""
-    parts = np.broadcast_arrays(*compute_magnitudes(*map(np.asarray, (velocity_x, yaw_rate, velocity_x_dot, activity))))
-    return np.stack([np.asarray(part, float) for part in parts], axis=-1)
+    magnitudes = compute_magnitudes(velocity_x, yaw_rate, velocity_x_dot, activity)
+    return np.stack(np.broadcast_arrays(*magnitudes), axis=-1).astype(float)
 
 
 def compute_magnitudes(velocity_x: Any, yaw_rate: Any, velocity_x_dot: Any, activity: Any) -> tuple[Any, ...]:
@@ -54,7 +54,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
     """Conditions (n, 4), columns as CONDITIONS, at starts (n,) [ns] of a recorded drive; NaN where unknown."""
     speed, yaw_rate, acceleration = signals.ins_at(starts_ns, "velocity_x", "yaw_rate", "velocity_x_dot")
     activity = steering_activity(signals.road_wheel_angle_at(activity_instants(starts_ns)))
-    return conditions(speed, yaw_rate, acceleration, activity)
+    return compute_conditions(speed, yaw_rate, acceleration, activity)
 
 
 MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s

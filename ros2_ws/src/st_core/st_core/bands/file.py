@@ -66,7 +66,7 @@ class Bands:
 
         With probability `level`, the whole measured path of the INS point is inside the band in all three. All NaN
         outside the calibration domain (`CalibrationDomain.describe_outside`). conditions: (n, 4), from
-        `conditions.conditions`. Raises KeyError for a model, mode or level that is not in the file.
+        `compute_conditions`. Raises KeyError for a model, mode or level that is not in the file.
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))

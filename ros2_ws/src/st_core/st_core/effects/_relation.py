@@ -119,14 +119,15 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         *(_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *more)
 
 
+class _Relation(Effect):
+    kind, slot, costly, order = "physics", "body", True, 90
+
+
 @_register
-class RelationEffect(Effect):
+class RelationEffect(_Relation):
     name = "law"
     physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that covers the range of the quantity"
-    kind, slot = "physics", "body"
-    costly = True
-    order = 90
     parameters = _parameters()
 
     constants = staticmethod(compute_static_loads)
@@ -158,13 +159,10 @@ class RelationEffect(Effect):
 
 
 @_register
-class LaggedRelationEffect(Effect):
+class LaggedRelationEffect(_Relation):
     name = "law_memory"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
-    kind, slot = "physics", "body"
-    costly = True
-    order = 90
     extra_states = ("lagging",)
     parameters = _parameters(
         *(_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS), _constant("tau", "time constant, s", 0.1),
@@ -188,13 +186,10 @@ class LaggedRelationEffect(Effect):
 
 
 @_register
-class TimedRelationEffect(Effect):
+class TimedRelationEffect(_Relation):
     name = "law_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
     excited_by = "long runs"
-    kind, slot = "physics", "body"
-    costly = True
-    order = 90
     signals = ("run_time",)
     parameters = _parameters()
 

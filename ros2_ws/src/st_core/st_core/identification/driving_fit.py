@@ -125,9 +125,9 @@ class DrivingFit:
 
     names: tuple[str, ...]
     values: np.ndarray
-    spread: Spread  # covariance over blocks of driving
+    spread: Spread  # from the variation between blocks of driving
     at_bound: tuple[str, ...]  # names of values at a bound
-    noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, by the Gauss-Newton approximation
+    noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
     residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
     run_of: np.ndarray  # (n,) of the residuals
     time: np.ndarray  # (n,) of the residuals [s]

@@ -22,12 +22,12 @@ from ..timeseries import NANOSECOND
 from ..types import InsSample
 from ..vehicle import VehicleParameters
 from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving
+from .driving_prediction import STIFFNESSES
 from .run_samples import prepare_drives
 
 OnlineStatus = Literal["unestimated", "estimated", "invalid"]
 NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
-STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
 SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
 BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..errors import StCoreError
-from ..vehicle import DERIVED_SOURCE, Provenance, VehicleParameters, find_quantity, value_of
+from ..vehicle import DERIVED_SOURCE, TYRES, Provenance, VehicleParameters, find_quantity, value_of
 
 if TYPE_CHECKING:  # `checks` imports this module
     from ..checks.finding import Finding
@@ -162,7 +162,7 @@ def describe_stale_scales(vehicle: VehicleParameters, outcomes: Iterable[Identif
     changed = {estimate.parameter for identification in outcomes for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []
-    for tyre in ("tyre_front", "tyre_rear"):
+    for tyre in TYRES:
         fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED_SOURCE and f"{tyre}.lambda_ky" not in changed
         base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
         causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))

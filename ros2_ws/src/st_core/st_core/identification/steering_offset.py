@@ -24,10 +24,10 @@ from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 
 PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
-WINDOW = 2.0  # s
-MIN_RADIUS = 500.0  # m
+WINDOW = 2.0  # s; length of a window of the direct method
+MIN_RADIUS = 500.0  # m; of the path in a window
 MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
-MIN_WINDOWS = 10
+MIN_WINDOWS = 10  # minimum number of windows
 CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
@@ -45,9 +45,9 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
             f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g}"
             f" m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
-    smooth = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
-                                                  "zero_phase")[0]) for log in logs]
-    fit = fit_driving(smooth, vehicle, (PAPER_NAME,), "linear", SETTINGS)
+    smoothed = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
+                                                    "zero_phase")[0]) for log in logs]
+    fit = fit_driving(smoothed, vehicle, (PAPER_NAME,), "linear", SETTINGS)
     predicted = tuple(name for name, (count, _) in fit.windows.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
                            predicted, f"{fit.prediction_count} predictions on straights")
