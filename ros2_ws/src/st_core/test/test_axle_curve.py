@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from driven import SILENT, drive, weave
 from st_core.augmented import augment
+from st_core.discovery.axles import _combination_values
 from st_core.errors import StCoreError
 from st_core.identification.axle_curve import compute_axle_force, compute_force_error, draw_models, make_axle_curve
 from st_core.identification.cornering_stiffness import fit_axle_regressions, identify_stiffness
@@ -24,6 +25,11 @@ def limit_drives(leaf):
     """Weaving up to 7 m/s^2 with Magic Formula tyres."""
     return [drive(leaf, speed, weave(angle), 30.0, model="nonlinear", sensors=SILENT)
             for speed, angle in ((9.0, 0.2), (12.0, 0.15), (15.0, 0.1))]
+
+
+def test_combinations_do_not_depend_on_a_steering_offset(leaf):
+    with_offset = augment("linear", {"steering_offset": {"angle": 0.01}})
+    np.testing.assert_allclose(_combination_values(with_offset, leaf), _combination_values(augment("linear", {}), leaf))
 
 
 @pytest.mark.parametrize("axle", ["front", "rear"])

@@ -83,10 +83,8 @@ class AdaptiveBand:
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
         """Correct the factors, and a scale estimated from the run, by errors (points, 3) [m, m, rad] in the predicted
-        frame. Call in order of time.
-
-        Returns, by level, whether the whole path was inside; empty without `issue` for this start, or with an error
-        that is not finite.
+        frame. Call in order of time. Returns, by level, whether the whole path was inside; empty without `issue` for
+        this start, or with an error that is not finite.
         """
         while self._issued and self._issued[0][0] < start_ns:
             self._issued.popleft()

@@ -143,7 +143,8 @@ def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
-    angle_ratio = model.effective_road_wheel_angle(1.0 / vehicle.steering_ratio, vehicle)  # per steering wheel angle
+    # Road wheel angles at a steering wheel angle of -1 and 1 rad; a steering offset cancels in their difference.
+    right, left = (model.effective_road_wheel_angle(side / vehicle.steering_ratio, vehicle) for side in (-1.0, 1.0))
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    return np.array([front / car.mass, rear / car.mass, understeer, gain * float(angle_ratio), delay])
+    return np.array([front / car.mass, rear / car.mass, understeer, 0.5 * gain * float(left - right), delay])

@@ -135,14 +135,14 @@ class Effect:
     equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
     one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (one of the two may name the
     other), by sensitivity vectors of a single-track car on circle, step, sweep and limit. needs: channels required to
-    observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS that it changes.
-    ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force:
-    whether it is observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base
-    model, if it turns one into another. signals: names of the inputs that it requires in addition to steering angle and
-    acceleration. extra_states, extra_units: names and units of its states. costly: whether it evaluates the tyres
-    again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
-    since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
-    same hook, lowest first.
+    observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS whose deviation from
+    the vehicle file it may explain. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this
+    one is observable. at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base
+    models. converts: (from, to) base model, if it turns one into another. signals: names of the inputs that it requires
+    in addition to steering angle and acceleration. extra_states, extra_units: names and units of its states. costly:
+    whether it evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds
+    it only in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank
+    among the effects with the same hook, lowest first.
     """
 
     name: ClassVar[str]

@@ -113,7 +113,6 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
 
 
 def _check_rows(data: LiftRows) -> None:
-    """Raises IdentificationError for unusable rows."""
     pitch, level = data.pitch, data.level
     if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
         raise IdentificationError("every row needs a pitch and a rear load above 0 kg")

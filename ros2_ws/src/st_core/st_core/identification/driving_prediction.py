@@ -227,7 +227,6 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
 
 
 def describe_model(base: str | Model) -> str:
-    """Text on the model of a fit."""
     if isinstance(base, AugmentedModel):
         return f"{base.base.name} tyres with {', '.join(effect.name for effect in base.effects)}"
     return f"{get_model(base).name} tyres"

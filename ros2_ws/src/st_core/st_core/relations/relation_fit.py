@@ -118,7 +118,6 @@ class RelationFits:
         return fit
 
     def sum_quadratic(self, loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray) -> Quadratic:
-        """Quadratic approximation of the loss, summed by block."""
         return loss.quadratic(residuals, sensitivities).sum_groups(self.block, self.blocks)
 
     def make_penalty(self, candidate: Candidate | None, hessian: np.ndarray, smoothing: float) -> np.ndarray:
