@@ -102,7 +102,7 @@ class Regression:
         w = self._base.inputs(angle, signals["velocity_x_dot"], p)
         state = self._base.start_state((0.0 * vx, 0.0 * vx, vx, vy, 0.0 * vx, r), w, p)
         rates = self._base.rhs(state, w, p)
-        specific_force = self._base.specific_force(state, w, p)[1] + rates[5] * car.cg_to_ins_x
+        specific_force = rates[3] + vx * rates[4] + rates[5] * car.cg_to_ins_x
         target = np.stack([vy_dot - rates[3], signals["yaw_rate_dot"] - rates[5], a_y - specific_force], axis=1)
         front = (vy + car.cg_to_front_axle * r) / np.maximum(vx, 3.0) - angle
         rear = (vy - car.cg_to_rear_axle * r) / np.maximum(vx, 3.0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from st_core.batch import LogBatch
-from st_core.log import DriveLog
+from st_core.log import DriveLog, LogSignals
 from st_core.types import cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC
@@ -28,7 +28,8 @@ def resimulate(log: DriveLog, vehicle: VehicleParameters, seed: int) -> DriveLog
     step = 0.01
     # A whole number of steps from the first to the last sample.
     steps = int((time[-1] - time[0]) * 1e-9 / step)
-    states = LogBatch(log, time[:1], steps * step, step, acceleration="zero_phase").predict(BASE, vehicle)
+    signals = LogSignals(log, acceleration="zero_phase")
+    states = LogBatch(signals, time[:1], steps * step, step).predict(BASE, vehicle)
     x, y, v_x, v_y, yaw, rate = states[0].T
     if not np.isfinite(states).all() or np.abs(v_y).max() > 6.0:
         raise ValueError(f"{log.name}: the model spins on these inputs")

@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,7 +143,8 @@ def test_wrong_arguments_are_refused_in_one_line(tmp_path, arguments, message):
 @pytest.mark.parametrize("embed", [False, True])
 def test_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
-    path.write_text(ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance(), embed=embed).to_yaml())
+    file = ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance())
+    path.write_text((file if embed else replace(file, vehicle=None)).to_yaml())
     wrong = export(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
     assert wrong.exit_code == 2 and "the values are valid for" in wrong.output
     assert export(path, "--output", tmp_path / "out").exit_code == 0

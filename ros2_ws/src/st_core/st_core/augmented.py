@@ -100,14 +100,6 @@ class AugmentedModel(Model):
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 
-    def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
-        a_x, a_y = Model.specific_force(self, state, w, p)
-        added = compose(self.base, self.effects).specific_force
-        if added is None:
-            return a_x, a_y
-        added_x, added_y = added(state, w, p)
-        return a_x + added_x, a_y + added_y
-
     def steering(self, time: np.ndarray, angle: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time [s] and angle [rad] of the road wheels, with delay, play and lag applied to a recording of the steering.
 

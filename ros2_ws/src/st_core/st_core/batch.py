@@ -15,7 +15,7 @@ import numpy as np
 from . import integrate
 from .backends import get_backend
 from .errors import ConfigurationError
-from .log import Acceleration, DriveLog, LogSignals, share_memory
+from .log import DriveLog, LogSignals, share_memory
 from .models import Model, get_model
 from .planned_inputs import SLIP_FREE
 from .prediction import step_count
@@ -41,31 +41,30 @@ class Recording:
 class LogBatch:
     """Starts in one drive, whose inputs are sampled once, to be predicted with any models, cars and parameter values.
 
-    starts_ns: any instants [ns]. Starts that are multiples of half an integration step apart are fastest: quantities
-    that depend only on the inputs are then computed once for the log, not for each start.
+    log: a drive, or its LogSignals with other settings than the default. starts_ns: any instants [ns]. Starts that are
+    multiples of half an integration step apart are fastest: quantities that depend only on the inputs are then computed
+    once for the log, not for each start.
     horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
     planned road wheel angles [rad], velocity_x_dot [m/s^2] and, for a path, slip-free angles [rad], each
     (n, 2 * steps + 1) on the half-step grid.
     points [s]: times in the horizon, multiples of step; None: 0, step, ... horizon. substeps: integration steps per
     step; auto = the smallest stable number at the speeds of the log. Warns once if a given number is unstable.
-    backend: lanes or numpy; None: the fastest available. maximum_gap [s], filter_cutoff [Hz], acceleration: as in
-    LogSignals; ignored if `log` is a LogSignals. signals: (time [ns], values), by name, of the signals that a model
-    needs in addition to its inputs; their values at the start are held, unless inputs = measured.
+    backend: lanes or numpy; None: the fastest available. signals: (time [ns], values), by name, of the signals that a
+    model needs in addition to its inputs; their values at the start are held, unless inputs = measured.
     Raises ConfigurationError for a horizon or points that are not whole numbers of steps, a missing signal, invalid
     inputs or substeps, and an unknown backend. Checked by: test_batch.py, against Evaluator and `predict`.
     """
 
     def __init__(self, log: DriveLog | LogSignals, starts_ns: np.ndarray, horizon: float = 5.0, step: float = 0.05, *,
                  inputs: Inputs = "measured", points: Sequence[float] | None = None,
-                 substeps: int | Literal["auto"] = 1, backend: str | None = None, maximum_gap: float = 0.1,
-                 filter_cutoff: float = 5.0, acceleration: Acceleration = "causal", signals: Signals | None = None):
+                 substeps: int | Literal["auto"] = 1, backend: str | None = None, signals: Signals | None = None):
         if isinstance(inputs, str) and inputs not in ("measured", "held"):
             raise ConfigurationError(f"inputs: {inputs!r} is neither measured nor held")
         if substeps != "auto" and (not isinstance(substeps, int) or not 1 <= substeps <= integrate.MAX_SUBSTEPS):
             raise ConfigurationError(f"substeps: {substeps!r} is neither auto nor an integer from 1 to "
                                      f"{integrate.MAX_SUBSTEPS}")
         self._backend = get_backend(backend)
-        self.signals = log if isinstance(log, LogSignals) else LogSignals(log, maximum_gap, filter_cutoff, acceleration)
+        self.signals = log if isinstance(log, LogSignals) else LogSignals(log)
         self.starts_ns = np.asarray(starts_ns, np.int64).ravel()
         self.step, self.steps = step, step_count(horizon, step)
         self.points = np.arange(self.steps + 1) if points is None else self._find_point_numbers(points)

@@ -142,7 +142,8 @@ class LogSignals:
     maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
     """
 
-    def __init__(self, log: DriveLog, maximum_gap: float, filter_cutoff: float, acceleration: Acceleration = "causal"):
+    def __init__(self, log: DriveLog, maximum_gap: float = 0.1, filter_cutoff: float = 5.0,
+                 acceleration: Acceleration = "causal"):
         self.log = log
         self.maximum_gap = maximum_gap
         self._gap_ns = round(maximum_gap / NANOSECOND)

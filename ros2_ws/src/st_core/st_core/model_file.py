@@ -64,14 +64,13 @@ class ModelFile:
 
     @classmethod
     def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
-           intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated",
-           embed: bool = True) -> "ModelFile":
-        """The file of a model. intervals: by (effect, parameter). source: of fitted values. embed: with `vehicle`."""
+           intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated") -> "ModelFile":
+        """The file of a model, with its vehicle. intervals: by (effect, parameter). source: of fitted values."""
         effects = {effect.name: {p.name: EffectValue(model.values[effect.name][p.name],
                                                   (intervals or {}).get((effect.name, p.name)),
                                                   source if p.fit else p.source) for p in effect.parameters}
                    for effect in model.effects}
-        return cls(model.base.name, effects, vehicle if embed else None, vehicle.name, vehicle.hash, provenance)
+        return cls(model.base.name, effects, vehicle, vehicle.name, vehicle.hash, provenance)
 
     def model(self) -> AugmentedModel:
         """The model. Raises ConfigurationError for an unknown base or effect, or an inapplicable effect or value."""

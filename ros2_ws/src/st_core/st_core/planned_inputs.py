@@ -106,7 +106,7 @@ def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int
 
     def interpolate_plan(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         grid = starts_ns[:, None] + half_step_grid(0, steps, step)
-        return tuple(interpolate(time_ns, values, grid.ravel(), gap_ns).reshape(grid.shape) for values in columns)
+        return tuple(interpolate(time_ns, values, grid, gap_ns) for values in columns)
 
     return interpolate_plan
 

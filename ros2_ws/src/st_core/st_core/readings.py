@@ -120,36 +120,24 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
     return replace(log, **corrected) if corrected else log
 
 
-def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
-                     p: Any = None) -> Measured:
+def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
     """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects applied."""
-    true = predict_faultless_readings(model, vehicle, states, w, p)
+    true = predict_faultless_readings(model, vehicle, states)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
-def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple, w: tuple | None = None,
-                               p: Any = None) -> Measured:
-    """Readings of a faultless INS in the given states, at the INS point.
-
-        a_ins = a_cg + r_dot x d - r^2 d,   d: the INS seen from the CG,   a_cg = `Model.specific_force`
+def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
+    """Readings of a faultless INS in the given states, at the INS point; the accelerations are NaN.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
-    w, p: inputs and parameters of the model. Without them, the accelerations are NaN and the yaw acceleration
-    is 0, so a delay of the yaw rate has no effect. vehicle: as in its file, without effects.
+    The yaw acceleration is 0, so a delay of the yaw rate has no effect. vehicle: as in its file, without effects.
     """
     car = model.effective_vehicle(vehicle)
-    dx, dy = car.cg_to_ins_x, car.cg_to_ins_y
     x, y, velocity_x, velocity_y, yaw, yaw_rate = states[:6]
-    x_ins, y_ins = cg_to_ins_position(x, y, yaw, dx, dy)
-    a_x = a_y = velocity_x * np.nan
-    yaw_acceleration = 0.0 * yaw_rate
-    if w is not None:
-        a_x, a_y = model.specific_force(states, w, p)
-        yaw_acceleration = model.rhs(states, w, p)[5]
-        a_x, a_y = (a_x - yaw_rate * yaw_rate * dx - yaw_acceleration * dy,
-                    a_y + yaw_acceleration * dx - yaw_rate * yaw_rate * dy)
-    return Measured(x_ins, y_ins, yaw, velocity_x - yaw_rate * dy, velocity_y + yaw_rate * dx, yaw_rate, a_x, a_y,
-                    yaw_acceleration)
+    unknown = velocity_x * np.nan
+    return Measured(*cg_to_ins_position(x, y, yaw, car.cg_to_ins_x, car.cg_to_ins_y), yaw,
+                    velocity_x - yaw_rate * car.cg_to_ins_y, velocity_y + yaw_rate * car.cg_to_ins_x, yaw_rate,
+                    unknown, unknown, 0.0 * yaw_rate)
 
 
 def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray, x: np.ndarray, y: np.ndarray,

@@ -203,9 +203,9 @@ def find_neighbours(times: np.ndarray, instants: np.ndarray, gap_ns: int) -> Nei
 
 
 def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray, gap_ns: int) -> np.ndarray:
-    """A signal at given instants [ns]; NaN where it is unknown."""
+    """A signal at instants of any shape [ns]; NaN where it is unknown."""
     if not len(time_ns):
-        return np.full(len(instants_ns), np.nan)
+        return np.full(instants_ns.shape, np.nan)
     return find_neighbours(time_ns, instants_ns, gap_ns).interpolate(values)
 
 

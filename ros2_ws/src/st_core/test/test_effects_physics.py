@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 from st_core.augmented import augment
+from st_core.composition import compose
 from st_core.models import MODELS, motion, nonlinear_tyre, slip_angles
 from st_core.prediction import predict
 from st_core.types import ControlInput, VehicleState
@@ -24,6 +25,14 @@ def state_derivative(model, car, state, angle=0.0, acceleration=0.0):
     """At a road wheel angle [rad] and a longitudinal acceleration [m/s^2]."""
     p = model.parameters(car)
     return model.rhs(state, model.inputs(angle, acceleration, p), p)
+
+
+def specific_force(model, car, state):
+    """(a_x, a_y) [m/s^2] of an accelerometer at the CG at constant speed with straight wheels."""
+    p = model.parameters(car)
+    w, added = model.inputs(0.0, 0.0, p), compose(model.base, model.effects).specific_force
+    rates, (a_x, a_y) = model.rhs(state, w, p), added(state, w, p) if added else (0.0, 0.0)
+    return a_x + rates[2] - state[3] * rates[4], a_y + rates[3] + state[2] * rates[4]
 
 
 def steady_yaw_rate(model, car, angle=ANGLE):
@@ -131,9 +140,8 @@ def test_bank_accelerates_downhill_without_specific_force(leaf, base):
     expected = -k * GRAVITY * math.sin(bank) * SPEED / (leaf.wheelbase + k * SPEED**2)
     assert steady_yaw_rate(model, leaf, angle=0.0) == pytest.approx(expected, rel=1e-4) and expected < 0.0
     # In free fall along the slope the accelerometer measures nothing.
-    p = model.parameters(leaf)
     assert state_derivative(model, leaf, STRAIGHT)[3] == pytest.approx(-GRAVITY * math.sin(bank))
-    assert model.specific_force(STRAIGHT, model.inputs(0.0, 0.0, p), p) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert specific_force(model, leaf, STRAIGHT) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 @DYNAMIC
@@ -141,15 +149,14 @@ def test_bank_accelerates_downhill_without_specific_force(leaf, base):
 def test_road_slope_accelerates_downhill_in_the_map_without_lateral_specific_force(leaf, base, yaw):
     east, north = 0.03, -0.02
     model = augment(base, {"road_slope": {"slope_x": east, "slope_y": north}})
-    p = model.parameters(leaf)
-    w, state = model.inputs(0.0, 0.0, p), (5.0, -3.0, SPEED, 0.0, yaw, 0.0)
+    state = (5.0, -3.0, SPEED, 0.0, yaw, 0.0)
     rise_left = -math.sin(east) * math.sin(yaw) + math.sin(north) * math.cos(yaw)
-    derivative = model.rhs(state, w, p)
+    derivative = state_derivative(model, leaf, state)
     assert derivative[3] == pytest.approx(-GRAVITY * rise_left, rel=1e-9)
     assert derivative[5] == pytest.approx(0.0, abs=1e-12)
     # In free fall along y; along x the speed is constant, so a drive force balances gravity.
     rise_ahead = math.sin(east) * math.cos(yaw) + math.sin(north) * math.sin(yaw)
-    assert model.specific_force(state, w, p) == pytest.approx((GRAVITY * rise_ahead, 0.0), abs=1e-9)
+    assert specific_force(model, leaf, state) == pytest.approx((GRAVITY * rise_ahead, 0.0), abs=1e-9)
 
 
 def test_road_slope_equals_bank_for_a_car_heading_east(leaf):
@@ -195,11 +202,10 @@ def test_wind_from_the_right_pushes_left_with_specific_force(leaf, base):
     area, arm = leaf.side_area, leaf.side_force_arm
     model = augment(base, {"crosswind": {"wind_x": 0.0, "wind_y": wind}})
     force = 0.5 * 1.2 * area * SPEED * wind
-    p = model.parameters(leaf)
     derivative = state_derivative(model, leaf, STRAIGHT)
     assert derivative[3] == pytest.approx(force / leaf.mass, rel=1e-4)
     assert derivative[5] == pytest.approx(arm * force / leaf.yaw_inertia, rel=1e-4)
-    assert model.specific_force(STRAIGHT, model.inputs(0.0, 0.0, p), p)[1] == pytest.approx(force / leaf.mass, rel=1e-4)
+    assert specific_force(model, leaf, STRAIGHT)[1] == pytest.approx(force / leaf.mass, rel=1e-4)
     # l r / v = -F_f / C_f + F_r / C_r with F_f = (l_r (m v r - F) - e F) / l, F_r = (l_f (m v r - F) + e F) / l.
     # The side force in still air is not part of the effect; the force due to the car's own sideslip adds 1 % here.
     l_f, l_r = leaf.cg_to_front_axle, leaf.cg_to_rear_axle

@@ -41,14 +41,6 @@ class Model:
         """The vehicle parameters that the model uses in place of those in the vehicle file."""
         return vehicle
 
-    def specific_force(self, state: tuple, w: tuple, p: Any) -> tuple:
-        """Specific force at the CG (a_x, a_y) [m/s^2], body axes: a_x = v_x_dot - v_y r, a_y = v_y_dot + v_x r.
-
-        r is the derivative of yaw, since the state yaw_rate of the kinematic model is constant.
-        """
-        derivative = self.rhs(state, w, p)
-        return derivative[2] - state[3] * derivative[4], derivative[3] + state[2] * derivative[4]
-
     def start_state(self, state: tuple, w: tuple, p: Any) -> tuple:
         """Initial state of a prediction: the six given states and the extra states."""
         if self.start is None:
