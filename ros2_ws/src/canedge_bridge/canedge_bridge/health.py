@@ -13,7 +13,7 @@ _LEVELS = {BusState.OK: OK, BusState.SILENT: WARN, BusState.ERROR_PASSIVE: WARN,
            BusState.DOWN: ERROR, BusState.GONE: ERROR}
 _START_UP_TIME = 2.0  # a missing signal is an error only after this time from the start [s]
 _RATE_INTERVAL = 0.5  # minimum time between two updates of the frame rates [s]
-_FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible")  # of MessageStatistics
+_FAULTS = ("wrong_counter", "wrong_checksum", "wrong_length", "not_finite", "implausible")  # in MessageStatistics
 
 
 class Health:

@@ -317,7 +317,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError unless a layout reaches half of each limit of its range, as an unsigned angle does not."""
+    """Raises TableError unless the layout reaches half of each limit of its range (an unsigned angle does not)."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor

@@ -146,8 +146,8 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
     settings: (index of the first sample, (cutoff fc [Hz], damping ratio z)); both 0: no filter; one 0 or None: ignored.
-    NaN until there are a setting with fc < fs / 2 and three evenly spaced samples; the filter starts in steady state at
-    the first of them.
+    NaN until there are a setting with fc < fs / 2 and three evenly spaced samples, of which three may precede a new
+    setting; the filter starts in steady state at the first of them.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)

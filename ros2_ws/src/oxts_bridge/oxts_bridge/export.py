@@ -35,8 +35,8 @@ _ROWS_PER_WRITE = 1 << 12
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
     """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
-    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: of m, deg, s; times in GPS
-    seconds. status_path: pkt,channel,field,valid,value, one row per change of value or validity.
+    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: from m, deg and s; times in
+    GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or validity.
     Raises NcomError for a file without packets and if two of the three files are the same; OSError for one that cannot
     be read or written.
     """

@@ -1,4 +1,4 @@
-"""Decodes a whole NCOM file into numpy columns, 30 times as fast as stream.NcomParser and with equal results.
+"""Decodes a whole NCOM file into numpy columns, over ten times as fast as stream.NcomParser and with equal results.
 
 Contiguous packets are decoded together; after a fault, find_next_packet() and GpsClock find the next packet and its
 time, as in the parser. Checked by: tests/golden and test_stream.py, which compare both decoders.

@@ -66,7 +66,7 @@ class SourceStatus:
 
     problem: why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
-    ignored: ignored datagrams per address, or per address and port if only the port differs from the sender in use.
+    ignored: ignored datagrams of up to 16 senders, by address, or by address and port for the address in use.
     ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed passes of a looped replay.
     """

@@ -1,5 +1,5 @@
-"""Axes and signs against examples and the matrix product R_enu_flu = T R_no F; conversion from the earth to the local
-frame against closed forms and the radii of the ellipsoid.
+"""Axes and signs against examples and the matrix product R_enu_flu = T R_ned_frd F; conversion from the earth to the
+local frame against closed forms and the radii of the ellipsoid.
 """
 
 import math
@@ -16,7 +16,7 @@ T = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # NED to ENU
 F = np.diag([1.0, -1, -1])  # FLU to FRD
 
 
-def r_no(heading, pitch, roll):
+def r_ned_frd(heading, pitch, roll):
     """Vehicle (FRD) to navigation (NED): Rz Ry Rx."""
     (sh, ch), (sp, cp), (sr, cr) = ((math.sin(a), math.cos(a)) for a in (heading, pitch, roll))
     rz = np.array([[ch, -sh, 0], [sh, ch, 0], [0, 0, 1]])
@@ -63,7 +63,7 @@ vectors = st.tuples(*[st.floats(-100, 100)] * 3)
 @given(angles=angles, enu=vectors)
 def test_rotation_is_the_matrix_product(angles, enu):
     attitude = Attitude.from_ned(*angles)
-    matrix = T @ r_no(*angles) @ F
+    matrix = T @ r_ned_frd(*angles) @ F
     assert from_quaternion(*attitude.to_quaternion()) == pytest.approx(matrix, abs=1e-9)
     assert attitude.to_body(enu) == pytest.approx(matrix.T @ enu, abs=1e-9)
     assert attitude.to_enu(attitude.to_body(enu)) == pytest.approx(enu, abs=1e-9)
@@ -71,7 +71,7 @@ def test_rotation_is_the_matrix_product(angles, enu):
 
 @given(angles=angles, sigma=st.tuples(*[st.floats(0.001, 10)] * 3))
 def test_velocity_covariance_is_rotated_to_body_axes(angles, sigma):
-    matrix = T @ r_no(*angles) @ F
+    matrix = T @ r_ned_frd(*angles) @ F
     covariance = Attitude.from_ned(*angles).rotate_covariance(tuple(np.square(sigma)))
     expected = matrix.T @ np.diag(np.square(sigma)) @ matrix
     assert np.reshape(covariance, (3, 3)) == pytest.approx(expected, abs=1e-9)

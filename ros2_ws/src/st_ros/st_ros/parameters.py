@@ -22,8 +22,8 @@ class ConfigurationError(ValueError):
 class Parameter:
     """One node parameter.
 
-    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: of the value, "" for a
-    text. minimum, maximum: inclusive. choices: permitted values; empty: any.
+    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: of the value, "" without
+    one. minimum, maximum: inclusive. choices: permitted values; empty: any.
     """
 
     name: str

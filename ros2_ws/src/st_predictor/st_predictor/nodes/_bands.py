@@ -34,7 +34,7 @@ class PredictionBands:
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
-        self._reason, self._calibration = "", ""  # why there is no band; origin of the bands file
+        self._reason, self._calibration = "", ""  # why calibrated bands are missing; text on the bands file
         self._calibrated: LiveBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.read_file(values, "bands_file", Bands.from_yaml)
