@@ -75,10 +75,10 @@ def test_uncalibrated_level_starts_in_proportion_to_a_calibrated_one():
     assert AdaptiveBand(TIME, half_only).factors == {0.5: 2.0, 0.9: pytest.approx(2.0 * 3.0 / 1.6)}
 
 
-def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
+def test_bands_without_a_file_are_issued_after_the_warm_up_and_cover():
     starts, errors = draw_errors(600, lambda t: 1.0 + 3.0 * (t > 0.5))
     bands = AdaptiveBands(TIME, ["linear"], ["forecast", "course"])
-    stated, inside = [], []
+    has_band, inside = [], []
     waiting = {}
     for start, window_errors in zip(starts.tolist(), errors, strict=True):
         scored_start = start - round(TIME[-1] * 1e9)
@@ -90,12 +90,12 @@ def test_bands_without_a_file_are_stated_after_the_warm_up_and_cover():
                 inside.append((np.abs(path) <= widths).all())
         found, reason = bands.issue(start, (10.0, 0.0, 0.0, 0.0), ("forecast", "course"))
         assert found <= {("linear", "forecast")} and not reason  # no course was scored
-        stated.append(bool(found))
+        has_band.append(bool(found))
         # Small angles: the frame of the prediction is that of the measurement.
         issued = bands.half_widths["linear"]["forecast", 0.9][1:].copy() if found else None
         waiting[start] = window_errors * (1.0, 1.0, 1.0e-3), issued
     seconds = (starts - starts[0]) * 1e-9
-    assert not any(np.array(stated)[seconds < WARM_UP + 4.0]) and all(np.array(stated)[seconds > WARM_UP + 7.0])
+    assert not any(np.array(has_band)[seconds < WARM_UP + 4.0]) and all(np.array(has_band)[seconds > WARM_UP + 7.0])
     coverage = bands.coverages["linear", "forecast"]
     assert coverage.n == len(inside) and coverage.coverage_at(0.9) == pytest.approx(np.mean(inside), abs=0.01)
     assert np.mean(inside) == pytest.approx(0.9, abs=0.03) and coverage.coverage_at(0.5) < coverage.coverage_at(0.9)

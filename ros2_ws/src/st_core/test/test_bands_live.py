@@ -72,8 +72,8 @@ def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
         calibrated = live(conditions.tolist())
         assert calibrated == bool(bands.domain(conditions[None])[0])
         assert calibrated == (live.domain.describe_outside(conditions) == "")
-        for model, stated in live.half_widths.items() if calibrated else ():
-            for (mode, level), widths in stated.items():
+        for model, half_widths in live.half_widths.items() if calibrated else ():
+            for (mode, level), widths in half_widths.items():
                 from_file = bands.half_widths(model, mode, conditions, level)[0]
                 assert widths == pytest.approx(from_file, rel=2e-7)  # float32
                 compared += 1
@@ -122,7 +122,7 @@ def test_path_is_inside_if_all_points_are_within_the_widths_in_the_predicted_fra
     assert coverage.coverage_at(0.5) == 0.0
     monitor.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
     monitor.add(forecast_score(9 * SECOND, widths, complete=False))
-    monitor.add(forecast_score(10 * SECOND, widths))  # no band was stated for this start
+    monitor.add(forecast_score(10 * SECOND, widths))  # no band was issued for this start
     assert coverage.n == 4
 
 

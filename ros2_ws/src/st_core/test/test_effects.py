@@ -23,7 +23,7 @@ REQUIRED_EFFECTS = {
     "heading_misalignment", "lateral_acceleration_bias", "lateral_load_transfer", "load",
     "longitudinal_load_transfer", "mass", "position_lag", "rear_saturation", "rear_stiffness",
     "rear_tyre_curve", "road_bank", "road_slope", "roll_steer",
-    "sensor_lever_arm", "speed_scale", "steered_drive_force", "steering_backlash", "steering_compliance",
+    "sensor_lever_arm", "sensor_roll", "speed_scale", "steered_drive_force", "steering_backlash", "steering_compliance",
     "steering_delay", "steering_lag", "steering_map", "steering_offset", "steering_ratio", "tyre_load_sensitivity",
     "tyre_relaxation", "tyre_saturation", "tyre_slip", "tyre_stiffness", "yaw_inertia", "yaw_rate_bias",
     "yaw_rate_delay", "yaw_rate_scale",

@@ -128,9 +128,8 @@ def test_implausible_lifts_are_rejected(leaf, change, message):
 def test_falling_pitch_within_a_lift_is_a_warning(leaf):
     data = axle_lift(leaf, 0)
     order = [0, 1, 3, 2, 4, 5]
-    reversed_slip = replace(data, **{key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius",
-                                                                        "rear_radius")}, lifts=data.lifts[:6])
-    message = " ".join(identify_cg_height(reversed_slip, leaf).warnings)
+    columns = {key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius", "rear_radius")}
+    message = " ".join(identify_cg_height(replace(data, **columns, lifts=data.lifts[:6]), leaf).warnings)
     assert "it falls from 9.0 to 6.0 deg at row 4" in message
     assert identify_cg_height(data, leaf).warnings == ()
 

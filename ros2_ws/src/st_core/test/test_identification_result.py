@@ -78,7 +78,7 @@ def test_values_are_applied_to_the_vehicle_with_provenance(leaf):
 
 def test_value_outside_vehicle_bounds_is_rejected(leaf):
     with pytest.raises(ConfigurationError, match=r"mass: 0\.5 is outside 1 to 60000 kg"):
-        apply_to_vehicle(leaf, [make_identification(make_estimate("mass", 0.5))], "2026-05-01")
+        apply_to_vehicle(leaf, [make_identification(make_estimate("mass", 0.5, 0.1))], "2026-05-01")
 
 
 def test_contradiction_with_the_vehicle_file_is_reported_with_numbers(leaf):
@@ -123,7 +123,7 @@ def test_lambda_ky_intervals_contain_the_true_value(leaf):
 
 def test_lambda_ky_above_one_is_doubtful_and_missing_uncertainty_rejected(leaf):
     stiff = with_uncertainties(replace(leaf, cornering_stiffness_rear=150000.0), cornering_stiffness_front=1.0,
-                  cornering_stiffness_rear=1500.0)
+                               cornering_stiffness_rear=1500.0)
     assert identify_lambda_ky(stiff, {})["tyre_rear.lambda_ky"].status == "doubtful"
     with pytest.raises(IdentificationError, match="cornering_stiffness_front of the vehicle file has no uncertainty"):
         identify_lambda_ky(leaf, {})

@@ -76,14 +76,14 @@ def rates(model, car, angle=0.05, acceleration=0.5):
 
 def test_relation_with_zero_coefficients_changes_nothing(leaf):
     c = Candidate("front_grip", "speed", 0.0, 3.0, 20.0)
-    without_effect = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
-    assert rates(without_effect, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
+    zero = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
+    assert rates(zero, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
 
 
-@pytest.mark.parametrize(("place", "index", "change"), [
+@pytest.mark.parametrize(("term", "index", "change"), [
     ("yaw_moment", 5, 0.2), ("side_force", 3, 0.2)])
-def test_relation_on_the_body_adds_its_acceleration(leaf, place, index, change):
-    c = Candidate(place, "speed", 0.0, 3.0, 20.0)
+def test_relation_on_the_body_adds_its_acceleration(leaf, term, index, change):
+    c = Candidate(term, "speed", 0.0, 3.0, 20.0)
     pushed = augment("nonlinear", relation(c, lambda u: change + 0.0 * u))
     before, after = rates(MODELS["nonlinear"], leaf), rates(pushed, leaf)
     assert after[index] - before[index] == pytest.approx(change, rel=1e-6)
@@ -101,17 +101,17 @@ def test_relation_on_the_front_steer_angle_acts_as_a_steering_offset(leaf):
 
 def test_relation_on_an_axle_changes_its_lateral_force(leaf):
     plain = rates(MODELS["nonlinear"], leaf)
-    loads = leaf.mass * 9.81 * leaf.cg_to_rear_axle / leaf.wheelbase
-    pushed = rates(augment("nonlinear", relation(Candidate("front_force", "slip_front", 0.0, -0.2, 0.2),
-                                            lambda u: 0.05 + 0.0 * u)), leaf)
+    load = leaf.mass * 9.81 * leaf.cg_to_rear_axle / leaf.wheelbase
+    front_force = Candidate("front_force", "slip_front", 0.0, -0.2, 0.2)
+    pushed = rates(augment("nonlinear", relation(front_force, lambda u: 0.05 + 0.0 * u)), leaf)
     added_force = leaf.mass * (pushed[3] - plain[3])
-    assert added_force == pytest.approx(0.05 * loads * math.cos(0.05), rel=1e-6)
-    gripped = rates(augment("nonlinear", relation(Candidate("rear_grip", "speed", 0.0, 3.0, 20.0),
-                                             lambda u: -0.1 + 0.0 * u)), leaf)
+    assert added_force == pytest.approx(0.05 * load * math.cos(0.05), rel=1e-6)
+    rear_grip = Candidate("rear_grip", "speed", 0.0, 3.0, 20.0)
+    sliding = rates(augment("nonlinear", relation(rear_grip, lambda u: -0.1 + 0.0 * u)), leaf)
     front = (leaf.yaw_inertia * plain[5] + leaf.cg_to_rear_axle * leaf.mass * (plain[3] + STATE[2] * STATE[5])
              ) / leaf.wheelbase
     rear = leaf.mass * (plain[3] + STATE[2] * STATE[5]) - front
-    assert leaf.mass * (gripped[3] - plain[3]) == pytest.approx(-0.1 * rear, rel=1e-6)
+    assert leaf.mass * (sliding[3] - plain[3]) == pytest.approx(-0.1 * rear, rel=1e-6)
 
 
 def test_relation_of_a_sensor_is_observed_and_corrected():
@@ -244,7 +244,7 @@ def test_true_relation_is_proposed_with_its_slope(leaf):
     assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
 
 
-def test_relations_with_memory_use_the_steering_rate_and_the_lagging_steering(leaf):
+def test_lagged_relations_use_the_steering_rate_and_the_lagging_steering(leaf):
     """At 0.1 rad/s, 0.02 s of steering rate add 2 mrad; the lagging states are 10 and 20 mrad behind."""
     c = Candidate("front_steer", "speed", 0.0, 3.0, 20.0, "steering_rate")
     by_rate = augment("nonlinear", relation(c, lambda u: 0.02 + 0.0 * u))
@@ -331,8 +331,8 @@ def test_terms_without_excitation_are_listed(leaf):
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
     settings = DiscoverySettings(where=False)
     outcome = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
-    assert outcome.relation is None and {"front_grip", "rear_grip",
-                                                "both_grip"} <= set(outcome.find_unexamined_terms())
+    assert outcome.relation is None
+    assert {"front_grip", "rear_grip", "both_grip"} <= set(outcome.find_unexamined_terms())
     assert not any("acceleration_y" in name or "steering" in name for name in outcome.detection_limits)
 
 
@@ -348,9 +348,9 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     low, high = np.quantile(windows.joined.velocity_x, [0.01, 0.99])
     fit = fits.fit(Candidate("yaw_moment", "speed", 0.0, float(low), float(high)), without)
     losses = {}
-    for smooth in PENALTIES:
-        monkeypatch.setattr(relation_fit, "PENALTIES", (smooth,))
-        losses[smooth] = float(fits.fit(fit.candidate, without).held_out.sum())
+    for smoothing in PENALTIES:
+        monkeypatch.setattr(relation_fit, "PENALTIES", (smoothing,))
+        losses[smoothing] = float(fits.fit(fit.candidate, without).held_out.sum())
     assert fit.smoothing == min(losses, key=losses.get) < max(PENALTIES)
     formulas = simulate_formulas(fits, fit, without)
     assert formulas and all(0.9 <= one.retained < 1.2 for one in formulas)
