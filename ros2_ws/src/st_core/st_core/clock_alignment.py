@@ -74,7 +74,7 @@ def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
             continue
         spans = [float(t[-1] - t[0]) * 1e-9 for t in (signal.reference_time_ns, signal.other_time_ns)]
         if max(spans) > MAX_SPAN:
-            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days; probably a clock was set during it")
+            reasons.append(f"{signal.name} spans {max(spans) / 86400:.0f} days: a clock was probably set")
             continue
         values = [v[k] for v, k in zip((signal.reference, signal.other), known, strict=True)]
         deviation = min(float(np.std(np.unwrap(v) if signal.angle else v)) for v in values)

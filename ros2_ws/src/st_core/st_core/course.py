@@ -167,7 +167,7 @@ def _digest(text: str) -> str:
 
 
 def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
-    """Parts of a drive between pauses, gaps and position jumps, from MIN_LENGTH on. Raises StCoreError if none."""
+    """Parts of a drive of at least MIN_LENGTH, between pauses, gaps and position jumps. Raises StCoreError if none."""
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))

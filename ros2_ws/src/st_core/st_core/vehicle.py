@@ -390,10 +390,10 @@ def _check_scale(car: VehicleParameters) -> None:
              f"{car.mass:g} kg and a wheelbase of {car.wheelbase:g} m"),
             *((f"cornering_stiffness_{axle}", 0.05, 500.0, car.mass * GRAVITY, f"{car.mass:g} kg")
               for axle in ("front", "rear"))):
+        unit = VEHICLE_QUANTITIES[key].si_unit
         if not low * reference <= (value := getattr(car, key)) <= high * reference:
-            raise ConfigurationError(
-                f"{key}: {value:g} {VEHICLE_QUANTITIES[key].si_unit} does not fit a car with {name} (limit "
-                f"{low * reference:.2g} to {high * reference:.2g}); check the values and their units")
+            raise ConfigurationError(f"{key}: {value:g} {unit} does not fit a car with {name} (limit "
+                                     f"{low * reference:.2g} to {high * reference:.2g} {unit}); check values and units")
 
 
 def _check_limits(prefix: str, values: Any, quantities: Mapping[str, Quantity]) -> None:
