@@ -56,12 +56,11 @@ class Environment:
     """Surroundings along a drive; gusts are an Ornstein-Uhlenbeck process."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
-        self._road = make_road(settings)
+        self._road = road = make_road(settings)
         self._wind, self._gust_speed = settings["wind_speed"], settings["gust_speed"]
         self._gust_decay = math.exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = make_normal_source(np.random.default_rng([seed, 1]))
-        road = self._road
         self._constant = Surroundings(road.friction, road.bank, road.grade, 0.0, 0.0)
         self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 

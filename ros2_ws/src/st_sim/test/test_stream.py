@@ -82,7 +82,7 @@ def test_ncom_equals_the_truth_within_its_resolution(rate):
 
 
 def test_ncom_of_a_tilted_car():
-    """Roll and pitch include body and road; heading and velocity are horizontal."""
+    """Roll includes body and road; levelled by roll, the specific force equals the lateral acceleration."""
     emitted = outputs(3, ("bank_angle=0.05", "roll_gradient=0.0075"), scenario="S3")
     received, _ = parse(emitted)
     truth = select(Truth, emitted)[200].payload
