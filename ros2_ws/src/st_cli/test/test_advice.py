@@ -79,7 +79,7 @@ def test_costs_are_relative_to_the_lowest_and_missing_values_are_dashes():
     costs = {("a", 0.05): Cost(3e-4, None, 2e-5), ("b", 0.05): Cost(1e-4, 1e-5, 1e-5)}
     accuracy = measure_accuracy(make_error_samples(1, 0.1), "linear", SETTINGS)
     first, second = make_advice_rows(costs, {("b", 0.05): accuracy})
-    assert (first["floats, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
+    assert (first["interpreted, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
 
 

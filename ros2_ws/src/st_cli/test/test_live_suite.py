@@ -53,7 +53,7 @@ def test_demo_refuses_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: 
 def test_too_short_run_is_refused_with_the_unit() -> None:
     for verb, seconds in ((live.demo, "2"), (live.demo, "nan"), (live.live, "0.5")):
         result = run(verb, "--duration", seconds)
-        assert result.exit_code == 2 and f"{seconds} s is shorter than the minimum of" in result.stderr
+        assert result.exit_code == 2 and f"{seconds} s is below the minimum of" in result.stderr
 
 
 def test_run_is_over_after_the_shortest_duration() -> None:

@@ -14,11 +14,11 @@ from st_core.clock_types import Alignment, SharedSignal
 from st_core.palette import MEASURED_COLOUR, OTHER_COLOUR, RC
 
 CLOSE_UP_DURATION = 10.0  # s
-MAX_POINTS = 4000  # per line; with a whole-number stride, up to twice as many are drawn
+MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed, 10 s in which the yaw rate varies most (or else the first signal), correlation, lags."""
+    """Write the figure: speed, the most active 10 s of the yaw rate (each else the first signal), correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -40,8 +40,9 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     reference, other = (signal.reference_time_ns - zero) * 1e-9, (mapped - zero) * 1e-9
     values = signal.other
     if "curvature" in signal.name:  # `other` is a steering angle: scaled to the curvature by a linear fit
-        known = np.isfinite(signal.reference)
-        values = np.polyval(np.polyfit(np.interp(reference[known], other, values), signal.reference[known], 1), values)
+        curvature = np.interp(other, reference, signal.reference, left=np.nan, right=np.nan)
+        known = np.isfinite(curvature) & np.isfinite(values)
+        values = np.polyval(np.polyfit(values[known], curvature[known], 1), values) if known.any() else values
     start = -np.inf
     if not whole:  # the section, within the overlap of both recordings, where the signal varies most
         low, high = max(reference[0], other[0]), min(reference[-1], other[-1]) - CLOSE_UP_DURATION
@@ -53,7 +54,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
             (reference, signal.reference, MEASURED_COLOUR, 3.0, 0.55, "INS recording"),
             (other, values, OTHER_COLOUR, 1.0, 1.0, "CAN log")):
         rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP_DURATION)))
-        rows = rows[::max(len(rows) // MAX_POINTS, 1)]
+        rows = rows[::max(-(-len(rows) // MAX_POINTS), 1)]
         ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
@@ -80,17 +81,19 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
 
 
 def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignment) -> None:
-    ax.set_title("Residual lag of each stretch of 30 s")
+    ax.set_title("Residual lag of each window of 30 s")
     lags = residual_lags(signals, alignment)
     if not lags:
-        ax.text(0.5, 0.5, "no stretch of 30 s with enough motion", transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, "no window of 30 s determines a lag", transform=ax.transAxes, ha="center")
         ax.set(xticks=[], yticks=[])
         return
     ax.axhline(0, color="k", lw=0.6)
-    time = [w.time for w in lags]
+    # `lags` counts from at_ns on the CAN clock, the other panels from the first INS measurement.
+    start = (alignment.at_ns + alignment.offset_ns - int(signals[0].reference_time_ns[0])) * 1e-9
+    time = [start + w.time for w in lags]
     if len(lags) == 1:
         ax.set_xlim(time[0] - 15.0, time[0] + 15.0)
     ax.errorbar(time, [w.lag * 1e3 for w in lags], yerr=[w.deviation * 1e3 for w in lags], fmt="o", ms=3, lw=0.8,
                 color=OTHER_COLOUR)
     reach = max(1.0, 1.2 * max(abs(w.lag) + w.deviation for w in lags) * 1e3)
-    ax.set(ylim=(-reach, reach), xlabel="s from the middle of the common time", ylabel="residual lag, ms")
+    ax.set(ylim=(-reach, reach), xlabel="s after the first INS measurement", ylabel="residual lag, ms")

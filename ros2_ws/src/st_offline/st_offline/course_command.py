@@ -23,7 +23,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     OutputError if no course can be built or written."""
     if output.exists():
         raise OutputError(f"{output} exists: choose another --output (existing files are not overwritten)")
-    passes: list[Pass] = []  # in the map of the first run with an origin; others are not shifted
+    passes: list[Pass] = []  # in the map of the first run with an origin; runs without one are not shifted
     origin: tuple[float, float] | None = None
     without_origin: list[str] = []
     failed = 0
@@ -44,9 +44,8 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
             report_problem(source.name, describe_problem(error, source), console)
             continue
         passes += run_passes
-        length = SPACING * sum(len(part.points) for part in run_passes)
-        parts = format_count(len(run_passes), "part")
-        print_line(f"{escape(source.name)}: {length / 1000.0:.2f} km in {parts}", console)
+        length = 1e-3 * SPACING * sum(len(part.points) for part in run_passes)  # km
+        print_line(f"{escape(source.name)}: {length:.2f} km in {format_count(len(run_passes), 'part')}", console)
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     if origin and without_origin:

@@ -27,7 +27,7 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
                  free: Iterable[str] = (), bands: Bands | None = None) -> list[Path]:
     """Write the functions of a model, model.json and README.md into an existing folder; returns the files. free:
     parameters that stay arguments of the functions. bands: the half-widths become a CasADi function for each mode and
-    level. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
+    each of LEVELS. Raises ConfigurationError for an unknown parameter in `free`, and for bands without this model."""
     symbolic = build(model, vehicle, substeps, free)
     if kind == "casadi":
         files = [folder / f"{function.name()}.casadi" for function in symbolic.functions]

@@ -1,9 +1,10 @@
-"""Scores of bands that have no 90 % level."""
+"""Scores of bands, for bands without a 90 % level too, and their figure."""
 
 import numpy as np
 from st_core.bands.calibration import RELIABILITY_LEVELS, Band
-from st_offline.bands.bands_report import make_band_rows
+from st_offline.bands.bands_report import draw_bands, make_band_rows
 from st_offline.bands.scoring import sum_band_scores, summarise_bands
+from st_offline.evaluation.drawing import FigureOutput
 
 TIME = np.array([0.5, 1.0])
 
@@ -26,3 +27,10 @@ def test_bands_are_scored_at_their_highest_level():
     (row,) = make_band_rows(content)
     assert "80 % covers" in row and "90 % covers" not in row and row["worst cell"] != "-"
     assert content["models"]["linear"]["hindsight"]["worst_cell"]["starts"] == 400
+
+
+def test_figure_names_a_coverage_of_zero_as_the_largest_deviation():
+    score = {"starts": 10, "coverage": {"0.9": 0.8}, "reliability": {"0.9": 0.8}}
+    content = {"models": {"linear": {"hindsight": score, "forecast": score | {"coverage": {"0.9": 0.0}}}}}
+    (figure,) = draw_bands(content, FigureOutput(None, (), ""))
+    assert "largest deviation from 90 %: 0 %, linear, forecast" in figure.title

@@ -200,9 +200,9 @@ def test_page_of_many_runs_is_small(tmp_path):
 
 def test_proposed_run_yaml_contains_all_corrections_with_their_findings(tmp_path):
     file = tmp_path / "corrected" / "run.yaml"
-    text = run_yaml(make_source(tmp_path), ALL_FINDINGS, file, ReadSettings(steering_sign=-1, offset=1.5))
+    text = run_yaml(make_source(tmp_path), ALL_FINDINGS, file, ReadSettings(steering_sign=-1, offset=1695000123.456))
     content = yaml.safe_load(text)
-    assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1.5,
+    assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1695000123.456,
                        "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
     comments = [line for line in text.splitlines() if line.startswith("#")]
     for one in ALL_FINDINGS:
@@ -222,7 +222,7 @@ def test_more_severe_of_two_contradicting_corrections_is_applied(tmp_path):
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=scaled)
     text = run_yaml(make_source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
-    assert "#   not applied, a more severe finding has another value: correct:" in text
+    assert "#   not applied, an earlier finding has another value: correct:" in text
 
 
 def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):

@@ -6,7 +6,9 @@ from xml.etree import ElementTree
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from st_core.clock_types import Alignment, SharedSignal
 from st_core.palette import MODEL_COLOUR
+from st_offline.alignment_figure import draw_alignment
 from st_offline.evaluation.drawing import (
     MAX_POINTS,
     FigureOutput,
@@ -59,13 +61,22 @@ def test_reduced_lines_keep_extremes_and_gaps():
     time = np.arange(100_000.0)
     values = np.sin(time / 500.0)
     values[77_777], values[12_345] = 9.0, -9.0
-    values[50_000:60_000] = np.nan
+    values[50_000:60_000] = values[70_000] = np.nan
     few_times, few = reduce_points(time, values)
-    assert len(few) <= MAX_POINTS + 2 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
-    assert (np.diff(few_times) > 0).all() and np.isnan(few).sum() > 10
+    assert len(few) <= MAX_POINTS + 3 and np.nanmax(few) == 9.0 and np.nanmin(few) == -9.0
+    assert (np.diff(few_times) > 0).all() and np.isnan(few).sum() > 10 and 70_000.0 in few_times[np.isnan(few)]
     assert len(reduce_points(time[:100], values[:100])[0]) == 100
 
 
 def test_lines_break_at_gaps_only():
     time, values = cut_at_gaps(np.array([0.0, 1.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0, 4.0]), gap=2.0)
     assert np.isnan(values).tolist() == [False, False, True, False, False] and len(time) == 5
+
+
+def test_alignment_is_drawn_with_gaps_in_the_steering_angle(tmp_path):
+    time_ns = (50e6 * np.arange(2000)).astype(np.int64)
+    curvature = 0.05 * np.sin(time_ns * 1e-9)
+    angle = np.where(np.arange(2000) // 5 == 60, np.nan, 16.0 * curvature)
+    signal = SharedSignal("curvature against steering", time_ns, curvature, time_ns, angle)
+    draw_alignment([signal], Alignment(), "title", tmp_path / "alignment.png")
+    assert (tmp_path / "alignment.png").stat().st_size > 20_000

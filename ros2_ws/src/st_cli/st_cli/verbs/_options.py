@@ -1,6 +1,7 @@
 """Defines the options shared by the commands, resolves the car from them, and reports errors in one line."""
 
 import inspect
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -30,11 +31,12 @@ def _check_sign(value: int | None) -> int | None:
     return value
 
 
-def at_least(minimum: float) -> Callable[[float | None], float | None]:
-    """Callback of an optional duration [s]; typer's own message about a number that is too small has no unit."""
+def in_range(minimum: float, unit: str, maximum: float = math.inf) -> Callable[[float | None], float | None]:
+    """Callback of an optional number; typer's own message about a number out of range has no unit."""
     def check(value: float | None) -> float | None:
-        if value is not None and not value >= minimum:
-            raise typer.BadParameter(f"{value:g} s is shorter than the minimum of {minimum:g} s")
+        if value is not None and not minimum <= value <= maximum:
+            limit = f"above the maximum of {maximum:g}" if value > maximum else f"below the minimum of {minimum:g}"
+            raise typer.BadParameter(f"{value:g} {unit} is {limit} {unit}")
         return value
 
     return check
@@ -102,8 +104,8 @@ class ReadOptions:
         callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
         "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")] = None
     steering_latency: Annotated[float | None, typer.Option(
-        help="Delay from steering wheel motion to the stamp of its frame, s; default that of --car, else 0; live: else "
-        "that of config/nodes.yaml.", min=0.0, max=1.0)] = None
+        callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s; default "
+        "that of --car, else 0; live: else that of config/nodes.yaml.")] = None
     steering_topic: Annotated[str | None, typer.Option(
         help="Bags of other recorders: the topic with the steering angle, of any type defined in the bag. Default: the "
         "one of type st_msgs/Steering.")] = None

@@ -48,7 +48,7 @@ def course(
     output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Build a course: speed and curvature along the paths of recorded drives, laps, both directions and branches.
+    """Build a course: speed and curvature along recorded paths, which may contain laps, both directions and branches.
 
     Use it with `st evaluate --course`. Exit status: 0 all runs used, 1 some not, 2 no course could be built.
     """

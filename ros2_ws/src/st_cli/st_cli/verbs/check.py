@@ -16,7 +16,7 @@ def check(
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(
         None, "--propose-correction", "--propose-cure", dir_okay=False,
-        help="Write a run.yaml that corrects the errors found; for a single run."),
+        help="Write a run.yaml that corrects the errors and warnings found; for a single run."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find errors in recordings: units, signs, clocks, axes, projections, reference points, sensors.

@@ -22,7 +22,7 @@ def identify(
     """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
 
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
-    parameter was identified, 1 none, 2 the data cannot be used.
+    parameter is identified or doubtful, 1 none, 2 the data cannot be used.
     """
     from rich.table import Table
     from st_live.configuration import load_model

@@ -25,7 +25,8 @@ def demo(
         None, help="Vehicle file of the simulated car; default: --vehicle, which is the vehicle file of the nodes.",
         **shared.FILE),
     duration: float | None = typer.Option(
-        None, help="Seconds of driving, at least 6; default 60, or the whole drive.", callback=shared.at_least(6.0)),
+        None, callback=shared.in_range(6.0, "s"),
+        help="Seconds of driving, at least 6; default 60, or the whole drive."),
     plant: str | None = typer.Option(None, help="ideal, realistic (default), or a file with plant settings."),
     effect: list[str] = typer.Option([], help="Set an effect of the virtual Leaf, name=value; repeatable."),
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
@@ -66,7 +67,8 @@ def live(
     ncom_sender: str = typer.Option("", help="Accept packets from this address only."),
     car_options: shared.ReadOptions = shared.ReadOptions(),
     duration: float | None = typer.Option(
-        None, help="Stop after this many seconds, at least 1; default: until Ctrl-C.", callback=shared.at_least(1.0)),
+        None, callback=shared.in_range(1.0, "s"),
+        help="Stop after this many seconds, at least 1; default: until Ctrl-C."),
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),

@@ -24,13 +24,13 @@ VERDICT_STYLE = {"good": "green", "doubtful": "yellow", "refused": "red"}
 @shared.expand_options(shared.ReadOptions)
 def align(
     files: list[Path] = typer.Argument(
-        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) and CAN logs, a folder, a run.yaml."),
+        ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) with CAN logs; folder; run.yaml."),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, if it is known approximately."),
-    output: Path | None = typer.Option(None, help="Folder for alignment.json and alignment.png."),
+    output: Path | None = typer.Option(None, help="Folder of the results; default runs/align-<name>-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw both signals.
+    """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw the signals.
 
     Exit status 0: good or doubtful (see the reasons). 1: no alignment. 2: files that cannot be read.
     """
@@ -53,10 +53,10 @@ def align(
     about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
-    if pair.shared and alignment.offset_ns:
+    if pair.shared and alignment.method != "none":
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
         draw_alignment(pair.shared, alignment, title, folder / "alignment.png")
-        results[folder / "alignment.png"] = "both signals, aligned"
+        results[folder / "alignment.png"] = "the signals of both recordings, aligned"
     list_files(results, console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
 
@@ -92,15 +92,16 @@ def print_alignment(pair: "RawRun") -> None:
             ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
             table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
         if alignment.method != "by hand":
+            span = "common time" if alignment.method == "shared signals" else "span of the time frames"
             if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared):
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
-                          f"{middle:.1f} s later, in the middle of the common time")
+                          f"{middle:.1f} s later, in the middle of the {span}")
             table.add_row("  its standard deviation", f"{alignment.offset_deviation * 1e3:.2f} ms",
                           f"{own_deviation * 1e3:.2f} ms without the uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
                           "INS relative to CAN clock")
-            table.add_row("common time", f"{alignment.overlap:.1f} s", "")
+            table.add_row(span, f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)

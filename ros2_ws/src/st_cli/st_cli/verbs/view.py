@@ -8,14 +8,13 @@ from pathlib import Path
 
 import typer
 
-from ._options import FILE, CarName, ReadOptions, console, report_default_car_of_bag, report_errors
+from ._options import FILE, CarName, ReadOptions, VehicleOfBag, console, report_default_car_of_bag, report_errors
 
 
 def view(
     recording: Path = typer.Argument(..., help="Folder of a run, a bag, or a saved view (.rrd).", exists=True),
     car: CarName = None,
-    vehicle: Path | None = typer.Option(
-        None, help="Vehicle file, for the outline; default that of --car, else the one in the recording.", **FILE),
+    vehicle: VehicleOfBag = None,
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Show a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""

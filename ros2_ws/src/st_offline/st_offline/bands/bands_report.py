@@ -18,12 +18,12 @@ from st_core.vehicle import VehicleParameters
 from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
-from .scoring import Sums, find_top_level, pool_sums, summarise_adaptive, summarise_bands
+from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands
 
 MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
-RESIDUAL = "what remains"  # key in evaluation.json
+RESIDUAL = "what remains"  # key of the residual in evaluation.json
 REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 
@@ -36,8 +36,8 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
         return []
     top = _find_top_level(content)
     deviations = [(abs(scores["coverage"][top] - float(top)), f"{100 * scores['coverage'][top]:.0f} %, {model}, {mode}")
-                  for model, modes in models.items() for mode, scores in modes.items() if scores["coverage"].get(top)]
-    worst = max(deviations)[1] if deviations else "unknown"
+                  for model, modes in models.items() for mode, scores in modes.items() if scores["starts"]]
+    _, worst = max(deviations)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 4.2), sharey=True)
     for axes, (mode, title) in zip(panels, MODE_TITLES.items(), strict=True):
         axes.plot([0, 100], [0, 100], color=MEASURED_COLOUR, lw=0.8)
@@ -55,7 +55,7 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
 
 
 def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Table row of each model and mode in the result of `summarise_bands`, by column title."""
+    """Table row by column title of each model and mode of `summarise_bands`; half-widths at the last whole second."""
     rows, top = [], _find_top_level(content)
     for model, modes in content.get("models", {}).items():
         for mode, scores in modes.items():
@@ -75,8 +75,8 @@ def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
 
 def _find_top_level(content: Mapping[str, Any]) -> str:
     """The highest scored level: "0.9", or lower for bands from too few runs."""
-    return find_top_level(next((scores["coverage"] for modes in content.get("models", {}).values()
-                                for scores in modes.values()), {}))
+    levels = {level for modes in content.get("models", {}).values() for s in modes.values() for level in s["coverage"]}
+    return max(levels, key=float, default="0.9")
 
 
 def _format_level(level: str) -> str:
@@ -139,8 +139,8 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """Squared errors of one run, total and by cause, summed over its starts: arrays (seconds, axes) [m^2, m^2, rad^2].
-    """
+    """{"shares": {model: {starts, total, causes}}} of one run: number of starts; squared errors, and contributions by
+    cause, summed over the starts, (seconds, axes) [m^2, m^2, rad^2]."""
     shares: Sums = {}
     for model in models:
         starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
@@ -155,7 +155,8 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
     """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
-    The fractions of the kinds of causes (parameters, sensors) and of the residual add up to 1."""
+    The fractions of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated: parameters with
+    a known uncertainty."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():
         count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]

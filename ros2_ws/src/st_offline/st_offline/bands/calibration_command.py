@@ -49,7 +49,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
 def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Model], recordings: dict[str, str],
                    problems: list[str], console: Console) -> list[ErrorSamples]:
     """Prediction errors of each run. An unusable run is left out; its problem is printed and added to `problems`. The
-    files of the used runs are added to `recordings` (sha256 by name)."""
+    files of the used runs are added to `recordings`: sha256 by file name, or by path if the name occurred before."""
     samples: list[ErrorSamples] = []
     for source in sources:
         try:
@@ -68,13 +68,15 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
             problems.append(describe_problem(error, source))
             report_problem(source.name, problems[-1], console)
             continue
-        recordings.update({Path(file).name: digest for file, digest in run.provenance["files"].items()})
+        for file, digest in run.provenance["files"].items():
+            name = Path(file).name
+            recordings[file if name in recordings else name] = digest
     return samples
 
 
 def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
                levels: Sequence[float], console: Console) -> Bands:
-    """Calibrate the bands of all models. Raises StCoreError for too few runs."""
+    """Calibrate the bands of all models. Raises StCoreError as `calibrate`."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)

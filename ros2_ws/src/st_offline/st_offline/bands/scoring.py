@@ -4,15 +4,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from st_core.bands import CONDITIONS, RELIABILITY_LEVELS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands import CONDITIONS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS
 from st_core.bands.file import make_times
 from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES, Block
 from st_core.prediction import PredictionSettings
 
 Sums = dict[str, Any]
-MIN_STARTS = 200  # in a cell, for a standard error of about 2 percentage points at a coverage of 90 %
-LEVELS = (0.5, 0.9)  # coverage levels in reports
+MIN_STARTS = 200  # in a cell; if starts were independent, the standard error of a coverage of 90 % would be 2 %
 CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
                    "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
 _HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
@@ -103,17 +103,17 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
-    scale, size = band.scale(conditions), np.abs(errors)
-    ratio = size / scale
+    scale = band.scale(conditions)
+    ratio = np.abs(errors) / scale
     time, known = band.scale.time, [level for level in band.factors if level <= LEVELS[-1]]
     levels = sorted({*(level for level in LEVELS if level in known), max(known)})
-    # Rounding is needed because 20 steps of 0.05 s add up to 1.0000000000000002 s in floats.
+    # Rounded, because 297 steps of 1/99 s are 3.0000000000000004 s in floats.
     second = np.ceil(np.round(time, 6)).astype(int)
     at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
     highest, within = by_point.max(axis=1, initial=0.0), {}
-    sums: Sums = {"starts": len(errors), "without_band": 0, "coverage": {}, "axes": {}, "seconds": {},
-                  "interval_score": {}, "half_width": {}, "conditions": {}, "cells": {},
+    sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
+                  "conditions": {}, "cells": {},
                   "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
                   "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
     for level in levels:
@@ -190,13 +190,13 @@ def summarise_bands(sums: Sums) -> dict[str, Any]:
 def _summarise_scores(sums: Sums) -> dict[str, Any]:
     count = sums["starts"]
     means = _divide({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
-                                                 "reliability") if key in sums}, count)
+                                                "reliability")}, count)
     conditions = [{"quantity": quantity, "label": label, "starts": counts["starts"],
                    "coverage": _divide(counts["coverage"], counts["starts"])}
                   for quantity, labels in sums["conditions"].items() for label, counts in labels.items()]
-    level = find_top_level(sums["coverage"])
+    level = max(sums["coverage"], key=float)
     cells = [{"coverage": cell["coverage"][level] / cell["starts"], "cell": name, "starts": cell["starts"]}
-             for name, cell in sums["cells"].items() if cell["starts"] >= MIN_STARTS and level in cell["coverage"]]
+             for name, cell in sums["cells"].items() if cell["starts"] >= MIN_STARTS]
     worst_cell = min(cells, key=lambda cell: tuple(cell.values()), default=None)
     return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
             "worst_cell": worst_cell}
@@ -207,8 +207,3 @@ def _divide(value: Any, count: int) -> Any:
     if isinstance(value, Mapping):
         return {key: _divide(part, count) for key, part in value.items()}
     return value / count if count else None
-
-
-def find_top_level(by_level: Mapping[str, Any]) -> str:
-    """The highest scored level; "0.9" if nothing was scored."""
-    return max(by_level, key=float, default="0.9")

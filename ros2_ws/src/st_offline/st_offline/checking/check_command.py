@@ -70,9 +70,12 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_from for run in good}):
             report_vehicle(file)
-    target = job.correction_file
-    texts = {} if target is None else {target: run_yaml(sources[0], good[0].checked.findings, target, job.read)}
-    list_files(write_results(good, failed, folder, job.json, texts, console), console)
+    files = write_results(good, failed, folder, job.json, console)
+    if target := job.correction_file:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(run_yaml(sources[0], good[0].checked.findings, target, job.read), encoding="utf-8")
+        files[target] = "the run with its corrections, for every command"
+    list_files(files, console)
     return int(bool(failed) or any(run.checked.with_severity(Severity.ERROR) for run in good))
 
 
@@ -88,17 +91,12 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
 
 
 def write_results(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
-                  texts: Mapping[Path, str], console: Console) -> dict[Path, str]:
-    """Write all files; returns their descriptions by path. texts: contents of further files by path."""
+                  console: Console) -> dict[Path, str]:
+    """Write page and JSON file; returns their descriptions by path."""
     content = document(good, failed)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):
         write_page(page, good, failed, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json_text(content), encoding="utf-8")
-    files = {page: "one page, with all comparisons", numbers: "all numbers; keys in docs/manual/checks.md"}
-    for file, text in texts.items():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-        files[file] = "the run with its corrections, for every command"
-    return files
+    return {page: "one page, with the findings and figures", numbers: "all numbers; keys in docs/manual/checks.md"}

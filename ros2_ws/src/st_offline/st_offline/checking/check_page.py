@@ -1,4 +1,4 @@
-"""Writes the page of `st check`: findings, corrections, and a figure of each comparison."""
+"""Writes the page of `st check`: findings, corrections, and figures of comparisons."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ from .check_report import CheckedRun, residual_rms
 MAX_FIGURES = 6  # on the page
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
-MIN_SHADE_WIDTH = 0.004  # fraction of the width of the figure; narrower shading would be invisible
+MIN_SHADE_WIDTH = 0.004  # fraction of the time axis; narrower shading would be invisible
 SHADE = {Severity.ERROR: drawing.BAD, Severity.WARNING: drawing.WARN, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
@@ -29,13 +29,11 @@ def draw_panel(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFi
     findings = sorted((finding for finding in run.checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
-    time = np.asarray(pair.time, float)
-    measured, derived = (np.asarray(v, float) for v in (pair.measured, pair.derived))
     for axes, values, colour, width, label in (
-            (upper, measured, MEASURED_COLOUR, 2.6, pair.measured_label),
-            (upper, derived, DERIVED_COLOUR, 0.9, pair.derived_label),
-            (lower, measured - derived, drawing.TEXT, 0.9, None)):
-        line = drawing.reduce_points(*drawing.cut_at_gaps(time, values, MAX_LINE_GAP))
+            (upper, pair.measured, MEASURED_COLOUR, 2.6, pair.measured_label),
+            (upper, pair.derived, DERIVED_COLOUR, 0.9, pair.derived_label),
+            (lower, pair.measured - pair.derived, drawing.TEXT, 0.9, None)):
+        line = drawing.reduce_points(*drawing.cut_at_gaps(pair.time, values, MAX_LINE_GAP))
         axes.plot(*line, color=colour, lw=width, label=label)
     shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
     for finding in findings:
@@ -83,7 +81,7 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
              if finding.severity is not Severity.NOTE and finding.effect is not None]
     size = f", by up to {max(sizes):.2g} m after 5 s" if sizes and worst.severity is Severity.WARNING else ""
     refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
-    meaning = check_report.MEANING[worst.severity]
+    meaning = check_report.describe_meaning(findings)
     sign = next(filter(None, (check_report.advise_steering_sign(
         run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
     correct = (f"To correct the recording, run `st check {good[0].where if len(good) == 1 else 'RUN'} "

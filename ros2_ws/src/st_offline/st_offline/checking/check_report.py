@@ -23,7 +23,7 @@ from ..terminal import format_count, print_line
 MAX_ZONE_DEVIATION = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
 MAX_STRETCHES = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
-MAX_RUNS = 8  # runs that are printed one by one; with more, each finding is printed once
+MAX_RUNS = 8  # runs that are printed one by one; of more, each error and warning is printed once
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
            Severity.NOTE: "negligible here"}
@@ -51,15 +51,19 @@ def verdict(checked: DriveCheck) -> str:
     if not checked.findings:
         compared = format_count(len(checked.comparisons), "comparison")
         return f"nothing found, in {compared}" if checked.comparisons else "nothing could be compared"
-    worst = min(checked.findings, key=severity_rank).severity
-    if worst is Severity.WARNING and all(
-            finding.concerns_only_acceleration for finding in checked.with_severity(worst)):
-        return f"{count_by_severity(checked.findings)}: results of identify and discover would be biased"
-    return f"{count_by_severity(checked.findings)}: {MEANING[worst]}"
+    return f"{count_by_severity(checked.findings)}: {describe_meaning(checked.findings)}"
+
+
+def describe_meaning(findings: Sequence[Finding]) -> str:
+    """Meaning of the most severe of some findings for an evaluation."""
+    worst = min(findings, key=severity_rank).severity
+    if worst is Severity.WARNING and all(f.concerns_only_acceleration for f in findings if f.severity is worst):
+        return "results of identify and discover would be biased"
+    return MEANING[worst]
 
 
 def headline(checked: DriveCheck) -> str:
-    """Number of findings of a run by severity, with the texts of the most severe ones."""
+    """Number of findings of a run by severity, with the texts of the most severe ones; without findings, `verdict`."""
     if not checked.findings:
         return verdict(checked)
     worst = min(checked.findings, key=severity_rank).severity
@@ -119,8 +123,8 @@ def describe_correction(advice: Advice | None) -> str:
 
 
 def advise_steering_sign(findings: Iterable[Finding], source: str = "RUN", can: bool | None = None) -> str:
-    """Advice for a steering angle with the opposite sign; empty if the sign is right. can: whether the steering is in a
-    CAN log (or in a table); None if unknown."""
+    """Advice for a steering angle with the opposite sign; empty without such a finding. can: whether the steering is in
+    a CAN log (else in a table); None if unknown."""
     if not any(finding.name == "steering_sign" for finding in findings):
         return ""
     log = "add --steering-sign -1 (1 if car.yaml has -1), or change steering_sign in car.yaml"
@@ -168,8 +172,8 @@ def _zone_note(offset: float) -> str:
 @dataclass(frozen=True)
 class CheckedRun:
     """One run of `st check`. vehicle_from: file or recording with the vehicle parameters. duration: [s]. warnings: of
-    the reader, including its corrections. files: sha256 by name. alignment: from `summarise_alignment`. where: files or
-    folder given by the user."""
+    the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`. where:
+    arguments of `st check` that read this run."""
 
     name: str
     checked: DriveCheck
@@ -238,7 +242,7 @@ def print_run(run: CheckedRun, console: Console) -> None:
 
 
 def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
-    """Print each run; for more than MAX_RUNS, print each finding once, with the names of its runs."""
+    """Print each run; for more than MAX_RUNS, print each error and warning once, with the names of its runs."""
     if len(runs) <= MAX_RUNS:
         for run in runs:
             print_run(run, console)
@@ -255,8 +259,8 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
 
 
 def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding, list[str]]]:
-    """Group the findings of several runs: (finding with the largest effect, names of the runs), most severe first. The
-    findings of a group have the same name, channels and sign of the value, because the text states the sign."""
+    """Group the findings of several runs: (most severe finding, with the largest effect among these; names of the
+    runs), most severe first. A group shares name, channels and sign of the value, because the text states the sign."""
     by_key: dict[tuple[str, tuple[str, ...], bool], list[tuple[Finding, str]]] = {}
     for name, findings in runs.items():
         for finding in findings:

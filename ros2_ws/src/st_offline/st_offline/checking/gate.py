@@ -56,8 +56,8 @@ def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag that is to be replayed, with `vehicle`, else the vehicle stored in it, and with the stored models and
-    step. Raises RefusedRunError, and RunError for a bag that cannot be read or has no topic with the steering."""
+    """Check a bag that is to be replayed, with its stored models and step; the vehicle is `vehicle`, the stored one, or
+    else the default. Raises RefusedRunError, and RunError for a bag that cannot be read or has no steering topic."""
     if not (settings and settings.steering) and is_own_can_log(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""

@@ -32,7 +32,8 @@ def check_file_name(file: Path) -> None:
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. Advice of other
-    kinds, on notes, or in conflict with an earlier finding appears in comments only. Paths are relative to `file`."""
+    kinds, on notes, in conflict with an earlier finding, or on columns of a run without a table appears in comments
+    only. Paths are relative to `file`."""
     corrections: dict[str, Any] = {}
     lines = [HEADER]
     for finding in findings:
@@ -47,7 +48,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         elif source.kind not in TABLE_KEYS and CSV_KEYS & advice.entry.keys():
             comment = f"not applied, only a csv or vbo has columns and units: {advice.line}"
         elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
-            comment = f"not applied, a more severe finding has another value: {advice.line}"
+            comment = f"not applied, an earlier finding has another value: {advice.line}"
         else:
             corrections = merged
             continue
@@ -120,7 +121,7 @@ def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, An
 
 
 def as_yaml_values(value: Any) -> Any:
-    """Mappings, sequences, corrections and numbers as plain values for YAML."""
+    """Mappings, sequences, corrections and numbers as plain values for YAML; floats with 15 significant digits."""
     if isinstance(value, Correction):
         return {field.name: as_yaml_values(getattr(value, field.name)) for field in fields(value)
                 if getattr(value, field.name) != field.default}
@@ -128,7 +129,7 @@ def as_yaml_values(value: Any) -> Any:
         return {str(key): as_yaml_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [as_yaml_values(item) for item in value]
-    return float(f"{value:.9g}") if isinstance(value, float) else value
+    return float(f"{value:.15g}") if isinstance(value, float) else value
 
 
 def _relative(path: Path, file: Path) -> str:

@@ -37,7 +37,7 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 def run_command(request: Request, console: Console) -> int:
     """Run the command. Returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
-    wrong options and unusable recordings, StCoreError if a search is not possible."""
+    wrong options and unusable recordings, StCoreError if a search is not possible, OutputError for the folder."""
     check_formats(request.formats)
     base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")

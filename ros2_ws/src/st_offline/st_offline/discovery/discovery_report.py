@@ -73,7 +73,8 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
 
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
-    of changes from the reference drives are shifted to the total values."""
+    of changes from the reference drives are shifted to the total values. An effect whose value is not the reported one
+    is marked effective."""
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
         for name, p in named_effect.parameters.items():
@@ -146,7 +147,7 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
         Table("Corrections of the vehicle file", "Values and intervals of the effects as entries of the file, in SI "
               "units.", ("key", "given file", "vehicle.yaml", "95 % interval"), changes),
         Table("Held-out error of each channel", "Root mean square at the end of the horizon; for the position after "
-              "5 s, the mean. \"After\" is with model.yaml. Sorted by the reduction.",
+              "5 s, the mean. \"After\" is with model.yaml. Sorted by the relative reduction.",
               ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "

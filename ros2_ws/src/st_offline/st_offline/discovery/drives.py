@@ -24,7 +24,6 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.recorded_results import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
-from st_recordings.runs.load import hash_files
 
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 
@@ -114,8 +113,8 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         checked = check_log(run.log, vehicle, run.auxiliary)
         recorded = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
         car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
-        about = {"files": hash_files((*source.files, *source.can)),
-                 "duration_s": run.log.duration, "alignment": run.alignment.verdict.value,
+        about = {"files": run.provenance["files"], "duration_s": run.log.duration,
+                 "alignment": run.alignment.verdict.value,
                  "clock_deviation_s": json_ready(run.alignment.offset_deviation),
                  "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse_errors(source.where, checked.findings, force)
@@ -127,7 +126,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 
 def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
-    """Standard deviation of the offset of the steering clock [s], by run with aligned clocks."""
+    """Standard deviation of the offset of the steering clock [s], by run whose offset was estimated."""
     return {d.name: s for d in drives if d.log is not None and (s := d.about.get("clock_deviation_s"))}
 
 

@@ -24,7 +24,7 @@ from .relation_files import full_title
 AFTER_COLOUR = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
-MIN_ASPECT = 0.3  # width / length of a track; the axes of narrower tracks have different scales
+MIN_ASPECT = 0.3  # `_aspect_ratio` of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts, and the places, are drawn in one row
 AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are cut off there
@@ -47,7 +47,7 @@ class FigureData:
 
     @property
     def channel(self) -> str:
-        """Channel with the largest significant excess over the expected error; the first channel if there is none."""
+        """Channel whose significant excess over the expected error has the highest lower limit; else the first one."""
         channels = list(self.before.squares)
         known = [w for w in self.discovery.where if w.channel in channels]
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
@@ -56,10 +56,9 @@ class FigureData:
 @apply_style()
 def draw_waterfall(data: FigureData) -> PageFigure | None:
     """Draw the held-out position error after 5 s at each step of the search; None without steps or position errors."""
-    steps = data.discovery.steps
-    if not steps or not all(np.isfinite((s.position_5s.base, s.position_5s.augmented)).all() for s in steps):
+    steps, position = data.discovery.steps, data.discovery.errors.get("position_5s")
+    if not steps or position is None or not np.isfinite(position.base):
         return None
-    floor = data.discovery.errors["position_5s"].floor if "position_5s" in data.discovery.errors else 0.0
     figure, axes = plt.subplots(figsize=(WIDTH, 1.1 + 0.3 * (len(steps) + 2)))
     axes.set_axisbelow(True)
     first, last = steps[0].position_5s.base, steps[-1].position_5s.augmented
@@ -80,7 +79,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
     axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
-    axes.axvline(floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
+    axes.axvline(position.floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
     axes.set_yticks(range(len(steps) + 2), [*rows, end])
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
@@ -163,11 +162,10 @@ def draw_maps(data: FigureData) -> PageFigure | None:
     for axes, (name, samples) in zip(panels[0], models, strict=True):
         rows = np.flatnonzero(samples.run == run)
         rows = rows[:: max(1, len(rows) // 500)]
-        x, y = samples.x[rows], samples.y[rows]
         error = factor * np.sqrt(samples.squares[data.channel][rows])
         axes.plot(log.x[::stride], log.y[::stride], color=MEASURED_COLOUR, lw=0.6, alpha=0.6, zorder=1)
-        points = axes.scatter(x, y, c=error, s=14, cmap="cividis", zorder=2, linewidths=0, rasterized=True,
-                              vmin=0.0, vmax=largest)
+        points = axes.scatter(samples.x[rows], samples.y[rows], c=error, s=14, cmap="cividis", zorder=2, linewidths=0,
+                              rasterized=True, vmin=0.0, vmax=largest)
         if is_wide:
             axes.set_aspect("equal", adjustable="box")
         axes.set_title(name, fontsize=9)
@@ -176,13 +174,13 @@ def draw_maps(data: FigureData) -> PageFigure | None:
     bar = figure.colorbar(points, ax=list(panels[0]))
     bar.set_label(f"{quantities.channel_label(data.channel)} error, {unit}")
     title = f"{log.name}: {quantities.channel_label(data.channel)} error on the map"
-    caption = "Each point is one prediction, coloured by its error. All panels have the same colour scale."
+    caption = "Each point is the start of a prediction, coloured by its error. All panels have the same colour scale."
     return save_figure(figure, data.output, "map", title, caption)
 
 
 def _find_worst_run(data: FigureData) -> int | None:
-    """Index of the run with the largest RMS error of the base model in `data.channel`; None without errors. Runs with a
-    straight track are left out if there are others."""
+    """Index of the run with the largest RMS error of the base model in `data.channel`; None without errors. Narrow
+    tracks (MIN_ASPECT) are left out if there are others."""
     samples = data.before
     squares = samples.squares.get(data.channel)
     if squares is None or not len(squares):

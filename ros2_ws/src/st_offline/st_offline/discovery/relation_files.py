@@ -1,4 +1,4 @@
-"""Formats a proposed relation as an effect file, a model file that uses it, and an entry of discovery.json."""
+"""Writes a proposed relation as an effect file with a model file that uses it, and as an entry of discovery.json."""
 
 import shutil
 from collections.abc import Sequence
@@ -77,7 +77,7 @@ class {cls}(Effect):
     excited_by = "{quantity} from {low:.3g} to {high:.3g} {quantity_unit}"
     kind, slot = "{kind}", "{slot}"
     applies_to = DYNAMIC
-    order = 90{memory}
+    order = 90{states}
     parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0),
                           meaning="fraction of the fitted curve", source="st discover --propose"{odd})
 {body}
@@ -121,7 +121,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         before=relation.position_5s[0], after=relation.position_5s[1], p_value=relation.p_value, formulas=formulas,
         interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),
         odd=", odd=True" if c.is_one_sided else "",
-        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), memory=_memory_source(c)[0],
+        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), states=_state_source(c)[0],
         physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
         slot=SLOTS[c.term])
@@ -142,7 +142,7 @@ def _hooks_source(relation: Relation) -> str:
         constants = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
                      f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
     y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
-    return f"{constants}\n    @staticmethod\n    def {signature}:\n        {body.format(y=y)}{_memory_source(c)[1]}"
+    return f"{constants}\n    @staticmethod\n    def {signature}:\n        {body.format(y=y)}{_state_source(c)[1]}"
 
 
 def _expression(name: str) -> str:
@@ -153,7 +153,7 @@ def _expression(name: str) -> str:
     return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
-def _memory_source(c: Candidate) -> tuple[str, str]:
+def _state_source(c: Candidate) -> tuple[str, str]:
     """(declaration of the state, hooks that integrate it) for a quantity that depends on earlier values, such as a lag;
     two empty strings for other quantities."""
     name = next((q for q in (c.quantity, c.factor) if q in FILTERED), "")

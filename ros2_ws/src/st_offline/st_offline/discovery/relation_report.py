@@ -128,7 +128,7 @@ def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
              f"--effects {folder}/effects; to test the file: st effects check "
              f"{folder}/effects/{effect_name(relation)}.py"]
     if has_model:
-        lines += ["without the relation: vehicle.yaml and model.yaml",
+        lines += ["without the relation: vehicle.yaml and model.yaml, or the one of them that was written",
                   "do not combine proposed.yaml with vehicle.yaml (the commands reject this): proposed.yaml already "
                   "contains the corrections of the vehicle file, which would be applied twice"]
     return lines

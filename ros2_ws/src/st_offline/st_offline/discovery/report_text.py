@@ -35,10 +35,10 @@ Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 LIMITS = Limits()
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
-               "removed and the others are refitted. An effect is named only if it is significant and reduces, over "
-               "all driving or in one driving condition, the error of a channel by at least "
-               f"{100 * LIMITS.relevant:g} % or the 5 s position error by at least {LIMITS.relevant_position:g} m. A "
-               "sensor error that redundant sensors confirm is also named, if it is at least "
+               "removed and the others are refitted. An effect is named only if it is significant and reduces the "
+               f"error of a channel by at least {100 * LIMITS.relevant:g} %, or the 5 s position error, over all "
+               f"driving or in one condition, by at least {LIMITS.relevant_position:g} m. A sensor error that "
+               "redundant sensors confirm is also named, if it is at least "
                f"{LIMITS.min_relative_size:g} times its typical size")
 PAIR_HEAD = ("effect", "alternative", f"share of the gain (limit {LIMITS.min_rival_gain:.0%})",
              f"increase of the residual (limit {LIMITS.unexplained_share:.0%})",

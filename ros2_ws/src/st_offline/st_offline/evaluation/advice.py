@@ -47,10 +47,10 @@ TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold"
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor time per prediction [s]. floats: single prediction without numba. compiled: single prediction with
-    numba, None if the model cannot be compiled. batch: mean over a batch of at most MAX_BATCH predictions."""
+    """Processor time per prediction [s]. interpreted: single prediction without numba. compiled: single prediction
+    with numba, None if the model cannot be compiled. batch: mean over a batch of at most MAX_BATCH predictions."""
 
-    floats: float
+    interpreted: float
     compiled: float | None
     batch: float
 
@@ -70,7 +70,7 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
         held = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
         compiled, _ = compile_models(models, vehicle, variant.prediction)
         for model in models:
-            calls[model.name, step, "floats"] = partial(
+            calls[model.name, step, "interpreted"] = partial(
                 predict, model, vehicle, state, held, variant.prediction.horizon, step), 1
             if model.name in compiled:
                 calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
@@ -86,8 +86,9 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
                 count += 1
             times_by_call[key].append((time.process_time() - begin) / (count * predictions))
     seconds = {key: float(np.median(values)) for key, values in times_by_call.items()}
-    return {(model.name, step): Cost(seconds[model.name, step, "floats"], seconds.get((model.name, step, "compiled")),
-                                     seconds[model.name, step, "batch"]) for model in models for step in settings}
+    return {(model.name, step): Cost(
+        seconds[model.name, step, "interpreted"], seconds.get((model.name, step, "compiled")),
+        seconds[model.name, step, "batch"]) for model in models for step in settings}
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
 
 def get_processor_time(cost: Cost) -> float:
     """Processor time of a single prediction [s], compiled if possible."""
-    return cost.floats if cost.compiled is None else cost.compiled
+    return cost.interpreted if cost.compiled is None else cost.compiled
 
 
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
@@ -223,7 +224,7 @@ def vary_step(settings: EvaluationSettings) -> dict[float, EvaluationSettings]:
 def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy]) -> list[dict[str, str]]:
     """One row for each model and step. Each cost is followed by its ratio to the lowest cost of the column."""
     times_by_kind = {kind: [time for cost in costs.values() if (time := getattr(cost, kind)) is not None]
-                     for kind in ("floats", "compiled", "batch")}
+                     for kind in ("interpreted", "compiled", "batch")}
     least = {kind: min(times) for kind, times in times_by_kind.items() if times}
     seconds = max((accuracy.second for accuracy in accuracies.values()), default=())
     rows = []

@@ -120,17 +120,17 @@ def _round_number(number: re.Match) -> str:
 
 
 def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a line to at most MAX_POINTS points: smallest and largest value of each section, or one NaN."""
+    """Reduce a long line to the smallest and largest value and the first NaN of each of MAX_POINTS / 2 sections."""
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)
     keep = []
     for a, b in itertools.pairwise(edges.tolist()):
         part = values[a:b]
-        if np.isnan(part).all():
-            keep.append(a)
-        else:
-            keep += sorted({a + int(np.nanargmin(part)), a + int(np.nanargmax(part))})
+        unknown = np.isnan(part)
+        chosen = {int(unknown.argmax())} if unknown.any() else set()
+        chosen |= set() if unknown.all() else {int(np.nanargmin(part)), int(np.nanargmax(part))}
+        keep += [a + k for k in sorted(chosen)]
     return time[keep], values[keep]
 
 

@@ -113,12 +113,12 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
 
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
-               task: Task, overview: PageFigure | None, bands: Sequence[PageFigure]) -> None:
+               task: Task, overview: PageFigure, bands: Sequence[PageFigure]) -> None:
     """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
-    leading = [overview] if overview and len(good) > 1 else [f for r in good for f in r.figures[1:2]]
+    leading = [overview] if len(good) > 1 else [f for r in good for f in r.figures[1:2]]
     # Of the first run; the figures of other runs are written to files only.
-    run_figures = [f for f in good[0].figures if f not in leading] if good else []
+    run_figures = [f for f in good[0].figures if f not in leading]
     modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
@@ -134,10 +134,8 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
 
 
 @apply_style()
-def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure | None:
-    """Draw the hindsight RMSE of each model for at most MAX_RUNS runs, the worst laterally; None without runs."""
-    if not reports:
-        return None
+def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput) -> PageFigure:
+    """Draw the hindsight RMSE of each model for the MAX_RUNS runs with the largest lateral RMSE."""
     models = list(reports[0].models)
     rmse = {axis: np.array([[get_axis_statistics(r.models, m, "hindsight", axis, over)["rmse"] for m in models]
                             for r in reports], float) for axis in REPORTED_AXES}  # NaN: not scored

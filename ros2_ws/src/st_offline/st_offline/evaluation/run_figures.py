@@ -154,9 +154,8 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
     add_legend(figure, data.models, extra, ls="solid")
-    length = evaluation.horizon[-1]
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
-    caption = f"Error averaged over each {length:g} s horizon (hindsight: measured inputs), versus its start time."
+    caption = "Error averaged over each horizon (hindsight: measured inputs), versus its start time."
     return save_figure(figure, data.output, "horizon_means", title, caption)
 
 

@@ -18,14 +18,12 @@ from st_core.palette import MODEL_COLOUR
 from .drive_parts import DrivePart, assign_horizons
 
 STATISTICS = ("mean", "max", "rmse")
-
 Entry = dict[str, Any]
 DECIMALS = 2  # centimetres, as in the paper
 MIN_FORECAST_WIDTH = 100  # characters; a narrower terminal shows no forecasts
 REPORTED_AXES = ("longitudinal", "lateral")
 TABLE_NOTE = "mean | max | RMSE over {over}, m; bold: smallest magnitude of each run"
 OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all horizons"}
-
 Models = Mapping[str, Any]  # {model: {mode: entry}}
 
 

@@ -176,7 +176,7 @@ def _check_run(source: RunSource, run: LoadedRun, task: Task,
 
 
 def load_models(task: Task) -> list[Model]:
-    """Models of a task. Raises ConfigurationError for an unknown model, an invalid file, or a duplicate model name."""
+    """Models of a task. Raises ConfigurationError for an unknown model, a duplicate name, or an unusable model file."""
     models: list[Model] = []
     if task.effects:
         load_folder(str(task.effects.absolute()))
@@ -238,7 +238,7 @@ def write_starts(file: Path, evaluation: LogEvaluation) -> None:
 def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[Mode, FutureInputs]:
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
-    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that are not numbers
+    map of the run; otherwise both must be in the same map. Raises RunError for planned columns that cannot be read
     and a course at another location, ConfigurationError for planned columns whose times do not increase."""
     inputs: dict[Mode, FutureInputs] = {}
     prediction, files = task.settings.prediction, run.provenance["files"]

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import chi2
 from st_core.checks import Finding
-from st_core.errors import StCoreError
+from st_core.errors import ConfigurationError
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
@@ -20,13 +20,14 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import RunError, find_runs, read
+from st_recordings.runs import find_runs, read
+from st_recordings.runs.errors import join_problems
 
-from ..checking.gate import check_log, refuse_errors
+from ..checking.gate import RUN_ERRORS, check_log, describe_problem, refuse_errors
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, Setup, format_rounded
 
-MAX_POINTS = 4000  # in a scatter plot, approximately; more points would only overlap
+MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
 DEG = np.rad2deg(1.0)
 DISPLAY_UNITS = {"rad": (DEG, "deg"), "N/rad": (1e-3, "kN/rad")}
@@ -180,7 +181,7 @@ def _draw_region(axes: plt.Axes, outcome: Identification, pair: Sequence[Paramet
 
 
 def _thin_rows(count: int) -> np.ndarray:
-    return np.arange(0, count, max(1, count // MAX_POINTS))
+    return np.arange(0, count, max(1, -(-count // MAX_POINTS)))
 
 
 def _concatenate_times(run: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -214,7 +215,7 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
         if not predicts and setup.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
         logs: list[DriveLog] = []
-        failed: dict[str, Exception] = {}
+        failed: dict[str, str] = {}
         warnings: dict[str, None] = {}  # a dict keeps each warning once, in order
         findings: dict[str, tuple[Finding, ...]] = {}
         for source in find_runs(files):
@@ -222,17 +223,15 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
                 run = read(source, setup.vehicle, setup.read)
                 findings[source.name] = check_log(run.log, setup.vehicle, run.auxiliary).findings
                 refuse_errors(source.where, findings[source.name], setup.force)
-            except (RunError, StCoreError) as error:
-                failed[source.name] = error
+            except RUN_ERRORS as error:
+                failed[source.name] = describe_problem(error, source)
                 continue
             logs.append(run.log)
             warnings |= dict.fromkeys(run.warnings)
         if not logs:
-            raise next(iter(failed.values()), None) or IdentificationError(
-                "no drives were given; name at least one recording")
+            raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
         outcome = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
-        unusable = ((source, str(error)) for source, error in failed.items())
-        return (replace(outcome, experiment=name, rejected=(*unusable, *outcome.rejected),
+        return (replace(outcome, experiment=name, rejected=(*failed.items(), *outcome.rejected),
                         warnings=(*outcome.warnings, *warnings), findings=findings),)
 
     return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)

@@ -79,7 +79,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
     for outcome in outcomes:
         console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
-             "95 % interval": interval, "file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
+             "95 % interval": interval, "in the file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
             for name, value, _, interval, unit, before, status in estimate_rows(outcome, vehicle)],
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
@@ -108,7 +108,7 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
 
 
 def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], car: VehicleParameters,
-                  facts: dict[str, Any]) -> dict[str, Path]:
+                  provenance: dict[str, Any]) -> dict[str, Path]:
     """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
     figures = [draw(outcome, output) if (draw := EXPERIMENTS[outcome.experiment].draw) else None
@@ -116,9 +116,9 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
     texts = {
         "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
-        "details.json": json_text({**facts, "experiments": [make_experiment_details(outcome) for outcome in outcomes]}),
+        "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
         "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, outcomes),
-        "report.html": render_page(outcomes, figures, job.setup.vehicle, facts),
+        "report.html": render_page(outcomes, figures, job.setup.vehicle, provenance),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")
@@ -153,7 +153,7 @@ def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
 
 
 def render_page(outcomes: Sequence[result.Identification], figures: Sequence[PageFigure | None],
-                vehicle: VehicleParameters, facts: dict[str, Any]) -> str:
+                vehicle: VehicleParameters, provenance: dict[str, Any]) -> str:
     """Content of report.html."""
     values = [f"{name} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
@@ -169,7 +169,7 @@ def render_page(outcomes: Sequence[result.Identification], figures: Sequence[Pag
                                          for name, row in zip(names, outcome.correlation, strict=False)]
 
     return load_template("identification/page.html.jinja").render(
-        title=f"{vehicle.name}: {', '.join(values)}", outcomes=list(zip(outcomes, figures, strict=True)), about=facts,
-        findings=collect_findings_by_drive(outcomes), heads=COLUMN_NAMES,
-        rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table,
-        correlation=make_correlation_table)
+        title=f"{vehicle.name}: {', '.join(values)}", about=provenance,
+        outcomes=list(zip(outcomes, figures, strict=True)), heads=COLUMN_NAMES,
+        findings=collect_findings_by_drive(outcomes), correlation=make_correlation_table,
+        rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table)
