@@ -182,8 +182,8 @@ def make_share_rows(shares: Mapping[str, Any]) -> list[dict[str, str]]:
             row = {"model": model, "second": second,
                    "rms along | across, m": f"{rms['longitudinal']:.2f} | {rms['lateral']:.2f}"}
             for kind, values in summary["share"].items():
-                is_stated = kind != PARAMETERS or summary["stated"]
-                row[kind] = (f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}" if is_stated
-                             else "not stated")
+                text = f"{values[second]['longitudinal']:.0%} | {values[second]['lateral']:.0%}"
+                row["residual" if kind == RESIDUAL else kind] = (
+                    text if kind != PARAMETERS or summary["stated"] else "not stated")
             rows.append(row)
     return rows

@@ -238,7 +238,8 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
-    """Fit the stiffnesses by prediction, and mark those "doubtful" that contradict the paper's regression."""
+    """Fit the stiffnesses by prediction; those that contradict the paper's regression by more than MAX_DISAGREEMENT are
+    marked "doubtful"."""
     outcome = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
