@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from .course import SPACING, Course, NearPoint
+from .course import PAUSE_SPEED, SPACING, Course, NearPoint
 from .log import LogSignals
 from .planned_inputs import SLIP_FREE, path_inputs
 from .timeseries import NANOSECOND
@@ -45,7 +45,6 @@ INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m, plus 0.1 of the distance driven: largest difference between it and the displacement, else a restart
 MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car; horizons of it that are used
-MIN_SPEED = 0.5  # m/s, below which the course is not used: curvature is undefined at standstill
 
 
 class EgoMotion(NamedTuple):
@@ -69,7 +68,7 @@ class EgoMotion(NamedTuple):
     @property
     def curvature(self) -> float:
         """Curvature of the path [1/m], left +."""
-        return self.yaw_rate / max(self.velocity_x, MIN_SPEED)
+        return self.yaw_rate / max(self.velocity_x, PAUSE_SPEED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +120,7 @@ class CourseTracker:
 
     def update(self, ego: EgoMotion) -> CourseForecast:
         """The forecast from this start; without inputs if no pass fits, or if the car is slow or its motion unknown."""
-        if not all(map(math.isfinite, ego)) or ego.velocity_x < MIN_SPEED:
+        if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)
         self._score(ego, elapsed)

@@ -39,7 +39,7 @@ def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.
 class Range:
     """Plausible range of a quantity of road cars, wider than the range published in `source`."""
 
-    key: str  # entry of the vehicle file that mainly determines the quantity
+    key: str  # entries of the vehicle file that mainly determine the quantity
     name: str
     unit: str
     low: float

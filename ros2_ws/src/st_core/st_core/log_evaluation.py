@@ -244,7 +244,7 @@ def _count_reasons(masks: Mapping[str, np.ndarray]) -> dict[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Evaluation of a few starts."""
+    """Evaluation of at most BLOCK_SIZE starts."""
 
     errors: dict[tuple[str, Mode], np.ndarray]  # (n, points, 3), NaN where not scored, axes as AXES
     trajectories: dict[tuple[str, Mode], np.ndarray]  # states (n, points, 6)
