@@ -47,12 +47,12 @@ class ReceiverStatus:
 
     state: BusState = BusState.GONE
     reason: str = "not opened yet"
-    frames: int = 0
+    frames: int = 0  # data and remote frames
     error_frames: int = 0
-    last_error: str = ""
-    opened: int = 0
-    failures: int = 0
-    callback_errors: int = 0
+    last_error: str = ""  # text of the newest error frame
+    opened: int = 0  # times the bus was opened
+    failures: int = 0  # to open or read the bus
+    callback_errors: int = 0  # frames for which `on_frame` raised an exception
     delay: float = float("nan")
     delay_maximum: float = float("nan")
 

@@ -103,7 +103,7 @@ class MessageSpec:
     uses, by DBC name of the signal."""
 
     dbc: DbcMessage
-    needed: bool
+    needed: bool  # required on the bus
     period: float
     timeout: float
     signals: tuple[SignalSpec, ...]

@@ -59,7 +59,7 @@ class Field:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
         bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
         nibble; ibits: inverted bits
-        shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to six digits of text
+        shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to text of at least six digits
         text<n>: n characters
     """
 

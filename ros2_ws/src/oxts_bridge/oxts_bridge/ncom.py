@@ -51,9 +51,9 @@ class NcomError(ValueError):
 class StatusRule(NamedTuple):
     """Contents of a packet at a navigation status (byte 21).
 
-    kind: "regular"; "trigger" (an event with its time in batch S); "status" (only batch S is valid); or "empty".
-    navigation: validity of position, velocity and angles: "none", "valid", or "approximate" (before the first fix, not
-    published). has_time: bytes 1-2 are the time of the measurement. is_defined: the manual defines this status.
+    kind: "regular" (a measurement); "trigger" (an event with its time in batch S); "status" (only batch S is valid); or
+    "empty" (nothing is valid). navigation: validity of position, velocity and angles: "none", "valid", or "approximate"
+    (before the first fix, not published). has_time: bytes 1-2 are valid. is_defined: the manual defines this status.
     """
 
     text: str
@@ -230,12 +230,12 @@ class Counters:
     checksum_errors: int = 0  # checksum 3 is wrong where a packet was expected
     skipped_bytes: int = 0  # not part of a packet
     inner_checksum_warnings: int = 0  # checksum 1 or 2 is wrong, 3 is correct: accepted, as by the vendor's tools
-    late: int = 0
-    duplicates: int = 0
+    late: int = 0  # measured before the newest packet
+    duplicates: int = 0  # bytes equal to those of the previous measurement or trigger packet
     unknown_statuses: int = 0  # reserved navigation status: ignored
-    unknown_channels: int = 0
+    unknown_channels: int = 0  # status channel without a published layout
     structure_b: int = 0  # vendor-internal, dropped
-    triggers: int = 0
+    triggers: int = 0  # trigger packets, including repeated ones and those without an event
     impossible_times: int = 0  # milliseconds of the minute above 59999: the packet has no time
     impossible_positions: int = 0  # NaN or out of range although the navigation status declares a position: masked
 

@@ -58,7 +58,7 @@ EVALUATOR = (
     _NUMBER_WHEN_TAKEN,
 )
 
-# Raw packets and frames, topics that do not follow from them, and topics that external viewers and tools expect.
+# Raw packets and frames, topics that cannot be derived from them, and topics that external viewers and tools expect.
 _COMMON_TOPICS = ["plan/inputs", "predictor/*", "evaluator/*", "identifier/*", "/tf", "/tf_static", "/diagnostics",
                   "/rosout"]
 TOPICS = ["ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin", "vehicle/steering", "can/frames",
