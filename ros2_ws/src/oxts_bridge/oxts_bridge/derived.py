@@ -17,13 +17,10 @@ from .motion import Motion
 from .ncom import STATUS_ONLY, Packet
 
 EARTH_RATE = 7.2921151467e-5  # rad/s
-# Lowest speed with a track while the unit gives no velocity accuracy [m/s].
-MIN_TRACK_SPEED = 0.14
+MIN_TRACK_SPEED = 0.14  # m/s; lowest speed with a track while the unit gives no velocity accuracy
 # Distance is not integrated across a step of the packet time that is backward or longer than this [s] (joined files).
 LONGEST_STEP = 10.0
-# Two successive steps give the sampling rate if they differ by less than this fraction.
-_STEP_TOLERANCE = 0.01
-
+_STEP_TOLERANCE = 0.01  # two successive steps give the sampling rate if they differ by less than this fraction
 
 SettingHistory: TypeAlias = Sequence[tuple[int, tuple[Any, ...]]]
 """Values of one group of status fields: (index of the first packet to which they apply, values; None: invalid)."""

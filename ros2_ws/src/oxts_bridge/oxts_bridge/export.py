@@ -19,8 +19,7 @@ Change: TypeAlias = tuple[int, int, str, Value]
 """Change of a status field: packet, channel, field, value (None: invalid)."""
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
-# The vendor's tools write 10 for all robot interface codes without a name.
-_LARGEST_UMAC_STATUS = 10
+_LARGEST_UMAC_STATUS = 10  # written by the vendor's tools for all robot interface codes without a name
 # In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()

@@ -18,8 +18,7 @@ NEW, SAME, LATE, DUPLICATE = 0, 1, 2, 3
 HALF_MINUTE_MS = 30_000
 # After more than this many consecutive late packets in ascending order, the clock is taken to have been set back.
 MAX_LATE_RUN = 10
-# Longest pause on the receive clock across which the minute count is continued [ns].
-LONGEST_GAP_NS = 30_000_000_000
+LONGEST_GAP_NS = 30_000_000_000  # longest pause on the receive clock across which the minute count is continued
 # Within this time of a minute change [ms], a channel 0 that differs by one minute must be confirmed by the next one.
 CONFIRMATION_MS = 1_000
 # A step of the packet time that exceeds the pause on the receive clock by more than this is a jump [ns].

@@ -25,13 +25,11 @@ _LARGEST_DATAGRAM = 65_535  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
 _WAKE_PERIOD = 0.2  # s
 RETRY_PERIOD = 1.0  # s
-# Another sender is accepted after the one in use has been silent for this time [s].
-SENDER_TIMEOUT = 2.0
+SENDER_TIMEOUT = 2.0  # s of silence of the sender in use after which another one is accepted
 _MAX_SENDERS_COUNTED = 16
 # A replay does not wait for longer steps of the recorded time, which come from joined files or a clock change [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
-# A datagram from another port continues the stream only within this time [ms].
-LONGEST_CONTINUATION_MS = 1_000
+LONGEST_CONTINUATION_MS = 1_000  # a datagram from another port continues the stream only within this time
 
 # (bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
 OnData = Callable[[bytes, int, bool], int]

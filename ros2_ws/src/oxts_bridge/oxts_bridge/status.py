@@ -12,8 +12,7 @@ RAW_FIELDS = frozenset(
     | {name for channel in TRIGGER_CHANNELS for name in FIELDS[channel]}
 )
 LOCAL_FRAME = ("RefLat", "RefLon", "RefAlt", "RefHeading")
-# Weight of a new value in the filtered lag, as in the vendor's tools.
-_LAG_WEIGHT = 0.01
+_LAG_WEIGHT = 0.01  # of a new value in the filtered lag, as in the vendor's tools
 # Processed even if their bytes repeat: values derived from channels 23 and 45 change; 12 and 57 set the same fields.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 

@@ -9,10 +9,8 @@ from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, find_next_packet
 from .packet_time import DUPLICATE, LATE, MINUTE_MS, NEW, SAME, GpsClock
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
-# After this time without channel 0, a stream gets its minute from the host's clock [ns].
-HOST_MINUTE_DELAY_NS = 2_000_000_000
-# A step longer than this many typical steps is a gap.
-GAP_STEPS = 1.75
+HOST_MINUTE_DELAY_NS = 2_000_000_000  # without channel 0, after which a stream gets its minute from the host's clock
+GAP_STEPS = 1.75  # a step longer than this many typical steps is a gap
 _CLOCK_SAMPLES = 1000  # number of clock offsets that are kept: four seconds at 250 Hz
 
 
