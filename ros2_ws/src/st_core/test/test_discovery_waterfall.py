@@ -86,7 +86,7 @@ def test_interval_of_an_error_reduction_contains_it_and_that_of_no_reduction_con
 def test_error_comparison_names_the_worst_run_and_the_runs_with_a_larger_error(explained):
     _, final, ends, _, base = explained
     error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
-    after = ends.mean_by_run(ends.of(final)["position_5s"])
+    after = ends.error_by_run("position_5s", ends.of(final)["position_5s"])
     assert (error.worst_run, error.worst) == (max(after, key=after.get), max(after.values())) and error.worse_runs == ()
     reverse = waterfall.compare_channel_errors(ends, final, base, {})["position_5s"]
     assert set(reverse.worse_runs) == set(after)

@@ -16,6 +16,7 @@ from st_core.discovery.error_regions import (
     find_cells,
     find_error_regions,
     find_stretches,
+    log_residuals,
     range_text,
 )
 from st_core.log import DriveLog
@@ -96,13 +97,14 @@ def test_range_without_reference_data_is_marked_as_not_covered():
 
 def test_change_in_time_is_found_at_its_time():
     samples = make_samples(6, lambda time, c: np.where(time > 120.0, 3.0, 1.0), **PLAIN)
-    (part,) = find_stretches(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    (part,) = find_stretches(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001), 4.0, 0, 299)
     assert abs(part.start - 120.0) <= 4.0 and part.end > 198.0 and part.ratio > 2.0 and part.p <= 0.01
 
 
 def test_stationary_errors_have_no_change_in_time():
-    assert sum(bool(find_stretches(make_samples(seed, **PLAIN), "yaw_rate", 0.001, 4.0, seed,
-                                   199)) for seed in range(30)) <= 2
+    drives = [make_samples(seed, **PLAIN) for seed in range(30)]
+    assert sum(bool(find_stretches(s, "yaw_rate", log_residuals(s, "yaw_rate", 0.001), 4.0, seed, 199))
+               for seed, s in enumerate(drives)) <= 2
 
 
 def test_larger_errors_from_harder_driving_are_no_change_in_time():
@@ -113,7 +115,7 @@ def test_larger_errors_from_harder_driving_are_no_change_in_time():
     time = 0.25 * np.arange(800)
     samples = make_samples(7, lambda time, c: np.where(lateral(time) > 1.0, 3.0, 1.0),
                    **{**PLAIN, "lateral_acceleration": lateral(time)})
-    assert not find_stretches(samples, "yaw_rate", 0.001, 4.0, 0, 299)
+    assert not find_stretches(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001), 4.0, 0, 299)
 
 
 def test_place_with_large_errors_on_every_lap_is_found():
@@ -122,7 +124,8 @@ def test_place_with_large_errors_on_every_lap_is_found():
     x, y = 60.0 * np.cos(angle), 60.0 * np.sin(angle)
     near = np.hypot(x - 60.0, y) < 15.0
     squares = {"yaw_rate": base.squares["yaw_rate"] * np.where(near, 16.0, 1.0)}
-    worst = max(find_cells(replace(base, x=x, y=y, squares=squares), "yaw_rate", 0.001), key=lambda c: c.interval[0])
+    samples = replace(base, x=x, y=y, squares=squares)
+    worst = max(find_cells(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001)), key=lambda c: c.interval[0])
     assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.ratio > 2.0 and worst.p < 1e-3
 
 

@@ -5,15 +5,14 @@ the change caused by a known effect. The effect counts as detected if one forwar
 quadratic approximation of the loss; the whole search is not repeated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from scipy import stats
 
 from ..effects import find_confounded_effects
-from .evidence import Scores, efficient_score, library_p_value, make_scores, residual_over_noise
+from .evidence import Scores, efficient_score, library_p_value, residual_over_noise, score_effects
 from .fit import Fit, Problem
-from .loss import Quadratic
 from .result import Certificate, Power
 from .settings import Limits
 
@@ -109,23 +108,11 @@ def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.nda
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).sum_groups(problem.block, problem.blocks)
-    base = _held_out_losses(problem, q, fit.names, fit.vector)
-    gains, by_effect, information = {}, {}, {}
-    for effect in problem.space.hypotheses:
-        names = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
-        by_effect[effect], information[effect] = efficient_score(q, problem, names, effect)
-        without = base if names == fit.names else _held_out_losses(problem, q, names, fit.vector)
-        gains[effect] = without - _held_out_losses(problem, q, (*names, effect), fit.vector)
+    scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, FLIPS)
+    gains = {effect: gain for effect, (gain, _) in scores.gains.items()}
     best = max(gains, key=lambda e: gains[e].sum())
-    scores = make_scores(q, by_effect, information, {}, rng, FLIPS)
-    p_value = library_p_value(by_effect[best], gains[best], scores, len(by_effect))
+    p_value = library_p_value(scores.by_effect[best], gains[best], scores, len(gains))
     if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < required:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
             or (e in find_confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]
-
-
-def _held_out_losses(problem: Problem, q: Quadratic, names: Sequence[str], vector: np.ndarray) -> np.ndarray:
-    """(b,) held-out loss of a set of effects, from the quadratic approximation."""
-    indices = problem.free_indices(names)
-    return problem.leave_out(q.only(indices), names, vector, indices, problem.fold)[1]

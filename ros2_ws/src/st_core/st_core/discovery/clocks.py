@@ -28,10 +28,11 @@ ITERATIONS = 3  # repetitions of the joint fit, each with the corrected time sta
 def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space,
                                settings: DiscoverySettings, deviations: Mapping[str, float], threads: int,
                                tick: Callable[[], None]) -> dict[str, float]:
-    """Correction of the steering time stamps by run [s], > 0 if they were early; empty for a single run, and if all
-    clocks are exact. deviations [s]: standard deviation of the steering clock by run, used as a prior; up to
-    MAX_CLOCK_DEVIATION a clock counts as exact. The corrections are fitted together with all parameters of the library.
-    An error common to all runs is attributed to the effect `steering_delay`, which has a wider prior."""
+    """Correction of the steering time stamps [s], > 0 if they were early, by run with an uncertain clock; empty for a
+    single run, and for a base model without the effect `steering_delay`. deviations [s]: standard deviation of the
+    steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock counts as exact. The corrections are
+    fitted together with all parameters of the library. An error common to all runs is attributed to `steering_delay`,
+    which has a wider prior."""
     prior_deviation = np.array([deviations.get(run.name, 0.0) for run in runs])
     free = np.flatnonzero(prior_deviation > MAX_CLOCK_DEVIATION).tolist()
     if len(runs) < 2 or not free or not len(space.indices(SteeringDelay.name)):

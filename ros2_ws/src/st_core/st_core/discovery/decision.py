@@ -19,12 +19,12 @@ PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run",
 
 @dataclass(frozen=True)
 class NamingChecks:
-    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the
-    null. crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: largest axle force in
-    the drives divided by the peak force, for an effect on the peak. worse_axle: an axle on which the effect acts and
-    where the measured forces agree better with the vehicle file than with the final model, or "". summed: other effects
-    of the model; only their sum with this effect is identifiable. objection: reason why the car with this effect would
-    be implausible (see `handling.find_implausible_values`), or ""."""
+    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the null.
+    crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: force reached in the drives
+    divided by the peak force, larger of both axles; 1 for an effect that does not act on the peak. worse_axle: an axle
+    on which the effect acts and where the measured forces agree better with the vehicle file than with the final model,
+    or "". summed: other effects of the model; only their sum with this effect is identifiable. objection: reason why
+    the car with this effect would be implausible (see `handling.find_implausible_values`), or ""."""
 
     excludes_null: bool = True
     crossing: str = ""
@@ -39,8 +39,9 @@ class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
     effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
-    shared: whether both are in the model and the rival explains a part of the replaced effect. added [1]: gain of the
-    rival in a model that also has the replaced effect (from other errors), divided by the gain of that effect."""
+    shared: whether both are in the model and the rival explains a part of the replaced effect, whose evidence is then
+    given. added [1]: gain of the rival in a model that also has the replaced effect (from other errors), divided by the
+    gain of that effect."""
 
     name: str
     replaces: str
@@ -172,7 +173,7 @@ def is_relevant(e: Evidence, limits: Limits) -> bool:
 
 def find_most_affected(e: Evidence, limits: Limits) -> tuple[str, float]:
     """(name, reduction [1]) of the channel with the largest error reduction relative to its baseline error, among those
-    with an error above the noise; ("", 0) if there is none."""
+    with an error above `Limits.max_noise_ratio` times the noise; ("", 0) if there is none."""
     share, column = max(((share, column) for column, (share, noise_ratio) in e.shares.items()
                          if noise_ratio > limits.max_noise_ratio), default=(0.0, ""))
     return (CHANNEL_OF_COLUMN[column].name if column else ""), share

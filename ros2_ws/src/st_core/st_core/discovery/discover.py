@@ -202,7 +202,8 @@ class _Analysis:
 
     def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
-        file; those of the search if the gain is too small, or if reference drives replace these priors."""
+        file; those of the search if the gain is too small, if the position error grows, or with reference drives, which
+        replace these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, state.fit
@@ -221,7 +222,8 @@ class _Analysis:
     # Inputs
 
     def _make_problem(self) -> tuple[Problem, dict[str, float]]:
-        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives."""
+        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, whose
+        position error counts as noise of position_5s."""
         settings, space = self.settings, self.space
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
         if self.reference:
@@ -230,8 +232,8 @@ class _Analysis:
             start, prior, gain_between_drives = healthy.vector, healthy.prior, healthy.gain
             # The residual of the healthy car counts as noise: it is not a change since the reference drives.
             by_column = {c: max(by_column[c], float(v))
-                         for c, v in zip(self.windows.columns, healthy.residual, strict=True)}
-            by_column["position_5s"] = healthy.position
+                         for c, v in zip(self.windows.columns, healthy.residual_scale, strict=True)}
+            by_column["position_5s"] = healthy.position_error
         loss = Loss(Errors(self.windows, space, self.threads), start)
         return Problem(loss, start, self.windows.block, prior,
                        np.array([by_column[c] for c in self.windows.columns]), gain_between_drives,

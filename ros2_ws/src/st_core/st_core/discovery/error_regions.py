@@ -74,11 +74,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class Range:
-    """Range of a condition. label: text for reports. low, high: limits [SI]; None for directions (left, straight,
-    right)."""
+    """Range of a condition. label: text for reports. low, high: limits [unit]; None for directions (left, straight,
+    right) and for all driving."""
 
     quantity: str
     label: str
+    unit: str = ""
     low: float | None = None
     high: float | None = None
 
@@ -139,7 +140,7 @@ def assign_ranges(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
             ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE_EDGES),
             ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION_EDGES)):
         for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
-            ranges.append(Range(quantity, range_text(quantity, unit, low, high), low, high))
+            ranges.append(Range(quantity, range_text(quantity, unit, low, high), unit, low, high))
             columns.append((values >= low) & (values < high))
     limit = MIN_TURNING_ACCELERATION
     for label, rows in (("left", lateral >= limit), ("straight", abs(lateral) < limit), ("right", lateral <= -limit)):
@@ -163,7 +164,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
     """Conditions with larger errors of a model than in the reference drives or, without a reference, than the sensor
     noise; times and places with larger errors than under similar conditions. noise: standard deviation by channel [SI].
-    acceleration_gain: see `Discovery`. Channels that the runs or the reference do not measure are left out."""
+    acceleration_gain: see `Discovery`. Channels that the runs or the reference do not measure, and channels without a
+    significant range, are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
     expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
@@ -172,9 +174,10 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     ranges, members = assign_ranges(samples)
     bins = compute_excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
-    stretches = [stretch for channel, noise_level in sigma.items() for stretch in
-                 find_stretches(samples, channel, noise_level, settings.block, settings.seed, PERMUTATIONS)]
-    cells = [cell for channel, noise_level in sigma.items() for cell in find_cells(samples, channel, noise_level)]
+    residuals = {channel: log_residuals(samples, channel, noise_level) for channel, noise_level in sigma.items()}
+    stretches = [stretch for channel, residual in residuals.items() for stretch in
+                 find_stretches(samples, channel, residual, settings.block, settings.seed, PERMUTATIONS)]
+    cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
     adjusted = stats.false_discovery_control([c.p for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
@@ -205,7 +208,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _positions_and_conditions(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Positions, times and conditions of the windows of one run. seconds: their starts, as in `Windows` [s]."""
+    """Positions and times at the starts of the windows of one run, and conditions, which are means over the first
+    SHORT_HORIZON (root mean square of the steering rate). seconds: the starts, as in `Windows` [s]."""
     signals = LogSignals(log, MAX_GAP, 5.0, "zero_phase")
     begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
     starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
@@ -259,12 +263,12 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
 def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
                   has_reference: bool) -> LargeErrorRegion:
     """Region of a group of ranges. bins: all bins of the channel. overall: the bin of all driving."""
-    quantity, label = group[0].range.quantity, group[0].range.label
+    quantity, label, unit = group[0].range.quantity, group[0].range.label, group[0].range.unit
     low, high = group[0].range.low, group[-1].range.high
     if low is None or high is None:  # a direction
         condition = "straight driving" if label == "straight" else f"{label} turns"
         return LargeErrorRegion(overall.channel, condition, group[0].excess, group[0].interval)
-    condition = range_text(quantity, label.rsplit(" ", 1)[1], low, high)
+    condition = range_text(quantity, unit, low, high)
     sides = [b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"]
     if quantity in BINNED_BY_MAGNITUDE and low and len(sides) == 2 and all(b.significant for b in sides):
         condition += ", both directions"
@@ -328,20 +332,27 @@ def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range,
             expected_deviations = np.where(covered, expected_deviations, expected_deviations[worst])
         for k in np.flatnonzero(blocks >= MIN_BLOCKS):
             log_ratio = math.log(max(means[k], 1e-300) / max(expected[k], 1e-300))
-            deviation, count = max(math.hypot(deviations[k], expected_deviations[k]), 1e-6), int(blocks[k])
-            half_width = float(stats.t.ppf(0.975, count - 1)) * deviation
-            interval = math.exp(0.5 * (log_ratio - half_width)), math.exp(0.5 * min(log_ratio + half_width, 60.0))
-            excesses.append(BinExcess(channel, ranges[k], math.exp(0.5 * log_ratio), interval,
-                                      float(stats.t.sf(log_ratio / deviation, count - 1)), count, bool(covered[k])))
+            deviation, count = math.hypot(deviations[k], expected_deviations[k]), int(blocks[k])
+            excesses.append(BinExcess(channel, ranges[k], *_test_ratio(log_ratio, deviation, count), count,
+                                      bool(covered[k])))
     adjusted = stats.false_discovery_control([e.p for e in excesses], method="bh") if excesses else ()
     return tuple(replace(e, significant=bool(q <= FALSE_DISCOVERY_RATE and e.excess >= MIN_EXCESS))
                  for e, q in zip(excesses, adjusted, strict=True))
 
 
+def _test_ratio(log_ratio: float, deviation: float, blocks: int) -> tuple[float, tuple[float, float], float]:
+    """(ratio of RMS errors, its 95 % interval, p-value of the hypothesis that it is at most 1) by Student's t, from the
+    logarithm of the ratio of mean squares and its standard deviation."""
+    deviation = max(deviation, 1e-6)
+    half_width = float(stats.t.ppf(0.975, blocks - 1)) * deviation
+    interval = math.exp(0.5 * (log_ratio - half_width)), math.exp(0.5 * min(log_ratio + half_width, 60.0))
+    return math.exp(0.5 * log_ratio), interval, float(stats.t.sf(log_ratio / deviation, blocks - 1))
+
+
 def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
                resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each column of
-    `members`. The bootstrap resamples whole blocks."""
+    `members`. The bootstrap resamples whole blocks; the number is 0 where it gives no standard deviation."""
     finite = np.isfinite(squares)
     _, index = np.unique(block[finite], return_inverse=True)
     weights = members[finite].astype(float)
@@ -365,9 +376,10 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng:
     return mean, deviation, np.where(np.isfinite(deviation), blocks, 0)
 
 
-def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.ndarray:
-    """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown. noise [SI]."""
-    c = samples.conditions  # the constants below limit the logarithms of values near 0
+def log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
+    """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown, and throughout
+    with too few predictions. noise [SI]."""
+    squares, c = samples.squares[channel], samples.conditions  # the constants limit the logarithms of values near 0
     rows = np.stack([np.ones(len(squares)), np.log(np.maximum(c["speed"], 0.5)),
                      np.log(np.abs(c["lateral_acceleration"]) + 0.2), np.log(c["steering_rate"] + 0.005),
                      np.abs(c["forward_acceleration"])], axis=1)
@@ -380,11 +392,11 @@ def log_residuals(samples: Samples, squares: np.ndarray, noise: float) -> np.nda
     return residual
 
 
-def find_stretches(samples: Samples, channel: str, noise: float, block: float, seed: int,
+def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int,
                    permutations: int) -> list[Stretch]:
     """Find the stretches with larger errors than the other parts of their run, by binary segmentation. A change point
-    is significant if the cumulative sum of `log_residuals` is larger than with shuffled blocks of `block` [s]."""
-    residual = log_residuals(samples, samples.squares[channel], noise)
+    is significant if the cumulative sum of `residual`, the `log_residuals` of the channel, is larger than with shuffled
+    blocks of `block` [s]."""
     rng = np.random.default_rng((seed, 17))
     stretches = []
     for run in np.unique(samples.run):
@@ -437,9 +449,9 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
     return np.abs(sums) / (rows.std(axis=1, keepdims=True) * math.sqrt(rows.shape[1]) + 1e-12)
 
 
-def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
-    """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions."""
-    residual = log_residuals(samples, samples.squares[channel], noise)
+def find_cells(samples: Samples, channel: str, residual: np.ndarray) -> list[Cell]:
+    """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions.
+    residual: `log_residuals` of the channel."""
     finite = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
     grid = np.stack([np.floor(samples.x[finite] / CELL_SIZE), np.floor(samples.y[finite] / CELL_SIZE)], axis=1)
     unique, index = np.unique(grid, axis=0, return_inverse=True)
@@ -450,9 +462,7 @@ def find_cells(samples: Samples, channel: str, noise: float) -> list[Cell]:
         means = np.array([residual[visits[block == b]].mean() for b in np.unique(block)])
         if len(means) < MIN_BLOCKS:
             continue
-        deviation = max(float(means.std(ddof=1)) / math.sqrt(len(means)), 1e-6)
-        mean, half_width = float(means.mean()), float(stats.t.ppf(0.975, len(means) - 1)) * deviation
-        interval = math.exp(0.5 * (mean - half_width)), math.exp(0.5 * (mean + half_width))
+        deviation = float(means.std(ddof=1)) / math.sqrt(len(means))
         cells.append(Cell(channel, float(CELL_SIZE * (column + 0.5)), float(CELL_SIZE * (row + 0.5)),
-                          math.exp(0.5 * mean), interval, float(stats.t.sf(mean / deviation, len(means) - 1))))
+                          *_test_ratio(float(means.mean()), deviation, len(means))))
     return cells

@@ -3,7 +3,7 @@
 Shapes: n windows, b blocks of windows, p parameters of the library, a free parameters of a fit, k of one effect.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,13 +56,13 @@ class Evidence:
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
     two values, with blocks and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
     drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
-    shares [1]: by column, (error reduction divided by the baseline error, error without the effect divided by the
-    noise). position [m]: reduction of the mean held-out position error at the end of the horizon.
-    position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the bound is largest.
-    noise_ratio [1]: error with the effect divided by the noise, largest of all columns. bound_distance, size: distances
-    to the nearest bound and from the null [parameter scales]. sensors_p_value, sensors_null_p_value [1]: p-values of
-    the fitted value and the null, given redundant sensors, or None. file_comparison: the quantity that the effect moves
-    furthest from the vehicle file, or None. agreement: consistency between parts, by partition."""
+    shares [1]: by column, see `column_shares`. position [m]: reduction of the mean held-out position error at the end
+    of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
+    bound is largest. noise_ratio [1]: error with the effect divided by the noise, see `residual_over_noise`.
+    bound_distance, size: distances to the nearest bound and from the null [parameter scales]. sensors_p_value,
+    sensors_null_p_value [1]: p-values of the fitted value and the null, given redundant sensors, or None.
+    file_comparison: the quantity that the effect moves furthest from the vehicle file, or None. agreement: consistency
+    between parts, by partition."""
 
     name: str
     gain: float
@@ -98,10 +98,10 @@ def relative_reduction(gain: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Efficient scores of all effects of the library that are not in a fit. by_effect: (b, k) scores by effect.
-    largest: (draws,) largest score statistic of the library under random signs of the blocks. design_effect [1]: factor
-    by which dependent windows increase the variance of a score (median of the library), at least 1. gains: by effect,
-    ((b,) gain, vector at the optimum), both from the quadratic approximation."""
+    """Efficient scores of the effects of the library. by_effect: (b, k) scores by effect. largest: (draws,) largest
+    score statistic of these effects under random signs of the blocks. design_effect [1]: factor by which dependent
+    windows increase the variance of a score (median of these effects), at least 1. gains: by effect, ((b,) reduction of
+    the held-out loss, vector at the optimum), both from the quadratic approximation."""
 
     by_effect: Mapping[str, np.ndarray]
     largest: np.ndarray
@@ -131,35 +131,38 @@ def score_statistic(scores: np.ndarray) -> float:
 
 
 def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
-    """Scores of every effect of the library that is not in the fit, from the sensitivities at the fit."""
+    """Scores of every effect of the library that does not overlap the fit, from the sensitivities at the fit."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
-    by_effect, information, gains = {}, {}, {}
-    base = problem.leave_out(q.only(fit.indices), fit.names, fit.vector, fit.indices, problem.fold)[1]
-    for effect in problem.space.hypotheses:
-        if problem.space.overlaps(effect, fit.names):
-            continue
-        names = (*fit.names, effect)
-        by_effect[effect], information[effect] = efficient_score(q, problem, fit.names, effect,
-                                                                 problem.prior_gradient(fit.vector))
-        indices = problem.free_indices(names)
-        part = q.only(indices)
-        held_out = problem.leave_out(part, names, fit.vector, indices, problem.fold)[1]
-        step = problem.solve(part, names, fit.vector, indices)
-        gains[effect] = base - held_out, problem.take_step(fit.vector, indices, step)
-    return make_scores(q, by_effect, information, gains, rng, SIGN_DRAWS)
+    effects = [effect for effect in problem.space.hypotheses if not problem.space.overlaps(effect, fit.names)]
+    return score_effects(problem, q, fit, effects, rng, SIGN_DRAWS, problem.prior_gradient(fit.vector))
 
 
-def make_scores(q: Quadratic, by_effect: Mapping[str, np.ndarray], information: Mapping[str, np.ndarray],
-                gains: Mapping[str, tuple[np.ndarray, np.ndarray]], rng: np.random.Generator, draws: int) -> Scores:
-    """`Scores` from the scores and information of each effect. q: loss by block, in all parameters. draws: number of
-    random sign vectors."""
+def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[str], rng: np.random.Generator,
+                  draws: int, prior_gradient: np.ndarray | None = None) -> Scores:
+    """`Scores` of effects, each compared with the effects of a fit that do not overlap it. q: loss by block about the
+    vector of the fit, in all parameters. draws: number of random sign vectors. prior_gradient: see `efficient_score`.
+    """
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
-    for effect, s in by_effect.items():
-        informative = information[effect] > min_information
-        ratios += list(2.0 * np.square(s).sum(axis=0)[informative] / information[effect][informative])
+    by_effect, gains, losses = {}, {}, {}
+
+    def held_out_loss(names: tuple[str, ...], indices: np.ndarray) -> np.ndarray:
+        return problem.leave_out(q.only(indices), names, fit.vector, indices, problem.fold)[1]
+
+    for effect in effects:
+        others = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
+        if others not in losses:
+            losses[others] = held_out_loss(others, problem.free_indices(others))
+        by_effect[effect], information = efficient_score(q, problem, others, effect, prior_gradient)
+        s = by_effect[effect]
+        informative = information > min_information
+        ratios += list(2.0 * np.square(s).sum(axis=0)[informative] / information[informative])
         drawn = signs @ s
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
+        names = (*others, effect)
+        indices = problem.free_indices(names)
+        step = problem.solve(q.only(indices), names, fit.vector, indices)
+        gains[effect] = losses[others] - held_out_loss(names, indices), problem.take_step(fit.vector, indices, step)
     return Scores(by_effect, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
@@ -394,7 +397,7 @@ def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, nam
     """Compare the values of an effect in the parts of the driving by a random-effects model. part: (n,) part of each
     window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
     fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design
-    effect."""
+    effect. Parts with less information than MIN_INFORMATION_SHARE are left out."""
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]

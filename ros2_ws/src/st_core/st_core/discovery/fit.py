@@ -11,14 +11,14 @@ from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import ACCELEROMETER_GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step, tried until the loss decreases
+ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; parts of a step that are tried until the loss falls
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
 MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends when a step reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
 RMS_CLIP_LIMIT = 5.0  # robust scales of the baseline; larger residuals are clipped in an RMS value
 JOINT_DEVIATION = 3.0  # parameter scales; in a joint fit the prior adds at least (distance / this)^2 to the loss
-DIVERGED_ERROR = 100.0  # m, position error assigned to a prediction that diverges
+DIVERGED_ERROR = 100.0  # SI unit of the channel; error assigned to a prediction that diverges, and clip limit
 MAX_QUADRATIC_RISE = 0.05  # per residual; at a larger predicted increase of the loss, held-out folds are simulated
 RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep steps finite without information
 
@@ -109,8 +109,8 @@ class Problem:
 
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
     parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
-    accelerometer. block: (n,) number of the block of each window. noise: (c,) error of each column due to noise alone
-    [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
+    accelerometer, which is free if it is measured. block: (n,) number of the block of each window. noise: (c,) error of
+    each column due to noise alone [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
     prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: number of residuals that count as

@@ -82,8 +82,9 @@ class Errors:
 
 
 class Loss:
-    """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured.
-    scale: (m,) scale of the residuals [SI]. residual_count: number of measured residuals."""
+    """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured,
+    in a window that is predicted at `vector`. scale: (m,) scale of the residuals [SI]. residual_count: number of known
+    residuals."""
 
     def __init__(self, errors: Errors, vector: np.ndarray):
         self.errors, self.space = errors, errors.space
@@ -94,7 +95,8 @@ class Loss:
         self.scale = self.scale_of(vector)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) 68 % quantile of the magnitude of the residuals, one standard deviation if they are normal."""
+        """(m,) 68 % quantile of the magnitude of the residuals, one standard deviation if they are normal; at least the
+        resolution of the channel [SI]."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
@@ -116,7 +118,7 @@ class Loss:
         return float(self.window_losses(vector).sum())
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
-        """(p, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
+        """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
         difference quotients; 0 where a prediction diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step

@@ -10,7 +10,7 @@ MIN_RUNS, MIN_STRETCHES = 5, 6  # fewer than MIN_RUNS runs are divided into at l
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
-# ((n,) part of each window, names of the parts); a factor in the sense of an analysis of variance.
+# ((n,) part of each window, names of the parts)
 Partition = tuple[np.ndarray, list[str]]
 
 

@@ -23,14 +23,14 @@ FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
 @dataclass(frozen=True, eq=False)
 class HealthyCar:
     """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about
-    them. residual: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI]. position
-    [m]: mean position error there, in the run where it is largest. gain [1]: largest reduction of the loss per residual
-    of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
+    them. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
+    position_error [m]: mean position error there, in the run where it is largest. gain [1]: largest reduction of the
+    loss per residual of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
     prior: np.ndarray
-    residual: np.ndarray
-    position: float
+    residual_scale: np.ndarray
+    position_error: float
     gain: float
 
 

@@ -153,8 +153,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """One effect of the library, as part of the final model or added to it. gain [1]: relative reduction of the RMS
-    error. verdict: the rule of `decision` that applied. why: the reason in words, with numbers."""
+    """One effect of the library, in the final model, added to it, or in place of one of its effects. gain [1]: relative
+    reduction of the RMS error. verdict: the rule of `decision` that applied. why: the reason in words, with numbers."""
 
     name: str
     kind: str
@@ -167,8 +167,8 @@ class CandidateEffect:
 @dataclass(frozen=True)
 class BudgetLine:
     """Contribution of one of PARTS to the error. last, first [m]: reduction of the held-out mean position error after
-    5 s when this part is added last, or first. share_last, share_first [1]: the reduction divided by the baseline
-    error; loss_last, loss_first [1]: the same for the loss."""
+    5 s when this part is added last, or first; for "unexplained", the remaining error. share_last, share_first [1]: the
+    same divided by the baseline error; loss_last, loss_first [1]: the same for the loss."""
 
     part: str
     last: float
@@ -270,7 +270,7 @@ class Separability:
 @dataclass(frozen=True)
 class Run:
     """A drive of the discovery. site: index of its site; runs with overlapping tracks share a site. windows: number of
-    scored predictions. seconds: duration with both INS and steering."""
+    scored predictions. Both are 0 for a reference drive. seconds: duration with both INS and steering."""
 
     name: str
     role: Literal["suspect", "reference"]
@@ -283,21 +283,23 @@ class Run:
 class Discovery:
     """The result of `discover`.
 
-    outcome: none = the residual is near the noise, or not significant; named = one effect; ambiguous = one effect with
-    alternatives, or a combination (`unseparated_combinations`); several = more than one effect; varying = a significant
-    effect that varies between runs, places, times or conditions; unknown = a significant residual that no effect of the
-    library explains; not_testable = too little excitation. start: origin of the values at which the search starts.
-    minor: effects that are in the model to avoid a bias of the other values, but are not named. varying: significant
-    effects that vary between parts of the drives. effective: corrections that improve predictions without being
-    properties of the car, despite their names; part of the model, never of a vehicle file.
+    outcome: none = the residual is near the noise; named = one effect; ambiguous = one effect with alternatives, a
+    combination (`unseparated_combinations`), or a better model without an effect certain enough to be named; several =
+    more than one effect; varying = a significant effect that varies between runs, places, times or conditions; unknown
+    = a residual above the noise that no effect of the library explains, or only one that is at a bound or contradicts
+    the sensors or the vehicle file; not_testable = too little excitation. start: origin of the values at which the
+    search starts. minor: effects that are in the model to avoid a bias of the other values, but are not named. varying:
+    significant effects that vary between parts of the drives. effective: corrections that improve predictions without
+    being properties of the car, despite their names; part of the model, never of a vehicle file.
 
     base: the model at the start. model: the model with all effects, which predicts best; None if no effect was found.
-    named: the model with named and minor effects only, at the reported values. steps: from the base to all effects
-    found. errors: errors of the base and the best model, by channel and for position_5s. named_errors: the same without
-    the effective corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out of the
-    fit. acceleration_gain [1]: relative excess of the measured lateral specific force over that of the predicted
-    motion, due to body roll. noise: residual of the best model at the end of the horizon, by channel [SI]. signature:
-    description of the residual. clock_errors: correction of the steering time stamps [s] of the corrected runs.
+    named: the model with named and minor effects only, at the reported values; None if no effect was found. steps: from
+    the base to all effects found. errors: errors of the base and the best model, by channel and for position_5s, the
+    position error at the end of the horizon, which is 5 s by default. named_errors: the same without the effective
+    corrections. reasons: all decisions. leave_one_out: values of the effects, by the run left out of the fit.
+    acceleration_gain [1]: relative excess of the measured lateral specific force over that of the predicted motion, due
+    to body roll. noise: errors of the best model, as in `errors` [SI]; they count as noise in later comparisons.
+    signature: description of the residual. clock_errors: correction of the steering time stamps [s] by corrected run.
     """
 
     outcome: Outcome

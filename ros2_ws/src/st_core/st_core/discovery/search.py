@@ -17,7 +17,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
-CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; half of it before it is refitted
+CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; its square before the refits
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -30,7 +30,7 @@ class SearchState:
     """State of the search. fit: fit of the current set. order: names in order of selection. By effect of the set:
     evidence for it, fit without it, and rivals that were tried in its place. refused: (evidence, verdict, fit) of each
     effect that was tried in addition and rejected. cached_scores: scores of the effects outside the set. near: sets
-    that fit nearly as well, see `_find_near_sets`."""
+    that fit nearly as well, see `_find_near_sets`, and fits with a load, without names (`_add_load_rivals`)."""
 
     fit: Fit
     order: list[str]
@@ -87,7 +87,7 @@ class Search:
         state.near = self._find_near_sets(state)
         state.rivals = {name: [replace(r, added=self._added_share(state, r)) for r in rivals]
                         for name, rivals in state.rivals.items()}
-        self._add_partial_rivals(state)
+        self._add_load_rivals(state)
         return state
 
     def _added_share(self, state: SearchState, rival: Rival) -> float:
@@ -96,10 +96,11 @@ class Search:
         gain = self._gain(state.without[rival.replaces], state.fit)
         return max(float(added.sum()), 0.0) / max(gain, 1e-12)
 
-    def _add_partial_rivals(self, state: SearchState) -> None:
+    def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless
         the drives exclude the load, it becomes an alternative to each effect that is nearer to the vehicle file in the
-        fit with the load. Loads tried: the prior standard deviation, then `limits.min_relative_size` parameter scales.
+        fit with the load. If they exclude a load of the prior standard deviation, one of `limits.min_relative_size`
+        parameter scales is tried.
         Bands of axle forces include the laden car; intervals of values apply to the car without a load."""
         p, names = self.problem, state.fit.names
         for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
@@ -195,7 +196,7 @@ class Search:
         return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + penalty * len(a.fit.names))
 
     def _forward(self, state: SearchState) -> Fit | None:
-        """The fit with the best further effect that passes the test, or None."""
+        """The fit with the best further effect that passes the test or that redundant sensors confirm, or None."""
         p, limits = self.problem, self.limits
         self.tick()
         state.cached_scores = state.cached_scores or self._scores(state.fit)

@@ -41,7 +41,8 @@ class Space:
     """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
     of the effects to choose from, by default all that apply.
 
-    hypotheses: names of the searched effects. null: (p,) vector of the base model. scale, low, high: (p,) parameter
+    hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
+    drive has. null: (p,) vector of the base model. scale, low, high: (p,) parameter
     scales and bounds. additions: names of the effects that add something to the measured car, such as a load.
     deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all other parameters.
     """
@@ -158,7 +159,8 @@ def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that parameter i changes: the declared one, or from finite differences of the `fold` of its effect."""
+    """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most, by
+    difference quotients."""
     free = space.free[i]
     effect = get_effect(free.effect)
     parameter = next(p for p in effect.parameters if p.name == free.parameter)

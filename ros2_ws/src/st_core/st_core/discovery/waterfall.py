@@ -66,10 +66,12 @@ class HorizonErrors:
         low, high = np.quantile(drawn[0] - drawn[1], (0.025, 0.975))
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
 
-    def mean_by_run(self, values: np.ndarray) -> dict[str, float]:
-        """Mean of (n,) values by run; runs without a finite value are left out."""
-        return {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
-                if np.isfinite(values[self.run == k]).any()}
+    def error_by_run(self, channel: str, values: np.ndarray) -> dict[str, float]:
+        """Mean error for position_5s, root mean square error for a channel, by run. values: entry of `of`. Runs without
+        a finite value are left out."""
+        means = {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
+                 if np.isfinite(values[self.run == k]).any()}
+        return means if channel == "position_5s" else {name: math.sqrt(mean) for name, mean in means.items()}
 
 
 def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
@@ -117,8 +119,8 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
 
 def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
                 partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
-    """(steps from the base model to the final model, each with one more effect; fit of the base model). `loss.scale` is
-    re-estimated in each step and restored afterwards."""
+    """(steps from the base model to the final model, each with one more effect; fit of the base model); ([], final) if
+    `order` is empty. `loss.scale` is re-estimated in each step and restored afterwards."""
     if not order:
         return [], final
     scale = problem.loss.scale.copy()  # restored below; the design effect of the final fit is kept for all steps
@@ -138,9 +140,7 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
         changes = {c: errors.compare(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
-        old, new = (errors.mean_by_run(e[key]) for e in (before, after))
-        if key != "position_5s":  # mean squares
-            old, new = ({name: math.sqrt(value) for name, value in e.items()} for e in (old, new))
+        old, new = (errors.error_by_run(key, e[key]) for e in (before, after))
         steps.append(Step(effect, get_effect(effect).kind, estimate_parameters(problem, fit, effect, partitions),
                           position, changes, {n: (old[n], new[n]) for n in new}))
         before = after
@@ -154,9 +154,7 @@ def compare_channel_errors(errors: HorizonErrors, base: Fit, final: Fit,
     before, after, result = errors.of(base), errors.of(final), {}
     for channel in after:
         change = errors.compare(channel, before[channel], after[channel])
-        old, new = errors.mean_by_run(before[channel]), errors.mean_by_run(after[channel])
-        if channel != "position_5s":
-            old, new = ({n: float(np.sqrt(v)) for n, v in values.items()} for values in (old, new))
+        old, new = (errors.error_by_run(channel, e[channel]) for e in (before, after))
         noise = floor.get(channel, 0.0)
         worst = max(new, key=new.__getitem__, default="")
         result[channel] = ChannelError(change.base, change.augmented, change.interval, change.unit, noise, worst,
