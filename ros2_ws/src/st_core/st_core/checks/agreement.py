@@ -142,8 +142,8 @@ def _compute_residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list
 
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
               fit_bias: bool) -> tuple[Estimate, Estimate]:
-    """(scale, bias). If they are confounded, as in one long bend, only the one with the smaller residual is estimated,
-    and the other is assumed to be faultless."""
+    """(scale, bias). If they are confounded, as in one long bend, only one is estimated: the bias if its residual is
+    clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be faultless."""
     confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
     if fit_bias and not confounded:
         both = problem.estimate(("scale", "bias"))

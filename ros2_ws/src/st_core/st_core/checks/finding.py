@@ -53,7 +53,7 @@ class Finding:
 
     name: str  # never renamed; listed in docs/manual/checks.md
     severity: Severity
-    channels: tuple[str, ...]  # affected fields of DriveLog, or time, wheel_speed, ins
+    channels: tuple[str, ...]  # affected fields of DriveLog, or time, wheel_speed, ins_speed, ins
     text: str  # one sentence
     value: float | None = None  # estimate [unit]
     unit: str = "1"

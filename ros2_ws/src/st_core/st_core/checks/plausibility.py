@@ -208,8 +208,8 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     count = last - first + 1
     usual_count = float(np.percentile(count, 98))
     sentinels = []
-    # A sentinel 0 is nearer to the usual values than others, so a step of 8 median steps suffices. In a channel that
-    # holds its values, it must also reach 0.3 of the limit.
+    # A sentinel 0 is nearer to the usual values than others, so a step of 8 median steps suffices, except for
+    # velocity_x, since cars stop. In a channel that holds its values, it must also reach 0.3 of the limit.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])

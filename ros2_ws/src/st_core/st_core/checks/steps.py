@@ -20,7 +20,7 @@ OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step 
 MIN_JUDGED_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
 MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
-MAX_LISTED_JUMPS = 50
+MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
@@ -32,7 +32,8 @@ MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a st
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(the motion, with evenly spaced times in place of jittering time stamps; the findings)."""
+    """(the motion, with evenly spaced times in place of jittering time stamps; the findings). With jitter, which causes
+    steps itself, nothing else is judged."""
     if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.

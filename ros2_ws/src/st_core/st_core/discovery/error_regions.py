@@ -102,9 +102,9 @@ class BinExcess:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: RMS
-    error divided by the RMS error in the rest of the run under similar conditions. p: largest p-value of the change
-    points of the run, of the hypothesis that the errors do not change there."""
+    """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: ratio
+    of the errors to those in the rest of the run under similar conditions (geometric mean). p: largest p-value of the
+    change points of the run, of the hypothesis that the errors do not change there."""
 
     channel: str
     run: int
@@ -116,9 +116,9 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the RMS error
-    to the value expected under the same conditions; interval: 95 %. p: p-value of the hypothesis that the error is not
-    larger than expected."""
+    """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the errors to
+    those expected under the same conditions (geometric mean); interval: 95 %. p: p-value of the hypothesis that the
+    errors are not larger than expected."""
 
     channel: str
     x: float
@@ -341,8 +341,8 @@ def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range,
 
 
 def _test_ratio(log_ratio: float, deviation: float, blocks: int) -> tuple[float, tuple[float, float], float]:
-    """(ratio of RMS errors, its 95 % interval, p-value of the hypothesis that it is at most 1) by Student's t, from the
-    logarithm of the ratio of mean squares and its standard deviation."""
+    """(ratio of errors, its 95 % interval, p-value of the hypothesis that it is at most 1) by Student's t, from the
+    logarithm of the ratio of their squares and its standard deviation."""
     deviation = max(deviation, 1e-6)
     half_width = float(stats.t.ppf(0.975, blocks - 1)) * deviation
     interval = math.exp(0.5 * (log_ratio - half_width)), math.exp(0.5 * min(log_ratio + half_width, 60.0))

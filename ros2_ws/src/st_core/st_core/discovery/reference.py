@@ -17,7 +17,7 @@ from .space import Quantities, Space, find_file_quantities, prior_deviations
 from .windows import Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
-FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter
+FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter; `inverse` adds 1e-9 of the mean diagonal, below 1e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,10 +27,11 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 
 @dataclass
 class SearchState:
-    """State of the search. fit: fit of the current set. order: names in order of selection. By effect of the set:
-    evidence for it, fit without it, and rivals that were tried in its place. refused: (evidence, verdict, fit) of each
-    effect that was tried in addition and rejected. cached_scores: scores of the effects outside the set. near: sets
-    that fit nearly as well, see `_find_near_sets`, and fits with a load, without names (`_add_load_rivals`)."""
+    """State of the search. fit: fit of the current set. order: names in order of selection, at the end of decreasing
+    gain. By effect of the set: evidence for it, fit without it, and rivals that were tried in its place. refused:
+    (evidence, verdict, fit) of each effect that was tried in addition and rejected. cached_scores: scores of the
+    effects outside the set. near: sets that fit nearly as well, see `_find_near_sets`, and fits with a load, without
+    names (`_add_load_rivals`)."""
 
     fit: Fit
     order: list[str]

@@ -1,7 +1,7 @@
 """The parameter vector of a discovery, and the priors from the vehicle file.
 
-The vector contains all parameters of all effects of the library, and the gain of the accelerometer due to body roll.
-All vectors use the same compiled functions.
+The vector contains all parameters of all effects that apply to the base model, and the gain of the accelerometer due to
+body roll. All vectors use the same compiled functions.
 """
 
 import math
