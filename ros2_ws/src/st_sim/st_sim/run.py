@@ -218,8 +218,8 @@ def _make_parser() -> argparse.ArgumentParser:
     source.add_argument("--drive", type=Path, metavar="FILE.csv", help="a recorded drive instead of a simulated one")
     parser.add_argument("--vehicle", type=Path, metavar="FILE.yaml", help="config/vehicle/<car>.yaml")
     parser.add_argument(
-        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: the "
-        "one of the vehicle file, else of the checkout")
+        "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: that "
+        "of the vehicle file, of the checkout or of the current folder")
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, or a recorded drive to its end")
     parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
