@@ -48,7 +48,7 @@ STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
 # Quantities that st discover never fits
-NOT_FITTED = ("minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
+NOT_FITTED = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
 SIGNALS_TEMPLATE = """\
@@ -154,7 +154,8 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a given or default uncertainty; a last line names the free ones, if any."""
+    """One line for each quantity with a given or default uncertainty; a last line names those without, if any, that
+    st discover can fit (tyre parameters are not listed there)."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []

@@ -66,7 +66,7 @@ class Results:
     segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most DRAWN_STARTS starts
     ticks: dict[str, Any]
     configuration_hash: str
-    bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with coverage of bands
+    bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
 
     def models(self) -> list[str]:
         return list(dict.fromkeys(model for model, _ in self.scores))
@@ -148,9 +148,8 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
         models[model] = {mode: _summarise_errors(results.scores.get((model, mode))) for mode in modes}
-    for row in results.bands:  # coverage is null where nothing was counted
-        models[row.model][row.mode]["bands"] = {"n": int(row.n_bands)} | json_ready(
-            {"0.5": row.coverage_50, "0.9": row.coverage_90})
+    for row in results.bands:
+        models[row.model][row.mode]["bands"] = {"n": row.n_bands, "0.5": row.coverage_50, "0.9": row.coverage_90}
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
     return {**about, "units": units, "models": models, "ticks": results.ticks,
             "configuration_hash": results.configuration_hash, "versions": collect_versions()}

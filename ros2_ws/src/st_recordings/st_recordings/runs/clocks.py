@@ -24,7 +24,7 @@ MIN_VARIATION = {"speed": 0.3, "rate": 0.01, "angle": 0.05, "curvature": 0.001}
 """Minimum standard deviation [m/s, rad/s, rad, 1/m] of a signal that is used for alignment."""
 MIN_CURVATURE_SPEED = 3.0  # m/s; at lower speeds, the curvature (yaw rate divided by speed) is noise
 MIN_MOVING_SPEED = 1.0  # m/s; above it, the car counts as moving in the search for implausible values
-TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s
+TIME_FRAME_RESOLUTION = {"RT_MilliTime": 0.001, "RT_DateTime": 0.01}  # s, of the time in each message
 MAX_METHOD_DIFFERENCE = 0.01  # s, between the offsets from the CAN time frame and from the shared signals
 MAX_CLOCK_ERROR = 60.0  # s, assumed for the clock of the logger if the signals allow several offsets
 MIN_RELATIVE_PEAK = 0.97  # minimum ratio of the correlation near the logger's clock to the best one
@@ -41,9 +41,9 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
     signals; shared signals; substitute signals, at best doubtful. Without any, the alignment is refused.
 
-    offset: INS minus CAN clock [s]. search: bounds of the estimated offset [s]. latency: delay of INS values on CAN and
-    its standard deviation [s]. steering_sign: +1 if the decoded sensor is positive to the left. Returns (alignment,
-    signals that it uses or that can check it).
+    offset: INS minus CAN clock [s]. search: bounds of an offset estimated without the time frame [s]. latency: delay of
+    INS values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded sensor is positive to the left.
+    Returns (alignment, signals that it uses or that can check it).
     """
     ins, can, notes = mask_implausible(ins, can)
     pairs, warning = pair_shared_signals(ins, can, latency), ""

@@ -97,7 +97,7 @@ COLUMNS: Mapping[str, Channel] = {
         f"pose_position_{axis} pose_pose_position_{axis}")) for axis, direction in (("x", "east"), ("y", "north"))},
     "latitude": Channel("latitude or longitude", "north +; read with longitude if x and y are missing", _words(
         "latitude lat latitude_deg pos_lat breitengrad")),
-    "longitude": Channel("latitude or longitude", "east +; the first row is the origin of the map", _words(
+    "longitude": Channel("latitude or longitude", "east +; the first fix is the origin of the map", _words(
         "longitude long lon lng pos_lon laengengrad")),
     "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
@@ -118,7 +118,8 @@ COLUMNS: Mapping[str, Channel] = {
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
         "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; 0 if it is missing", _words(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; else from velocity_east and "
+                          "velocity_north or course, or 0", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),

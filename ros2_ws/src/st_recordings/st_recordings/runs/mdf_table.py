@@ -18,7 +18,7 @@ from .columns import Layout, find_ambiguous_steering, find_columns
 from .mf4 import MDF_OPTIONS, open_mdf
 
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""Name of a channel of raw frames, after the end of a block head; texts of decoded files may contain it elsewhere."""
+"""Name of a channel of raw frames after a block head, which ends with 0; comments of decoded files may contain it."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
