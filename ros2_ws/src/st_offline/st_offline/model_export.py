@@ -104,8 +104,8 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
         "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
-        f"{description['substeps']} substep(s). A, B: derivatives by x and by u. `start`: the six states with the "
-        "initial values of the extra ones.",
+        f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A by x and "
+        "B by u. `start`: the six states with the initial values of the extra ones.",
         f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", usage))) + "\n"

@@ -96,7 +96,7 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
 
-    Levels: the LEVELS of the band, and its highest up to the last of LEVELS; for reliability, all. coverage,
+    Levels: those of LEVELS that the band has, and its highest up to LEVELS[-1]; for reliability, all. coverage,
     reliability: number of paths entirely inside, by level; axes: for each axis alone; conditions: by one condition;
     seconds: number inside throughout each second; cells: the same by speed, lateral acceleration and second. Each
     [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at each.

@@ -1,6 +1,6 @@
 """Reports a proposed relation: a headline for the terminal, sentences and tables for the page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from st_core.discovery import Discovery
@@ -135,9 +135,9 @@ def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
 
 
 def _errors_by_run(relation: Relation, discovery: Discovery) -> Table:
-    first_step: Mapping[str, tuple[float, float]] = discovery.steps[0].runs if discovery.steps else {}
-    start = {name: before for name, (before, _) in first_step.items()}
-    if discovery.steps:
+    start = {}
+    if discovery.steps and "position_5s" in discovery.errors:  # otherwise the steps contain errors of another channel
+        start = {name: before for name, (before, _) in discovery.steps[0].runs.items()}
         start["all windows"] = discovery.steps[0].position_5s.base
     errors = sorted(relation.runs.items(), key=lambda item: item[1][1] - item[1][0])
     rows = [(name, f"{start[name]:.3f}" if name in start else "-", f"{without:.3f}", f"{with_it:.3f}",

@@ -1,5 +1,6 @@
 """The command `st identify`: runs an experiment, prints the result and writes its files."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -101,7 +102,8 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
     if job.experiment.drives:  # the recordings instead of their folders
-        data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)]
+        data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)
+                if os.access(file, os.R_OK)]
     return {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
             "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
             "files": hash_files(data), "versions": collect_versions()}

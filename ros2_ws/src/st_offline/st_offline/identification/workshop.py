@@ -61,10 +61,9 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
         axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
         axes.set_xlabel(label)
         axes.ticklabel_format(useOffset=False)
+        axes.grid(axis="y", visible=False)
     panels[0].set_yticks(rows, data["names"])
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    for axes in panels:
-        axes.grid(axis="y", visible=False)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=4)
     caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
