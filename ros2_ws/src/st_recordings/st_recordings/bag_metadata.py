@@ -161,7 +161,6 @@ def read_definition(type_name: str) -> str:
 
 
 def _list_field_types(owner: str, text: str) -> list[str]:
-    """Lists the types (pkg/Type) of the fields in a definition, in order of appearance."""
     field_types = []
     for line in text.splitlines():
         match = _FIELD.match(line.split("#", 1)[0])

@@ -95,8 +95,7 @@ steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of i
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
 # The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover uses it as a prior of the value. Without it, st discover uses a default or fits the value freely, as
-# st car check prints.
+# st discover uses it as a prior of the value. Without it, a default or no prior is used; st car check prints which.
 name: FILL_IN
 """
 
@@ -154,8 +153,8 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a given or default uncertainty; a last line names those without, if any, that
-    st discover can fit (tyre parameters are not listed there)."""
+    """One line for each quantity with a given or default uncertainty; a last line names other quantities of the car
+    that st discover can fit, if any."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []

@@ -28,8 +28,6 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 
 
 class Record(NamedTuple):
-    """One record of a file."""
-
     opcode: int
     offset: int  # position in the file
     content: bytes  # without the 9 bytes of opcode and length

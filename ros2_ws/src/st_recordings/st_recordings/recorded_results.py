@@ -68,8 +68,6 @@ class Scores:
 
 @dataclass(frozen=True)
 class RecordedConfiguration:
-    """Configuration in a recording."""
-
     vehicle: str | None  # text of the vehicle file
     nodes: Mapping[str, Mapping[str, Any]]  # node -> parameters
 

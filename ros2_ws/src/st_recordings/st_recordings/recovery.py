@@ -43,8 +43,6 @@ class FileReport(BagFile):
 
 @dataclass
 class RecoveryReport:
-    """Result of a recovery."""
-
     files: list[FileReport] = field(default_factory=list)
     metadata_rebuilt: bool = False
 

@@ -96,7 +96,6 @@ def _read_track(bag: Storage) -> Track:
 
 
 def _read_last_message(bag: Storage, topic: str, type_name: str) -> Any:
-    """The last message of a topic; None if there is none."""
     last = deque(bag.messages(topic), maxlen=1)
     return bag.store.deserialize_cdr(last[0], type_name) if last else None
 

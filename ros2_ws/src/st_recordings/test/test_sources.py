@@ -259,7 +259,7 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     ("ins: x.ncom\ncan: 1.log\ndbc:", "dbc: 'None' does not exist"),
     ("ins: x.ncom\ncan: 1.log\nins_can_latency: 0.002", r"ins_can_latency: 0\.002 is not \[latency"),
     ("csv: d.csv\nlabels: [{name: a}]", "labels: expected a list of"),
-    ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a: its end"),
+    ("csv: d.csv\nlabels: [{name: a, start: 5, end: 2}]", "labels: a ends at 2 s but starts at 5 s"),
 ])
 def test_invalid_run_yaml_is_refused(tmp_path: Path, content: str, message: str) -> None:
     touch(tmp_path, "x.ncom", "1.log", "d.csv")

@@ -36,8 +36,6 @@ _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", 
 
 @dataclass(frozen=True)
 class BagDrive:
-    """The drive in a recording."""
-
     log: DriveLog
     topics: dict[str, str]  # type -> name of the topic that was read
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
@@ -69,8 +67,7 @@ def has_odometry(path: Path) -> bool:
 
 
 def lacks_steering(path: Path) -> bool:
-    """Whether a bag contains odometry, but neither steering nor CAN frames of the suite; the steering may then be in a
-    CAN log."""
+    """Whether a bag contains odometry, but neither steering nor CAN frames of the suite."""
     types = _read_types(path)
     return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
 
@@ -190,7 +187,6 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
 
 
 def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether the intervals that the times cover have a common instant."""
     return bool(max(first.min(), second.min()) <= min(first.max(), second.max()))
 
 

@@ -353,8 +353,7 @@ class RosbagsStorage(Storage):
 
 
 class _GatheredFields:
-    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first, and
-    it contains the fields."""
+    """Collects fields of the messages of one topic. is_uniform: whether all have them in the layout of the first."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store

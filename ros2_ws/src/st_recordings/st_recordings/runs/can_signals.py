@@ -34,8 +34,6 @@ class Signal:
 
 @dataclass(frozen=True)
 class CanSignals:
-    """Decoded signals of a log."""
-
     signals: Mapping[tuple[str, str], Signal]  # by names of signal and message
     faults: Mapping[str, str]  # message -> description of its faults, with their counts
     rejected: Mapping[str, np.ndarray] = field(default_factory=dict)  # message -> log times [ns] of rejected frames
@@ -143,7 +141,6 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
-    """Describes the frames that do not have the length in the DBC; empty if there are none."""
     sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
     deviations = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
                   if size != spec.dbc.length]

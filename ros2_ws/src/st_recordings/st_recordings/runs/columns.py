@@ -118,8 +118,7 @@ COLUMNS: Mapping[str, Channel] = {
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
         "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; else from velocity_east and "
-                          "velocity_north or course, or 0", _words(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or else 0", _words(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),

@@ -195,7 +195,6 @@ def _has_payloads(log: Any, group: int) -> bool:
 
 
 def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.Frames]:
-    """Yields the frames of a group, RECORDS_AT_ONCE at a time."""
     name = _find_frame_channel(log, group)
     if name is None:
         return

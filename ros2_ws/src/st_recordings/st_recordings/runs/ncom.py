@@ -22,8 +22,6 @@ ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc
 
 @dataclass(frozen=True, kw_only=True)
 class NcomLog(InsLog):
-    """An INS log of NCOM packets."""
-
     columns: Columns  # all packets of the file
     rows: np.ndarray  # indices of the packets that are samples of the log
 

@@ -211,12 +211,10 @@ def _parse_labels(path: Path, value: Any) -> tuple[Label, ...]:
     try:
         labels = tuple(Label(str(entry["name"]), float(entry["start"]), float(entry["end"])) for entry in value)
     except (KeyError, TypeError, ValueError):
-        raise RunError(path, "labels: expected a list of {name, start, end} in seconds after the first INS measurement"
-                       ) from None
+        raise RunError(path, "labels: expected a list of {name, start, end} in s after the first INS sample") from None
     for label in labels:
         if not label.start < label.end:
-            raise RunError(path, f"labels: {label.name}: its end ({label.end:g} s) is not after its start "
-                           f"({label.start:g} s)")
+            raise RunError(path, f"labels: {label.name} ends at {label.end:g} s but starts at {label.start:g} s")
     return labels
 
 

@@ -34,8 +34,6 @@ Stream = tuple[np.ndarray, Callable[[slice], Messages]]
 
 @dataclass(frozen=True)
 class ImportResult:
-    """Result of an import."""
-
     counts: dict[str, int]  # messages by topic
     span: float  # time from the first to the last message [s]
     run: RawRun
@@ -93,7 +91,6 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
 
 def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSettings, serialiser: Serialiser
                   ) -> list[Stream]:
-    """The streams of messages of a run."""
     ins, steering = run.ins, run.steering
     assert isinstance(ins, NcomLog) and steering is not None  # import_run reads only such runs
     columns, covariances = ins.columns, Covariances(ins.columns)
