@@ -72,7 +72,7 @@ def _check_effects(files: Sequence[Path], car: "VehicleParameters") -> bool:
 
     for file in files:
         if not file.is_file() or file.suffix != ".py":
-            raise ConfigurationError(f"{file}: is not an effect file (.py)")
+            raise ConfigurationError(f"{file}: does not exist, or its name does not end in .py")
     selected = [e for f in files for e in load_file(str(f.resolve().parent), f.stem)] if files else EFFECTS.values()
     all_met = True
     for effect in selected:
