@@ -20,7 +20,7 @@ from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
 from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands
 
-MODE_TITLES = {"hindsight": "model (measured inputs)", "forecast": "forecast (inputs held)"}
+MODE_TITLES = {"hindsight": "hindsight (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "
             "--output bands.yaml`, and test them on these runs with `--bands bands.yaml`[/dim]")
 RESIDUAL = "what remains"  # key of the residual in evaluation.json

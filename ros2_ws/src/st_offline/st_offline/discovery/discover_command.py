@@ -153,7 +153,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 
 
 def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
-    """The figures in the order of the page, without those that lack data."""
+    """The figures of a discovery, without those that lack data."""
     runs = _logs(request.drives)
     # discovery.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))

@@ -32,7 +32,7 @@ AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are
 
 @dataclass(frozen=True)
 class FigureData:
-    """Data of the figures. before, after: errors of all runs with the base model and with the complete model."""
+    """Data of the figures. runs: suspect drives. before, after: their errors with the base and the complete model."""
 
     discovery: Discovery
     runs: Sequence[DriveLog]

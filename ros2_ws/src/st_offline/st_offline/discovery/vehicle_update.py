@@ -143,7 +143,8 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error`, `worse` of `VehicleUpdate`; fits exclude the drive unless it is the only one; (0, inf): unfoldable."""
+    """`error` and `worse` of `VehicleUpdate`, for each drive with values fitted without it, if there are others; (0,
+    inf) and the drive, if these values are outside the limits of a vehicle file."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
