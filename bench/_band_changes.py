@@ -64,14 +64,14 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
         for row in np.flatnonzero(in_domain):
             start = int(starts[rows][row])
             for (model, mode), by_level in widths.items():
-                monitor.expect(model, start, {(mode, level): half_widths[width_row[row]]
-                                              for level, half_widths in by_level.items()})
+                monitor.add_bands(model, start, {(mode, level): half_widths[width_row[row]]
+                                                 for level, half_widths in by_level.items()})
                 errors = list(block.errors[model, mode][row].T)
-                monitor.add(make_score(model, mode, start, SETTINGS.prediction.step, errors))
+                monitor.add_score(make_score(model, mode, start, SETTINGS.prediction.step, errors))
                 coverage = monitor.by_pair.get((model, mode))
-                if coverage and coverage.warns and not warned[model, mode]:
+                if coverage and coverage.has_warning and not warned[model, mode]:
                     warnings.begins[model, mode].append((start - log.start_ns) * 1e-9 + horizon)
-                warned[model, mode] = bool(coverage and coverage.warns)
+                warned[model, mode] = bool(coverage and coverage.has_warning)
     warnings.coverage = {key: coverage.coverage_at(0.9) for key, coverage in monitor.by_pair.items()}
     return warnings
 

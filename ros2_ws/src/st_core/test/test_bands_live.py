@@ -115,14 +115,14 @@ def test_path_is_inside_if_all_points_are_within_the_widths_in_the_predicted_fra
     cases = (([0.9, 0.0, 0.0], True), ([0.9, 0.0, 0.2], False), ([1.1, 0.0, 0.0], False), ([0.0, 0.0, 0.4], False))
     monitor = CoverageMonitor()
     for k, (point, _) in enumerate(cases):
-        monitor.expect("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
-        monitor.add(forecast_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
+        monitor.add_bands("linear", k * SECOND, {("forecast", 0.9): widths, ("forecast", 0.5): 0.01 * widths})
+        monitor.add_score(forecast_score(k * SECOND, np.array([[0, 0, 0], point, [0, 0, 0]], float)))
     coverage = monitor.by_pair["linear", "forecast"]
-    assert coverage.n == 4 and coverage.inside[0.9] == sum(inside for _, inside in cases)
+    assert coverage.n == 4 and coverage.inside_counts[0.9] == sum(inside for _, inside in cases)
     assert coverage.coverage_at(0.5) == 0.0
-    monitor.expect("linear", 9 * SECOND, {("forecast", 0.9): widths})
-    monitor.add(forecast_score(9 * SECOND, widths, complete=False))
-    monitor.add(forecast_score(10 * SECOND, widths))  # no band was issued for this start
+    monitor.add_bands("linear", 9 * SECOND, {("forecast", 0.9): widths})
+    monitor.add_score(forecast_score(9 * SECOND, widths, complete=False))
+    monitor.add_score(forecast_score(10 * SECOND, widths))  # no band was issued for this start
     assert coverage.n == 4
 
 
@@ -132,7 +132,7 @@ def seconds_until_warning(generator, probability, seconds, coverage, times):
         if k % 50 == 0:
             inside = bool(generator.random() < probability)
         coverage.add(next(times), 5.0, {0.5: inside, 0.9: inside})
-        if coverage.warns:
+        if coverage.has_warning:
             return 0.1 * k
     return None
 
@@ -150,10 +150,10 @@ def test_loss_of_coverage_is_warned_of_within_a_minute_with_few_false_alarms():
         # Scores arrive one horizon (5 s) after the start: 55 s make up a minute.
         assert seconds_until_warning(generator, 0.0, 55.0, coverage, times) < 55.0
         coverage.add(next(times), 5.0, {0.9: True})
-        assert coverage.warns  # the warning does not end with the first window inside
+        assert coverage.has_warning  # the warning does not end with the first window inside
         for _ in range(900):
             coverage.add(next(times), 5.0, {0.9: True})
-        assert not coverage.warns
+        assert not coverage.has_warning
 
 
 def test_evidence_is_a_log_likelihood_ratio_per_horizon():

@@ -29,11 +29,11 @@ from .calibration import LEVELS, Band
 GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
-SCALE_FORGETTING = 120.0  # s; two minutes contain most manoeuvres of a driver on a road
+SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors, which contains most manoeuvres on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
 PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
-MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2
+MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2; keeps the scale above 0
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
 MAX_WAITING = 10_000  # number of predictions stored until their scores arrive
 

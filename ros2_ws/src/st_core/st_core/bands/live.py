@@ -163,20 +163,20 @@ class BandCoverage:
     """Observed coverage of one model and mode."""
 
     n: int = 0  # number of scored windows with a band
-    inside: dict[float, int] = field(default_factory=dict)  # number of these with the whole path inside, by level
-    warns: bool = False  # whether the coverage of the highest level is significantly too low; ends at END_SHARE
+    inside_counts: dict[float, int] = field(default_factory=dict)  # number with the whole path inside, by level
+    has_warning: bool = False  # whether the coverage of the highest level is significantly too low; ends at END_SHARE
     evidence: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
     def coverage_at(self, level: float) -> float:
         """Observed coverage of a level; NaN before its first scored window."""
-        return self.inside[level] / self.n if level in self.inside else math.nan
+        return self.inside_counts[level] / self.n if level in self.inside_counts else math.nan
 
     def add(self, start_ns: int, horizon: float, inside: Mapping[float, bool]) -> None:
         """Count one window with a horizon [s]. inside: whether the whole path was inside, by level."""
         self.n += 1
         for level, is_inside in inside.items():
-            self.inside[level] = self.inside.get(level, 0) + is_inside
+            self.inside_counts[level] = self.inside_counts.get(level, 0) + is_inside
         level = max(inside)
         before, self._last_ns = self._last_ns, start_ns
         interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
@@ -184,7 +184,7 @@ class BandCoverage:
         limit, q = math.log(FALSE_WARNING_TIME), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
-        self.warns = self.evidence >= (END_SHARE * limit if self.warns else limit)
+        self.has_warning = self.evidence >= (END_SHARE * limit if self.has_warning else limit)
 
 
 class CoverageMonitor:
@@ -194,14 +194,14 @@ class CoverageMonitor:
         self.by_pair: dict[ModelMode, BandCoverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
-    def expect(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
+    def add_bands(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
         """Store the half-widths published with a prediction; of more than MAX_WAITING, the oldest are dropped."""
         for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
         while len(self._waiting) > MAX_WAITING:
             del self._waiting[next(iter(self._waiting))]
 
-    def add(self, score: Score) -> None:
+    def add_score(self, score: Score) -> None:
         """Count the score of a prediction unless it is incomplete."""
         by_level = self._waiting.pop((score.model, score.mode, score.start_ns), None)
         if by_level is None or not score.complete:
@@ -215,8 +215,8 @@ class CoverageMonitor:
         """One-line warning of bands with coverage significantly below the nominal level; empty if there are none."""
         pairs = []
         for (model, mode), coverage in self.by_pair.items():
-            if coverage.warns:
-                level = max(coverage.inside)
+            if coverage.has_warning:
+                level = max(coverage.inside_counts)
                 pairs.append(f"{mode} of {model} ({coverage.coverage_at(level):.0%} so far, nominal level {level:.0%})")
         return (f"coverage of bands is far below the nominal level: {', '.join(pairs)}; has the car, the road or the "
                 "driving changed?") if pairs else ""

@@ -25,8 +25,7 @@ from ..vehicle import TYRE_QUANTITIES
 from .bounded_fit import BoundedFit, Residuals, find_interval_end, fit_within_bounds
 from .result import Coverage, Identification, IdentificationError, ParameterEstimate, Status, describe_correlations
 
-MAX_SLIP = math.radians(40.0)
-MIN_SLIP = math.radians(3.0)
+MIN_SLIP, MAX_SLIP = math.radians(3.0), math.radians(40.0)  # limits of the largest |slip angle| of a table
 LEVEL_GAP = 0.04  # relative; loads closer than this are one level, since the load varies during a sweep
 MIN_POINTS = 7  # minimum number of points at the nominal load, to which five parameters are fitted
 SLIP_BINS = np.radians([0.0, 0.75, 1.5, 3.0, 5.0, 8.0, 12.0, 20.0])  # rad; edges for the coverage of |slip angle|

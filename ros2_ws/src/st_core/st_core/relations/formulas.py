@@ -13,11 +13,11 @@ from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; points in the range of a curve
 MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
-MIN_EXPLAINED_MORE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
+MIN_EXPLAINED_INCREASE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
-MAX_RANGE = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
+MAX_VALUE_RATIO = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
 ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -176,7 +176,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
 def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
     order = sorted((shape for shape in shapes if not any(
-        len(other.parameters) < len(shape.parameters) and other.explained > shape.explained - MIN_EXPLAINED_MORE
+        len(other.parameters) < len(shape.parameters) and other.explained > shape.explained - MIN_EXPLAINED_INCREASE
         for other in shapes)), key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
@@ -197,7 +197,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
     discovered model. A curve without odd symmetry may be determined only up to a constant, which a parameter of the
     vehicle file can imitate; its formula gets an additional constant if it fails without one. Within the driven range,
-    a formula must have mostly the sign of the curve, and magnitudes up to MAX_RANGE times the largest of the curve. Its
+    a formula must have mostly the sign of the curve, and stay below MAX_VALUE_RATIO times its largest magnitude. Its
     held-out position error must not exceed the in-sample error of the discovered model.
     """
     assert fit.candidate is not None
@@ -245,7 +245,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
 
     _, offset = refit(shape.parameters, np.ones(fits.blocks, bool))
     value, curve = shape.function(points, shape.parameters) + offset, fit.coefficients @ splines
-    if value @ curve <= 0.0 or np.abs(value).max() > MAX_RANGE * np.abs(curve).max():
+    if value @ curve <= 0.0 or np.abs(value).max() > MAX_VALUE_RATIO * np.abs(curve).max():
         return -np.inf, offset
     held_out, position = np.zeros(fits.blocks), np.full(len(fits.block), np.nan)
     for k, parameters in shape.by_fold.items():

@@ -154,7 +154,7 @@ def make_coverage_check(coverages: CoverageMonitor) -> Check:
 
 def _list_coverages(coverages: Mapping[ModelMode, BandCoverage]) -> dict[str, str]:
     return {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
-            for (model, mode), coverage in coverages.items() for level in sorted(coverage.inside)}
+            for (model, mode), coverage in coverages.items() for level in sorted(coverage.inside_counts)}
 
 
 def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:

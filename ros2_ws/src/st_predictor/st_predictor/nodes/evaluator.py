@@ -110,7 +110,7 @@ class EvaluatorNode(Node):
         start_ns, trajectory = content
         if mode == "forecast":
             self._check_configuration(model, message, trajectory)
-            self._coverages.expect(model, start_ns, read_bands(message))
+            self._coverages.add_bands(model, start_ns, read_bands(message))
         for scored_mode in MODES if mode == "forecast" else (mode,):
             self._hashes[model, scored_mode, start_ns] = message.configuration_hash
         self._core.add_prediction(model, start_ns, trajectory, mode)
@@ -131,7 +131,7 @@ class EvaluatorNode(Node):
     def _publish_scores(self, scores: list[Score]) -> None:
         for score in scores:
             self._statistics.setdefault((score.model, score.mode), ErrorStatistics()).add(score)
-            self._coverages.add(score)
+            self._coverages.add_score(score)
             key = score.model, score.mode, score.start_ns
             message = convert.make_prediction_error_message(score, self._map_frame, self._hashes.pop(key, ""))
             self._error_publisher.publish(message)
