@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import axles, error_regions, evidence, fit, loss
+from st_core.discovery import axles, error_regions, evidence, fit, loss, reference
 from st_core.discovery.partitions import make_partitions
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
@@ -42,17 +42,20 @@ DIVERSE_CASES = ("light_ev_ratio", "suv_worn_rear", "van_lever", "escort_ratio",
                  "bmw_320i_gyro_bias", "hatchback_load", "light_ev_load", "estate_healthy")
 FACTORS = (0.5, 2.0)
 LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplained_share", "max_noise_ratio")
-IN_SEARCH = {"MAX_QUADRATIC_RISE": fit, "RMS_CLIP_LIMIT": fit, "DIVERGED_ERROR": fit, "MIN_CURVATURE": evidence,
-             "PART_PRIOR": evidence, "MIN_INFORMATION_SHARE": evidence, "NU": loss, "DIFFERENCE_STEP": loss,
-             "MAX_SCALED_ERROR": loss,
-             "SIGN_DRAWS": evidence, **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), sys.modules[Search.__module__]),
-             **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"),
-                             sys.modules[make_partitions.__module__])}
+SEARCH, PARTITIONS = sys.modules[Search.__module__], sys.modules[make_partitions.__module__]
+IN_SEARCH: dict[str, Any] = {
+    **dict.fromkeys(("MAX_QUADRATIC_RISE", "RMS_CLIP_LIMIT", "DIVERGED_ERROR"), fit),
+    **dict.fromkeys(("MIN_CURVATURE", "PART_PRIOR", "MIN_INFORMATION_SHARE", "SIGN_DRAWS"), evidence),
+    **dict.fromkeys(("NU", "DIFFERENCE_STEP", "MAX_SCALED_ERROR"), loss),
+    **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), SEARCH),
+    **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"), PARTITIONS),
+    "JOINT_DEVIATION": (fit, reference, SEARCH)}
 IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
                             "CELL_SIZE", "MIN_STRETCH_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),
                            error_regions)
-CONSTANTS = {"UNSELECTED_DEVIATION": evidence, "MIN_FORCE_CHANGE": axles, "MAX_SLIP": axles, "SMALL_SLIP": axles,
-             "DRAWS": axles, "GAIN_SPEED": axles, "MIN_SAMPLES": axles, **IN_SEARCH, **IN_REGIONS}
+IN_AXLES = dict.fromkeys(("MIN_FORCE_CHANGE", "MAX_SLIP", "SMALL_SLIP", "DRAWS", "GAIN_SPEED", "MIN_SAMPLES"), axles)
+CONSTANTS: dict[str, Any] = {"UNSELECTED_DEVIATION": evidence, **IN_AXLES, **IN_SEARCH, **IN_REGIONS}
+"""Module of each constant, or all modules that import it."""
 NUMBERS = (*LIMITS, "model_error", *CONSTANTS)
 SEARCHED = ("max_file_deviation", "min_relative_size", *IN_SEARCH)
 """Numbers that act during the search; all others act after it."""
@@ -109,8 +112,9 @@ def _multiply(analysis: Any, number: str, factor: float) -> Iterator[Any]:
         other.limits = replace(analysis.limits, **{number: factor * getattr(analysis.limits, number)})
         yield other
         return
-    owners = ([(p, "model_error") for effect in EFFECTS.values() for p in effect.parameters]
-              if number == "model_error" else [(CONSTANTS[number], number)])
+    modules = CONSTANTS.get(number, ())
+    owners = ([(p, "model_error") for effect in EFFECTS.values() for p in effect.parameters] if number == "model_error"
+              else [(module, number) for module in (modules if isinstance(modules, tuple) else (modules,))])
     before = [getattr(*one) for one in owners]
     try:
         for (owner, key), value in zip(owners, before, strict=True):
