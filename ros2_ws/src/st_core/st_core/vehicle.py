@@ -198,6 +198,12 @@ class VehicleParameters:
         """m g l_f / l / 2 [N]: one rear tyre at rest."""
         return 0.5 * self.mass * GRAVITY * self.cg_to_front_axle / self.wheelbase
 
+    @property
+    def speed_scale(self) -> float:
+        """Speed at which a small car does what one with a wheelbase of 2 m does at 1 m/s, at most 1: bends of as many
+        wheelbases with the same lateral acceleration."""
+        return min(1.0, math.sqrt(self.wheelbase / 2.0))
+
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 

@@ -84,3 +84,21 @@ def test_jumping_acceleration_is_not_also_reported_as_constant(log, leaf):
     assert "channel_jumps" in names and "channel_frozen" not in names
     estimates = check(replace(log, acceleration_y=None), leaf).estimates
     assert {name: faulty.estimates[name] for name in estimates} == estimates
+
+
+def test_model_car_on_circles_of_constant_steering_has_no_error(log, leaf):
+    """Bends of 3 rad/s: in a second, the path is far longer than the distance between its ends. With increasing speed,
+    the tyres increase the radius, and the speed passes the limit below which the curvature is not judged."""
+    time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
+    speed = 1.2 + 1.4 * time / time[-1]
+    yaw_rate = speed / (0.6 * (1.0 + 0.03 * speed**2))
+    yaw = np.concatenate(([0.0], np.cumsum(np.diff(time) * 0.5 * (yaw_rate[1:] + yaw_rate[:-1]))))
+    x, y = (np.concatenate(([0.0], np.cumsum(np.diff(time) * 0.5 * (v[1:] + v[:-1]))))
+            for v in (speed * np.cos(yaw), speed * np.sin(yaw)))
+    angle = np.full_like(log.road_wheel_angle, 0.3)
+    circles = replace(log, x=x, y=y, yaw=yaw, velocity_x=speed, velocity_y=np.zeros_like(x), yaw_rate=yaw_rate,
+                      acceleration_x=None, acceleration_y=None, road_wheel_angle=angle)
+    found = {finding.name: finding for finding in check(circles, leaf).findings}
+    assert not found.keys() & {"velocity_scale", "velocity_x_scale", "x_scale", "y_scale", "position_scale"}, found
+    assert "road_wheel_angle" not in [channel for finding in found.values() if finding.name == "channel_frozen"
+                                      for channel in finding.channels]

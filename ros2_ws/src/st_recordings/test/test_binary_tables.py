@@ -117,8 +117,9 @@ def test_folder_with_the_same_drive_as_csv_and_mat_is_one_run(columns: Columns, 
     assert [source.files[0].name for source in find_runs([tmp_path])] == ["drive.csv", "other.mat"]
 
 
-def test_columns_of_a_matrix_can_be_named_in_a_run_file(columns: Columns, tmp_path: Path):
-    savemat(tmp_path / "drive.mat", {"log": np.column_stack(list(columns.values()))})
+@pytest.mark.parametrize("axis", [0, 1])
+def test_columns_or_rows_of_a_matrix_can_be_named_in_a_run_file(columns: Columns, tmp_path: Path, axis: int):
+    savemat(tmp_path / "drive.mat", {"log": np.stack(list(columns.values()), axis=axis)})
     names = ", ".join(f"{name}: log_{number}" for number, name in enumerate(columns, 1))
     (tmp_path / "drive.run.yaml").write_text(f"csv: drive.mat\ncolumns: {{{names}}}\n")
     np.testing.assert_allclose(load(tmp_path / "drive.run.yaml").velocity_x, columns["velocity_x"])
@@ -133,7 +134,7 @@ def write_version_7_3(file: Path) -> None:
     (write_version_7_3, "a.mat", r"file of MATLAB version 7\.3; save it with save\(\.\.\., '-v7'\)"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
-    (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat", "no column was recognised as t, x, y, yaw"),
+    (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat", "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
     (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "pyarrow cannot read the file")])
 def test_refusal_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
                                                  message: str):

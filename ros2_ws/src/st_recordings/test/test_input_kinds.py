@@ -103,6 +103,12 @@ def geographic(log: DriveLog, repeats: int = 1) -> str:
     return csv(cells, header(x="latitude", y="longitude", yaw="phi"))
 
 
+def quote_rows(text: str) -> str:
+    """With each row below the header as one quoted cell."""
+    names, *lines = text.splitlines()
+    return "\n".join([names, *('"' + line.replace('"', '""') + '"' for line in lines)]) + "\n"
+
+
 def positions_in_radians(text: str) -> str:
     names, *cells = (line.split(",") for line in text.splitlines())
     return csv([[row[0], *(f"{np.radians(float(cell)):.12f}" for cell in row[1:3]), *row[3:]] for row in cells],
@@ -138,6 +144,7 @@ TABLES = [
     Table("pipes.csv", lambda log: csv(rows(log), "|".join(NAMES), "|")),
     Table("tabs.txt", lambda log: csv(rows(log), "\t".join(NAMES), "\t")),
     Table("savetxt.dat", lambda log: csv(rows(log), "# " + " ".join(NAMES), " ")),
+    Table("quoted_rows.csv", lambda log: quote_rows(with_columns(log, {"note": '"a, b"'}))),
     Table("quoted_note.csv", lambda log: with_columns(log, {"note": '"a, b"'})),
     Table("single_quotes.csv", lambda log: re.sub(r"[^,\n]+", r"'\g<0>'", csv(rows(log)))),
     Table("line_ends_in_names.csv", lambda log: csv(rows(log), ",".join(f'"{name}\n[{unit}]"' for name, unit in zip(

@@ -24,7 +24,9 @@ MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor tha
 SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval, which gaps increase
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
+MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not judged
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
+MIN_FROZEN_CURVATURE_CHANGE = 0.3  # the same while a frozen one is constant; saturating tyres cause 0.2
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
@@ -251,7 +253,8 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
     where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in clipped}))
     text = f"{name} stays at {limits} {UNITS[name]} {len(clipped)} times while other channels change: it is clipped"
-    advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there")
+    advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there"
+                    + (", unless the steering is at its stop" if name == "road_wheel_angle" else ""))
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[clipped]]).max()),
                     UNITS[name], where=where, advice=advice)]
 
@@ -262,7 +265,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     duration = time[last] - time[first]
     usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
     frozen = [k for k in np.flatnonzero(duration > max(MIN_FREEZE_TIME, FREEZE_PAUSE_RATIO * usual_pause))
-              if _should_change(name, time[first[k]], time[last[k]], motion, step)]
+              if _should_change(name, time[first[k]], time[last[k]], motion, step, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
     seconds = float(duration[frozen].sum())
@@ -282,8 +285,12 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     return [Finding("channel_frozen", severity, (name,), text, seconds, "s", where=where, advice=advice)]
 
 
-def _should_change(name: str, begin: float, end: float, motion: Motion, step: float) -> bool:
-    """Whether the other channels show that this one should have changed by more than its resolution `step`."""
+def _should_change(name: str, begin: float, end: float, motion: Motion, step: float,
+                   min_curvature_change: float = MIN_CURVATURE_CHANGE) -> bool:
+    """Whether the other channels show that this one should have changed by more than its resolution `step`.
+
+    min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
+    """
     inside = (motion.time >= begin) & (motion.time <= end)
     if inside.sum() < 3:
         return False
@@ -292,13 +299,19 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         change = max(abs(float(rate(motion)[inside].mean())) - bias, 0.0) * (end - begin)
         return change > max(ROUNDING_STEPS * step, min_change)
     related, min_change = RELATED_QUANTITIES[name]
+    if name == "road_wheel_angle":
+        inside &= motion.velocity_x > MIN_CURVATURE_SPEED
+        if inside.sum() < 3:
+            return False
     expected = related(motion)[inside]
     rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
     low, high = np.percentile(expected, [5, 95])
-    if name == "road_wheel_angle":  # the steering may rest at its mechanical stop while the speed changes the yaw rate
-        curvature = expected / np.maximum(motion.velocity_x[inside], 2.0)
-        tight, wide = np.percentile(np.abs(curvature), [95, 5])
-        return bool(high - low > min_change and tight - wide > MIN_CURVATURE_CHANGE * np.median(np.abs(curvature)))
+    if name == "road_wheel_angle":  # the steering may be held, as at its stop: then curvature changes with speed only
+        speed = motion.velocity_x[inside]
+        curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
+        unexplained = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
+        tight, wide = np.percentile(unexplained, [95, 5])
+        return bool(high - low > min_change and tight - wide > min_curvature_change * np.median(np.abs(curvature)))
     return bool(high - low > max(min_change, rounding))
 
 
@@ -325,7 +338,7 @@ RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] =
     "acceleration_x": (lambda m: _compute_mean_rate(m.time, m.velocity_x), 0.5),
     "acceleration_y": (lambda m: m.velocity_x * m.yaw_rate, 0.5),
     "yaw_rate": (lambda m: _compute_mean_rate(m.time, m.yaw), 0.05),
-    "road_wheel_angle": (lambda m: np.where(m.velocity_x > 2.0, m.yaw_rate, 0.0), 0.05),
+    "road_wheel_angle": (lambda m: m.yaw_rate, 0.05),
 }
 CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
 

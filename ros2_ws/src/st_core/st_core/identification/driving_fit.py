@@ -7,7 +7,7 @@ would in a regression of force on slip. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,6 +92,10 @@ class DrivingFitSettings:
     min_windows: int = 60  # smallest number of windows in a fit
     channels: tuple[str, ...] = ("yaw_rate", "velocity_y")  # without velocity_y, predictions start from steady sideslip
 
+    def for_car(self, vehicle: VehicleParameters) -> "DrivingFitSettings":
+        """These settings, with the minimum speed reduced for a small car."""
+        return replace(self, minimum_speed=self.minimum_speed * vehicle.speed_scale)
+
 
 class _LimitedWindows(Windows):
     """Windows of the drives. used: mask (n,) of those within the speed and acceleration limits of the settings."""
@@ -165,8 +169,8 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     total = sum(used for used, _ in counts.values())
     if total < settings.min_windows:
         raise IdentificationError(
-            f"too little driving: {total} of {len(windows)} predictions are faster than {settings.minimum_speed:g} m/s "
-            f"and below {settings.maximum_acceleration:g} m/s^2 for {settings.horizon:g} s, "
+            f"too little driving: {total} of {len(windows)} predictions are faster than "
+            f"{settings.minimum_speed:.3g} m/s and below {settings.maximum_acceleration:g} m/s^2 for {settings.horizon:g} s, "
             f"{settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)

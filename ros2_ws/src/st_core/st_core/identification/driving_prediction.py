@@ -71,9 +71,9 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     also: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
     speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
-    names = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance)))
+    names, settings = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance))), settings.for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
-    covered = measure_driving_coverage(logs, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
+    covered = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
                                        lateral_acceleration=(2.0, 3))
     require_coverage(covered, "Drive bends to both sides, at two or more speeds, with a lateral acceleration of 1 to 4 "
                               "m/s^2.")
@@ -145,11 +145,12 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     Raises IdentificationError without transients: 0.5 s of r_dot in every bin of YAW_ACCELERATION_EDGES is needed.
     """
-    settings = TRANSIENT_SETTINGS
+    settings = TRANSIENT_SETTINGS.for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
-    covered = (*measure_driving_coverage(logs, settings.minimum_speed, speed=(5.0, 1), lateral_acceleration=(1.0, 3)),
+    covered = (*measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 1),
+                                         lateral_acceleration=(1.0, 3)),
                measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                 [run.time for run in runs], 0.5, 5))
     require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")

@@ -121,15 +121,17 @@ def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence
                     max(1, round(seconds_needed / interval)), bins_needed)
 
 
-def measure_driving_coverage(logs: Sequence[DriveLog], minimum_speed: float, speed: tuple[float, int],
+def measure_driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, minimum_speed: float,
+                             speed: tuple[float, int],
                              lateral_acceleration: tuple[float, int]) -> tuple[Coverage, Coverage]:
     """Coverage of speed and lateral acceleration v_x r by all driving above a minimum speed [m/s]. speed,
     lateral_acceleration: (seconds in a filled bin, number of filled bins) required."""
+    edges = SPEED_EDGES * vehicle.speed_scale
     times = [(log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND for log in logs]
     fast = [log.velocity_x >= minimum_speed for log in logs]
     speeds = [log.velocity_x[mask] for log, mask in zip(logs, fast, strict=True)]
     accelerations = [(log.velocity_x * log.yaw_rate)[mask] for log, mask in zip(logs, fast, strict=True)]
-    return (measure_coverage("speed", "m/s", SPEED_EDGES, speeds, times, *speed),
+    return (measure_coverage("speed", "m/s", edges, speeds, times, *speed),
             measure_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES, accelerations, times,
                              *lateral_acceleration))
 

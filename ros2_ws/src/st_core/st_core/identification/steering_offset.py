@@ -25,7 +25,7 @@ from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 PAPER_NAME, DIRECT_NAME = "steering_wheel_offset", "steering_wheel_offset_direct"
 SETTINGS = DrivingFitSettings(horizon=2.0, maximum_acceleration=0.5, min_windows=40, channels=("yaw_rate",))
 WINDOW = 2.0  # s; length of a window of the direct method
-MIN_RADIUS = 500.0  # m; of the path in a window
+MIN_RADIUS = 500.0  # m; of the path in a window, for a full-size car
 MAX_ANGLE_DEVIATION = np.deg2rad(3.0)  # standard deviation of the steering wheel angle in a window
 MIN_WINDOWS = 10  # minimum number of windows
 CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
@@ -38,16 +38,18 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     """
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle) for log in logs]
-    windows = [_find_straight_windows(run, vehicle) for run in runs]
+    settings, min_radius = SETTINGS.for_car(vehicle), MIN_RADIUS * vehicle.speed_scale**2
+    windows = [_find_straight_windows(run, vehicle, settings.minimum_speed, min_radius) for run in runs]
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = {MIN_RADIUS:g}"
-            f" m and faster than {SETTINGS.minimum_speed:g} m/s, with constant steering; {MIN_WINDOWS} are needed")
+            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = "
+            f"{min_radius:.3g} m and faster than {settings.minimum_speed:.3g} m/s, with constant steering; "
+            f"{MIN_WINDOWS} are needed")
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
     smoothed = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
                                                     "zero_phase")[0]) for log in logs]
-    fit = fit_driving(smoothed, vehicle, (PAPER_NAME,), "linear", SETTINGS)
+    fit = fit_driving(smoothed, vehicle, (PAPER_NAME,), "linear", settings)
     predicted = tuple(name for name, (count, _) in fit.windows.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
                            predicted, f"{fit.prediction_count} predictions on straights")
@@ -70,18 +72,19 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
                           (*notes, *([conflict] if conflict else [])), figure)
 
 
-def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters) -> np.ndarray:
+def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters, min_speed: float,
+                           min_radius: float) -> np.ndarray:
     """(start time [s], offset [rad] at the steering wheel) of the steady straight windows of a run, (n, 2)."""
     understeer = stability_factor(vehicle)
     rows = []
     for start in np.arange(run.time[0], run.time[-1] - WINDOW, WINDOW):
         part = slice(*np.searchsorted(run.time, (start, start + WINDOW)))
         time, angle, speed = run.time[part], run.steering_wheel_angle[part], run.velocity_x[part]
-        if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < SETTINGS.minimum_speed:
+        if len(time) < 10 or time[-1] - time[0] < 0.9 * WINDOW or speed.min() < min_speed:
             continue
         mean_speed = float(speed.mean())
         curvature = float(run.yaw[part][-1] - run.yaw[part][0]) / (mean_speed * float(time[-1] - time[0]))
-        if abs(curvature) * MIN_RADIUS > 1.0 or angle.std() > MAX_ANGLE_DEVIATION:
+        if abs(curvature) * min_radius > 1.0 or angle.std() > MAX_ANGLE_DEVIATION:
             continue
         road_wheel_angle = vehicle.wheelbase * curvature * (1.0 + understeer * mean_speed**2)
         rows.append((start, float(angle.mean()) - vehicle.steering_ratio * road_wheel_angle))

@@ -132,8 +132,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
             yield from _find_signals(entry, (*path[:-1], labels[0]) if labels else (*path, str(number)), "", times)
     elif _is_vector(value):
         yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
-    elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < value.shape[1] <= MAX_MATRIX_COLUMNS:
-        for number, column in enumerate(value.T, 1):
+    elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
+        # Each sample is a row, or a column if there are more columns than signals.
+        for number, column in enumerate(value.T if value.shape[1] <= MAX_MATRIX_COLUMNS else value, 1):
             yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
 
 

@@ -26,6 +26,8 @@ STEERING_ADVICE = ("name its column by --steering-field NAME --steering-is wheel
                    "right is positive; or also give the CAN log that contains the steering angle")
 COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 """Channel -> channel from which it is computed if the table has no column for it."""
+ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "yaw": f"{HEADING} or {COURSE}"}
+"""Channel -> channels from which it can also be computed."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
@@ -177,6 +179,9 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = find_missing_channels(table.sources, table.names, ("t", *needed))
+    if "yaw" in missing:  # what can be computed from a heading is not listed
+        unknown = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
+        missing = [name for name in missing if name == "yaw" or name in unknown]
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
@@ -189,7 +194,7 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
         raise RunError(table.file, f"columns {' and '.join(rivals[channel])[:200]} may each be {channel}",
                        f"name the right one in a run.yaml, as columns: {{{channel}: NAME}}")
     if missing:
-        texts = [f"{name} (or {STEERING_WHEEL})" if name == ROAD_WHEEL else name for name in missing]
+        texts = [f"{name} (or {ALTERNATIVES[name]})" if name in ALTERNATIVES else name for name in missing]
         raise RunError(table.file, f"no column was recognised as {', '.join(texts)}; its columns are "
                        f"{', '.join(table.names)[:200]}", STEERING_ADVICE if missing == [ROAD_WHEEL] else
                        COLUMN_ADVICE.format(stem=table.file.stem, name=table.file.name, can=can, channel=missing[0],

@@ -32,6 +32,7 @@ MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value 
 MAX_YAW_RATE = 3.0  # rad/s; a yaw rate column with larger values is in deg/s, and yaw is not compared with it
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
 _LINE_END_IN_CELL = re.compile(r'"[^",;|\t]{0,80}\n[^",;|\t]{1,80}"(?=[,;|\t\n])')
+_QUOTED_ROW = re.compile(r'^"((?:[^"\n]|"")*)"$', re.MULTILINE)  # a row that was exported as one cell
 _THOUSANDS_SPACES = re.compile(r"[\u00a0\u202f\u2009'](?<=\d.)(?=\d{3}(?!\d))")
 
 
@@ -56,12 +57,14 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell.
+    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell; a row that is
+    one quoted cell with several cells in it becomes a row.
 
     size: bytes to read, ignoring those that are not UTF-8; -1: all bytes, or RunError for a binary file.
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
-    return _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
+    text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
+    return _QUOTED_ROW.sub(lambda row: row[1].replace('""', '"') if set(row[1]) & set(",;\t") else row[0], text)
 
 
 def _decode(file: Path, size: int) -> str:
