@@ -134,7 +134,8 @@ def write_version_7_3(file: Path) -> None:
     (write_version_7_3, "a.mat", r"file of MATLAB version 7\.3; save it with save\(\.\.\., '-v7'\)"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
-    (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat", "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
+    (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",
+     "no column was recognised as t, x .or longitude., y .or latitude., yaw"),
     (lambda file: file.write_bytes(b"PAR1 broken"), "a.parquet", "pyarrow cannot read the file")])
 def test_refusal_names_the_reason_and_the_remedy(tmp_path: Path, write: Callable[[Path], None], name: str,
                                                  message: str):

@@ -170,7 +170,8 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     if total < settings.min_windows:
         raise IdentificationError(
             f"too little driving: {total} of {len(windows)} predictions are faster than "
-            f"{settings.minimum_speed:.3g} m/s and below {settings.maximum_acceleration:g} m/s^2 for {settings.horizon:g} s, "
+            f"{settings.minimum_speed:.3g} m/s and below {settings.maximum_acceleration:g} m/s^2 for "
+            f"{settings.horizon:g} s, "
             f"{settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
