@@ -82,7 +82,7 @@ def test_starts_without_a_complete_horizon_are_counted_by_mode() -> None:
 @pytest.mark.parametrize(("before", "after", "fragment"), [
     ("\nmass:", "\nmasss:", "masss: unknown key, did you mean mass?"),
     ("unit: kg,", "unit: g,", "mass: unit 'g' is not kg"),
-    ("value: 1590.0", "value: 15.9", "mass: 15.9 is outside 50 to 60000 kg"),
+    ("value: 1590.0", "value: 15.9", "mass: 15.9 kg does not fit a car with a wheelbase of 2.7 m"),
 ])
 def test_invalid_vehicle_file_is_refused_before_the_start(tmp_path: Path, verb, before, after, fragment) -> None:
     text = LEAF.read_text()

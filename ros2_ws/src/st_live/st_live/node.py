@@ -145,7 +145,7 @@ def render_progress(state: SuiteState, elapsed: float, duration: float | None, t
     else:
         progress.add_row(title, f"{elapsed:4.0f} s", "(Ctrl-C ends it)")
     coverage = [Text(text) for text in format_band_lines(state.summary.statistics if state.summary else [])]
-    return Group(progress, render_motion(state), render_errors(state), *coverage, render_ticks(state),
+    return Group(progress, render_motion(state), render_errors(state), *coverage, render_ticks(state.predictor_status),
                  render_health(state))
 
 
@@ -195,8 +195,7 @@ def _format_statistic(rows: Mapping[str, Any], model: str, axis: str, name: str,
     return Text("-" if value is None else f"{value:.{digits}f}", style="bold" if is_best else "")
 
 
-def render_ticks(state: SuiteState) -> Text:
-    status = state.predictor_status
+def render_ticks(status: PredictorStatus | None) -> Text:
     if status is None:
         return Text("predictor: no status yet", style="dim")
     skipped = status.skipped_stale + status.skipped_overrun + status.skipped_slow

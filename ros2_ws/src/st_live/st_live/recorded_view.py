@@ -22,6 +22,7 @@ from st_recordings.runs.cdr import load_typestore
 from st_ros.polling import to_nanoseconds
 
 from .configuration import find_bag
+from .node import render_ticks
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
@@ -108,7 +109,7 @@ class Scene:
         self._sample: InsSample | None = None
         self._angle: float | None = None  # road-wheel angle, left + [rad]
         self._statistics: list[Any] = []
-        self._ticks = "predictor: no status yet"
+        self._ticks = render_ticks(None).plain
         self._health: dict[str, tuple[int, str, str]] = {}
         self._text_due_ns = 0
         self._labelled: list[str] = []  # models whose name is shown
@@ -141,9 +142,7 @@ class Scene:
         elif kind == "summary":
             self._statistics = message.statistics
         elif kind == "status":
-            skipped = message.skipped_stale + message.skipped_overrun + message.skipped_slow
-            reason = f" ({message.reason})" if message.reason else ""
-            self._ticks = f"Ticks {message.due}, predicted {message.predicted}, skipped {skipped}{reason}"
+            self._ticks = render_ticks(message).plain
         elif kind == "diagnostics":
             for check in message.status:
                 level = check.level if isinstance(check.level, int) else int.from_bytes(check.level, "little")

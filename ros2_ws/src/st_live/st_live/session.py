@@ -225,9 +225,9 @@ def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, consol
             if console.is_terminal:
                 live.update(render_progress(monitor.state, elapsed, duration, title), refresh=True)
             elif time.monotonic() - last_line >= LOG_PERIOD:
-                last_line = time.monotonic()
-                console.print(Text(f"{title}: {elapsed:.0f} s; {render_ticks(monitor.state)}"), soft_wrap=True)
-                if problems := render_health(monitor.state).plain.rstrip():
+                state, last_line = monitor.state, time.monotonic()
+                console.print(Text(f"{title}: {elapsed:.0f} s; {render_ticks(state.predictor_status)}"), soft_wrap=True)
+                if problems := render_health(state).plain.rstrip():
                     console.print(Text(problems), soft_wrap=True)
     return ""
 
