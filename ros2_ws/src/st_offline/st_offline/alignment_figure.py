@@ -56,7 +56,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
         rows = np.flatnonzero((time >= start) & (time <= (np.inf if whole else start + CLOSE_UP_DURATION)))
         rows = rows[::max(-(-len(rows) // MAX_POINTS), 1)]
         ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
-    units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m, steering scaled"}
+    units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m\n(steering scaled)"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
     ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP_DURATION:.0f} s",
            xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
