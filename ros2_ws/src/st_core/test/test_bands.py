@@ -105,7 +105,7 @@ def test_runs_with_unshared_conditions_are_not_counted():
     fast, hard = draw_run(9), draw_run(8)  # more speed, more lateral acceleration
     fast.conditions[:, 0] += 30.0
     hard.conditions[:, 1] += 8.0
-    with pytest.raises(StCoreError, match=r"2 of 10 runs were driven under conditions.*8 runs support"):
+    with pytest.raises(StCoreError, match=r"2 of 10 runs were driven only under conditions.*8 runs support"):
         calibrate([*runs, fast, hard], PAIR, TIME)
 
 
@@ -158,7 +158,7 @@ def test_conditions_outside_the_calibration_are_described(bands):
     describe = bands.domain.describe_outside
     assert describe(np.array([8.0, 1.0, 0.2, 0.02])) == ""
     assert describe(np.array([40.0, 1.0, 0.2, 0.02])) == (
-        "40.0 m/s with 1.0 m/s^2 lateral acceleration was driven in fewer than 2 calibration runs")
+        "40.0 m/s with 1.0 m/s^2 lateral acceleration: fewer than 2 calibration runs have 10 predictions in this range")
     assert describe(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s exceeds the calibrated 0.0")
     assert describe(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity is unknown"
 

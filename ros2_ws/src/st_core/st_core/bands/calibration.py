@@ -129,8 +129,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         try:
             check_levels(levels, len(scores))
         except StCoreError as error:
-            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven under conditions that "
-                              f"fewer than two other runs have; {error}") from None
+            raise StCoreError(f"{len(runs) - len(scores)} of {len(runs)} runs were driven only under conditions that "
+                              f"the other runs do not cover; {error}") from None
     levels = sorted({*levels, *(level for level in RELIABILITY_LEVELS if level <= compute_highest_level(len(scores)))})
     factors = dict(zip(levels, compute_conformal_factors(scores, levels).tolist(), strict=True))
     # Quantiles of the mean distribution function of the runs.
