@@ -220,7 +220,7 @@ class BagWriter:
                 dropped = self._contents.drop_last_chunk() if write_error.errno in DISK_FULL_ERRORS else None
                 if dropped is None:
                     self.error += (f"; its index could not be written either ({write_error.strerror}): repair the bag "
-                                   "with `recover`")
+                                   "with `st recover`")
                     with contextlib.suppress(OSError):
                         self._file.truncate(length)
                     break

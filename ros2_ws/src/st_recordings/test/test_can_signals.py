@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import can
@@ -9,9 +10,18 @@ import numpy as np
 import pytest
 from canedge_bridge.decode import Decoder
 from st_recordings.runs.can_logs import read_can_logs
-from st_recordings.runs.can_signals import SignalTable, decode_signals, find_steering, load_signal_table
+from st_recordings.runs.can_signals import (
+    CanSignals,
+    Signal,
+    SignalTable,
+    decode_signals,
+    find_steering,
+    load_signal_table,
+)
+from st_recordings.runs.cdr import load_typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import REMOTE, Frames, merge_by_time
+from st_recordings.runs.serialiser import Serialiser
 from support import GOLDEN_DATA, ROOT
 
 DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"
@@ -192,3 +202,16 @@ def test_error_in_a_signal_table_names_the_file_once(tmp_path: Path) -> None:
     with pytest.raises(RunError) as refused:
         load_signal_table(DBC, broken)
     assert str(refused.value).count(str(broken)) == 1
+
+
+def test_wheel_speeds_in_alternate_frames_keep_their_times() -> None:
+    signals = {}
+    for start, name in enumerate(("wheel_speed_rear_left", "wheel_speed_rear_right")):
+        rows = np.arange(start, 4, 2)
+        signals[name, "Wheels"] = Signal(name, "Wheels", rows * 10, rows * 1.0, np.ones(2, bool), rows)
+    messages = Serialiser(load_typestore()).serialise_wheel_speeds("Wheels", CanSignals(signals, {}), np.asarray)
+    read = [load_typestore().deserialize_cdr(messages.data[start:end].tobytes(), messages.type_name)
+            for start, end in pairwise(messages.edges.tolist())]
+    assert messages.time_ns.tolist() == [0, 10, 20, 30]
+    np.testing.assert_array_equal([message.rear_left for message in read], [0.0, np.nan, 2.0, np.nan])
+    np.testing.assert_array_equal([message.rear_right for message in read], [np.nan, 1.0, np.nan, 3.0])

@@ -33,8 +33,8 @@ def escape_unprintable(text: str) -> str:
 
 def format_share(count: int, total: int, noun: str) -> str:
     """Formats a count and its percentage of the total, such as "98 of 249 rows (39 %)"."""
-    percent = 100.0 * count / max(total, 1)
-    digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if 99.0 < percent < 100.0 else f"{percent:.0f}"
+    percent = min(100.0 * count / max(total, 1), 99.9 if count < total else 100.0)
+    digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if percent > 99.0 else f"{percent:.0f}"
     return f"{count} of {total} {noun} ({digits} %)"
 
 

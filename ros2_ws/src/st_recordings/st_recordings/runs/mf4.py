@@ -63,8 +63,8 @@ def reject_unreadable(path: Path, head: bytes) -> None:
         raise RunError(path, f"this is a {kind} log in the container format of CSS Electronics, which cannot be read",
                        "convert it with their mdf2finalized or CANedge MF4 converter, and give the resulting .MF4")
     if is_mdf(head) and version[:2] != b"4.":
-        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; only version 4 can be read",
-                       "convert it with asammdf")
+        raise RunError(path, f"this is MDF version {version.decode('latin-1').strip()}; CAN frames are only read from "
+                       "version 4", "convert it with asammdf")
 
 
 def read_mf4(path: Path) -> frames.CanLog:

@@ -132,11 +132,14 @@ class Serialiser:
         """
         wheels = {field: signals.signals[name, message] for name, field in WHEEL_FIELDS.items()
                   if (name, message) in signals.signals}
-        first = next(iter(wheels.values()))
-        unknown = dict.fromkeys(WHEEL_FIELDS.values(), np.full(len(first.values), np.nan))
+        log_ns = np.unique(np.concatenate([signal.time_ns for signal in wheels.values()]))
+        columns = {field: np.full(len(log_ns), np.nan) for field in WHEEL_FIELDS.values()}
+        valid = np.zeros(len(log_ns), bool)
+        for field, signal in wheels.items():  # a multiplexed signal is not in every frame
+            rows = np.searchsorted(log_ns, signal.time_ns)
+            columns[field][rows], valid[rows] = signal.values, signal.valid
         return self._serialise("/vehicle/wheel_speeds", WHEEL_SPEEDS, {
-            "header.stamp": to_reference(first.time_ns), "valid": first.valid, **unknown,
-            **{field: signal.values for field, signal in wheels.items()}})
+            "header.stamp": to_reference(log_ns), "valid": valid, **columns})
 
     def serialise_can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
         """Frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
