@@ -78,6 +78,7 @@ def test_a_path_as_name_in_a_run_file_is_refused(tmp_path, name):
     assert "name" in str(run.problem)
 
 
+@pytest.mark.slow
 def test_modules_in_the_current_folder_are_not_imported(tmp_path: Path) -> None:
     """Users start st in folders with scripts of their own, whose names may be those of standard modules."""
     for name in ("csv", "random", "typer", "tools"):

@@ -11,6 +11,7 @@ from bench.strangers.recordings import write_case
 from bench.strangers.vehicles import CARS, GRAVITY, MULTI_BODY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, car in CARS.items() if car.description != MULTI_BODY])
 def test_axle_force_at_small_slip_angle_has_the_cornering_stiffness(name):
     """F = C alpha in a steady circle at 0.4 m/s^2 without compliance; some curves deviate by a tenth there."""

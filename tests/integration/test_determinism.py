@@ -72,6 +72,7 @@ def run_twice(program: str) -> list[str]:
     return outputs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", [LIVE, BATCH], ids=["live classes", "batch over a log"])
 def test_results_do_not_depend_on_hash_seed_and_threads(program):
     first, second = run_twice(program)

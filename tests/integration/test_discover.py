@@ -31,13 +31,11 @@ pytestmark = pytest.mark.slow
 CAR = read_car("leaf")
 
 # (settings of the plant, effect of the models, parameter, change from the healthy car; None: only the name is checked).
-# Steering offset and heading misalignment are in WITHOUT_REFERENCE.
+# Steering ratio, steering offset and heading misalignment are in WITHOUT_REFERENCE.
 WITH_REFERENCE = [
     ({"steering_lag": 0.14}, "steering_lag", "time_constant", 0.1),
     ({"steering_delay": 0.08}, "steering_delay", "time", 0.08),
-    ({"steering_ratio_factor": 1.08}, "steering_ratio", "factor", 1.08),
     ({"rear_stiffness_factor": 0.8}, "rear_stiffness", "factor", None),
-    ({"velocity_scale": 1.03}, "speed_scale", "factor", None),
     ({"yaw_rate_scale": 1.06}, "yaw_rate_scale", "factor", None),
 ]
 # The same without a reference: values relative to the vehicle file.

@@ -78,6 +78,7 @@ def messages(imported: Path) -> list[tuple[str, int, Any]]:
                 for connection, log_ns, data in reader.messages()]
 
 
+@pytest.mark.slow
 def test_clock_of_the_logger_is_estimated_from_time_frames(raw_run: LoadedRun) -> None:
     alignment = raw_run.alignment
     assert (alignment.method, alignment.verdict) == ("time frame", "good")
@@ -227,6 +228,7 @@ def test_provenance_of_the_bag_has_files_vehicle_alignment_and_origin(raw: Path,
     assert (imported / "alignment.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_steering_with_wrong_sign_is_imported_only_by_force(raw: Path, tmp_path: Path) -> None:
     arguments = ["import", str(raw), "--steering-sign", "-1", "--output"]
     run = CliRunner().invoke(app, [*arguments, str(tmp_path / "a")])

@@ -91,6 +91,7 @@ def test_only_steps_that_divide_one_second_and_the_horizon_are_tried():
     assert list(vary_step(short)) == [0.05, 0.1]
 
 
+@pytest.mark.slow
 def test_evaluate_writes_advice_table(tmp_path):
     for k in range(2):
         write_drive(tmp_path / "runs" / f"weave_{k}.csv", weave(14.0, 7.0 + 0.2 * k, 0.02))

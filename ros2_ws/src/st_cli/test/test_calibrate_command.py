@@ -24,6 +24,7 @@ def folder(tmp_path_factory):
     return base, result
 
 
+@pytest.mark.slow
 def test_calibrate_reports_excluded_runs_and_supported_levels(folder):
     base, result = folder
     assert result.exit_code == 1, result.output
@@ -45,6 +46,7 @@ def test_recordings_of_one_folder_count_as_one_run_with_together(folder, tmp_pat
     assert "weave_10" in (tmp_path / "bands.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_evaluate_scores_bands_on_unseen_drives(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "new", "--vehicle", base / "car.yaml", "--model", "linear", "--bands",

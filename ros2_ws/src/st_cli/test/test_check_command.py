@@ -186,6 +186,7 @@ def test_evaluate_reports_a_too_long_step_and_its_correction(tmp_path):
     assert find_too_long_steps(corrected, tmp_path / "b") == []
 
 
+@pytest.mark.slow
 def test_identify_excludes_a_run_with_an_error(faulty_drive, tmp_path):
     result = st("identify", "steering-offset", faulty_drive, DRIVE, "--vehicle", CAR, "--output", tmp_path / "o")
     assert result.exit_code == 0, result.output

@@ -25,6 +25,7 @@ def rmse(content, run, mode):
     return content["runs"][run]["kinematic"][mode]["lateral"]["rmse"]
 
 
+@pytest.mark.slow
 def test_course_is_built_and_reduces_the_forecast_error(folder, tmp_path):
     base, built = folder
     assert built.exit_code == 1 and "old: 0.32 km in 1 part" in built.output and "short: " in built.output

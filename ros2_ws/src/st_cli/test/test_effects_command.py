@@ -45,6 +45,7 @@ def test_own_effects_are_listed_if_their_folder_is_given(proposal):
     assert "proposed_rear_steer" in st("effects", "list", "--effects", proposal / "effects").output
 
 
+@pytest.mark.slow
 def test_proposed_file_meets_all_requirements(proposal):
     result = st("effects", "check", proposal / "effects" / "proposed_rear_steer.py")
     assert result.exit_code == 0 and "proposed_rear_steer: all requirements met" in result.output, result.output
@@ -56,6 +57,7 @@ def test_library_file_can_be_checked():
     assert result.exit_code == 0 and "yaw_rate_bias: all requirements met" in result.output, result.output
 
 
+@pytest.mark.slow
 def test_violated_requirement_is_reported_with_exit_status_1(proposal):
     file = proposal / "effects" / "proposed_rear_steer.py"
     file.write_text(file.read_text().replace("theta.share * relation(", "theta.share + relation("))
@@ -70,6 +72,7 @@ def test_wrong_arguments_are_refused_in_one_line(arguments, fragment):
     assert result.exit_code == 2 and fragment in result.output
 
 
+@pytest.mark.slow
 def test_model_file_with_a_proposed_effect_is_evaluated_and_exported(proposal, tmp_path):
     drive = write_drive(tmp_path / "weave.csv", weave(20.0))
     options = ("--model", "nonlinear", "--model", proposal / "proposed.yaml", "--vehicle", LEAF, "--figures", "",
@@ -88,6 +91,7 @@ def test_model_file_with_a_proposed_effect_is_evaluated_and_exported(proposal, t
     assert "proposed_rear_steer" in description["effects"]
 
 
+@pytest.mark.slow
 def test_drives_are_identified_with_a_proposed_effect(proposal, tmp_path):
     drive = write_drive(tmp_path / "weave.csv", weave(60.0))
     arguments = ("identify", "stiffness", drive, "--model", proposal / "proposed.yaml", "--vehicle", LEAF, "--output")

@@ -30,6 +30,7 @@ def folder(tmp_path_factory):
     return base, result
 
 
+@pytest.mark.slow
 def test_unusable_runs_are_reported_and_the_others_evaluated(folder):
     base, result = folder
     assert result.exit_code == 1
@@ -168,6 +169,7 @@ def test_model_file_is_evaluated_as_the_augmented_model(folder, tmp_path):
     assert abs(models["augmented"]["hindsight"]["lateral"]["mean"]) > 0.3
 
 
+@pytest.mark.slow
 def test_worker_processes_give_equal_results_and_tolerate_an_unusable_run(folder, tmp_path):
     base, _ = folder
     result = evaluate(base / "data", "--vehicle", base / "car.yaml", "--output", tmp_path / "o", "--figures", "",

@@ -279,6 +279,7 @@ def test_invalid_recording_is_refused(tmp_path):
     assert result.exit_code == 2 and "x.mcap" in result.output
 
 
+@pytest.mark.slow
 def test_use_of_the_default_leaf_is_reported_for_a_recording_without_a_car(live, tmp_path):
     live.contains_its_car = False
     bag = live.write()

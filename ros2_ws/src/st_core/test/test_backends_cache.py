@@ -82,6 +82,7 @@ def first_run(tmp_path_factory, leaf):
     return install, install.run(*BANKED), install.compiled_files()
 
 
+@pytest.mark.slow
 def test_second_process_loads_the_kernel_from_the_cache(first_run):
     install, (found, result, folder), files = first_run
     assert not found and folder.is_relative_to(install.package / "backends" / "__pycache__" / "kernels")
@@ -136,6 +137,7 @@ def test_edited_user_effect_recompiles_the_kernel(install, tmp_path):
     assert not found and after != before
 
 
+@pytest.mark.slow
 def test_read_only_package_uses_the_user_cache(install):
     # Works for root too: nobody can make a folder inside a file.
     (install.package / "backends" / "__pycache__").write_text("")
@@ -147,6 +149,7 @@ def test_read_only_package_uses_the_user_cache(install):
         assert install.run("kinematic", **{variable: str(other)})[2].is_relative_to(other)
 
 
+@pytest.mark.slow
 def test_without_a_writable_folder_nothing_is_cached(install):
     (install.package / "backends" / "__pycache__").write_text("")
     found, _, folder = install.run("kinematic", HOME="/dev/null")

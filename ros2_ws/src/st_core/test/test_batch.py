@@ -138,6 +138,7 @@ def test_block_size_does_not_change_the_result(leaf, log, backend, monkeypatch):
         np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_memory_per_start_is_bounded(leaf):
     def peak(log):
         signals = LogSignals(log, 0.1, 5.0)

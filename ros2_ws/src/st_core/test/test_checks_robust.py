@@ -148,6 +148,7 @@ def test_any_finite_values_give_a_valid_result(leaf, count, shapes, sizes, spaci
     assert_valid(check(log, leaf, auxiliary_data(time, rows)))
 
 
+@pytest.mark.slow
 @FAST
 @given(channels=st.dictionaries(st.sampled_from((*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)), st.tuples(SHAPES, NUMBERS),
                                 min_size=1, max_size=3), seed=st.integers(0, 1000))

@@ -74,6 +74,7 @@ def test_mapping_is_exact_to_the_nanosecond() -> None:
     assert (Alignment().method, Alignment().verdict) == ("none", "not needed")
 
 
+@pytest.mark.slow
 def test_errors_agree_with_the_stated_standard_deviations() -> None:
     """Over many drives the RMS of error / standard deviation is near 1, also for sensors with correlated errors."""
     for disagreement in (0.02, 0.1):

@@ -131,6 +131,7 @@ def test_two_effects_are_both_found(leaf):
         assert interval_covers(effect.parameters[parameter], value)
 
 
+@pytest.mark.slow
 def test_forward_only_effects_are_excluded_when_the_search_starts_from_the_whole_library(leaf, monkeypatch):
     starts, prune = [], Search._prune
 
@@ -184,6 +185,7 @@ def test_load_is_not_refuted_by_the_axle_forces_of_the_laden_car(leaf):
     assert load.verdict != "refuted by the axle forces"
 
 
+@pytest.mark.slow
 def test_number_of_effects_is_limited(leaf):
     runs, settings = recorded(leaf, TWO_EFFECTS, 4), replace(FEW, effects=tuple(TWO_EFFECTS))
     assert len(discover(runs, leaf, settings=settings).steps) == 2
@@ -264,6 +266,7 @@ def test_change_since_the_reference_is_reported(leaf):
 # Channels and effects in use
 
 
+@pytest.mark.slow
 def test_channels_that_were_not_measured_are_not_used(leaf):
     runs = [replace(log, velocity_y=0.0 * log.velocity_y, acceleration_y=None)
              for log in recorded(leaf, {"steering_ratio": {"factor": 0.93}}, 5)]
@@ -328,6 +331,7 @@ def test_user_defined_effect_from_a_folder_is_found(leaf, flywheel):
 # The result document
 
 
+@pytest.mark.slow
 def test_result_is_reproducible_and_json_serialisable(leaf, offset_runs, offset_result):
     result, calls = offset_result
     first, second = (found.document() for found in (result, discover(offset_runs, leaf, settings=FEW)))
@@ -341,6 +345,7 @@ def test_result_is_reproducible_and_json_serialisable(leaf, offset_runs, offset_
     assert all(0 < done <= total for _, done, total in calls)
 
 
+@pytest.mark.slow
 def test_result_does_not_depend_on_the_number_of_threads(leaf, offset_runs, offset_result):
     found = (offset_result[0], discover(offset_runs, leaf, settings=FEW, parallel=2))
     one, two = (each.effects[0].parameters["angle"].value for each in found)
@@ -362,6 +367,7 @@ def straight(leaf, seed: int) -> DriveLog:
                    acceleration_y=0.05 * rng.standard_normal(n))
 
 
+@pytest.mark.slow
 def test_straight_driving_gives_a_warning_and_effects_that_are_not_testable(leaf):
     found = discover([straight(leaf, seed) for seed in range(3)], leaf, settings=FEW)
     assert found.effects == () and found.outcome in {"none", "not_testable"}
@@ -370,6 +376,7 @@ def test_straight_driving_gives_a_warning_and_effects_that_are_not_testable(leaf
     assert {"steering_ratio", "mass"} <= {n.name for n in found.not_testable}
 
 
+@pytest.mark.slow
 def test_driving_in_left_bends_only_gives_a_warning(leaf, offset_result):
     log = recorded(leaf, {}, 1, ("circle",))[0]
     half = log.slice(log.start_ns, log.start_ns + 13_000_000_000)
@@ -378,6 +385,7 @@ def test_driving_in_left_bends_only_gives_a_warning(leaf, offset_result):
     assert not any("turns to one side" in text for text in offset_result[0].warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "text"), [(1, "one run only"), (MIN_RUNS - 1, "4 runs only"), (MIN_RUNS, "")])
 def test_warning_gives_the_number_of_runs_below_the_minimum(leaf, count, text):
     runs = [replace(log, name=f"{log.name}, {seed}") for seed in (1, 2) for log in recorded(leaf, OFFSET, seed)]
@@ -388,12 +396,14 @@ def test_warning_gives_the_number_of_runs_below_the_minimum(leaf, count, text):
     assert len(found.runs) == count and all(r.windows > 0 for r in found.runs)
 
 
+@pytest.mark.slow
 def test_driving_at_one_site_only_gives_a_warning(leaf, offset_runs, offset_result):
     two_sites = [*offset_runs[:2], replace(offset_runs[2], x=offset_runs[2].x + 2000.0)]
     for found, expected in ((offset_result[0], True), (discover(two_sites, leaf, settings=FEW), False)):
         assert any("all driving is at one site" in text for text in found.warnings) == expected
 
 
+@pytest.mark.slow
 def test_effect_with_a_value_at_its_bound_is_not_named(leaf):
     driven = ("lane_change", "slalom", "circle", "sweep", "step", "weave")
     logs = [replace(log, yaw_rate=1.4 * log.yaw_rate) for log in recorded(leaf, {}, 1, driven)]
@@ -404,6 +414,7 @@ def test_effect_with_a_value_at_its_bound_is_not_named(leaf):
     assert candidate.parameters["factor"] == pytest.approx(1.25)
 
 
+@pytest.mark.slow
 def test_short_run_is_left_out_with_a_warning(leaf):
     runs = recorded(leaf, {}, 1)
     short = replace(runs[0].slice(runs[0].start_ns, runs[0].start_ns + 4_000_000_000), name="stub")

@@ -326,6 +326,7 @@ def test_held_out_errors_are_those_at_the_parameters_of_the_fold():
         np.testing.assert_allclose(rows[in_group], problem.errors.at(vector)[in_group], atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [
     {"steering_offset": {"angle": 0.006}},
     {"steering_ratio": {"factor": 0.93}, "yaw_inertia": {"factor": 1.2}},
@@ -338,6 +339,7 @@ def test_effects_of_a_simulated_drive_are_recovered(leaf, values):
             assert model.values[name][parameter] == pytest.approx(value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_windows_do_not_warn_about_the_integration_step_of_trial_models(leaf):
     """A search uses thousands of trial values: the command checks the step once."""
     stiff = replace(leaf, yaw_inertia=0.1 * leaf.yaw_inertia, minimum_slip_speed=0.1)

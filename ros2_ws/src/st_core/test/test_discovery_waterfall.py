@@ -178,6 +178,7 @@ def test_value_with_a_reference_is_the_change_since_the_reference():
 # Detection power
 
 
+@pytest.mark.slow
 def test_predicted_power_agrees_with_the_power_measured_on_simulated_drives():
     problem = linear_problem(FEW, {}, 5, common=0.3)
     problem.errors.signatures *= 0.8  # a quarter of a typical size is then irrelevant, half of it relevant

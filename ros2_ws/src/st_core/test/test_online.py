@@ -48,6 +48,7 @@ def tracked(leaf, road):
     return track(leaf, road)
 
 
+@pytest.mark.slow
 def test_estimates_lie_within_two_standard_deviations(tracked):
     for estimate, truth in zip(tracked.make_estimates(), (TRUTH.offset, TRUTH.ratio, TRUTH.scale), strict=True):
         assert estimate.status == "estimated" and estimate.reason == ""
@@ -102,6 +103,7 @@ def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
     assert track(leaf, hard[:3000].tolist()).driving_time.rejected["a_y"] > 3.0
 
 
+@pytest.mark.slow
 def test_implausible_values_are_not_estimated(leaf, road):
     half_angle = np.array(road)
     half_angle[:, 7] *= 0.5  # steering wheel angle with half the scale

@@ -84,6 +84,7 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
     assert by_file - plain == pytest.approx(by_curve - plain, rel=0.05, abs=0.02 * np.abs(by_curve - plain).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "quantity", "parity", "by"), [
     ("front_steer", "lagging_steering", -1.0, ""), ("front_steer", "speed", 0.0, "steering_rate"),
     ("both_grip", "position_y", 0.0, ""), ("side_force", "north", 0.0, ""),

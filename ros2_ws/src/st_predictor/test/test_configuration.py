@@ -162,6 +162,7 @@ def test_configuration_files_of_equal_names_are_stored_separately(tmp_path: Path
     assert configuration["can/leaf.yaml"] == "content of can"
 
 
+@pytest.mark.slow
 def test_all_nodes_start_with_the_file(processes: Processes) -> None:
     """rcl reads the file including NaN and empty lists; each node starts and ends with status 0."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -78,6 +78,7 @@ def test_consistent_measurements_have_no_warning(road: np.ndarray) -> None:
     assert {"agree" in verdict.message for t, verdict in verdicts if t > MIN_DRIVING + 1.0} == {True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("column", "change", "name", "severity", "fragment"), [
     (YAW_RATE, to_degrees_per_second, "yaw_rate_scale", "error", "yaw_rate is 57"),
     (YAW_RATE, delay_yaw_rate, "yaw_rate_lag", "warning", "yaw_rate lags yaw by 0.3"),

@@ -43,6 +43,7 @@ def drive(node: PredictorNode) -> tuple[int, list[str]]:
     return node._counter.as_dict()["predicted"] - before, texts
 
 
+@pytest.mark.slow
 def test_predictions_that_end_at_standstill_are_scored(node: PredictorNode) -> None:
     predicted, texts = drive(node)
     assert predicted > 100

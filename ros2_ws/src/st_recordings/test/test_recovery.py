@@ -70,6 +70,7 @@ def check_numbers(directory: Path, expected: int, with_metadata: bool = True) ->
     assert read_numbers_with_mcap(directory / "bag_0.mcap") == numbers
 
 
+@pytest.mark.slow
 def test_truncation_at_and_near_every_record(complete: Path, tmp_path: Path) -> None:
     """Header, metadata, chunks, their indexes, summary: the readers agree on what remains."""
     records = list_records(complete / "bag_0.mcap")

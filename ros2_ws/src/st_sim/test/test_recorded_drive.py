@@ -42,6 +42,7 @@ def test_values_are_interpolated_linearly(tmp_path):
     assert drive.make_truth().velocity_x == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 def test_real_drive_is_encoded_as_recorded(tmp_path):
     file = EXAMPLES / "rfs_turn_a.csv"
     arguments = ["--drive", str(file), "--vehicle", str(GENESIS), "--to-files", str(tmp_path), "--ncom-rate", "250"]

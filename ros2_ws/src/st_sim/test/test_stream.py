@@ -58,6 +58,7 @@ def truths(seconds, scenario="S6", rate=100):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [100, 250])
 def test_ncom_equals_the_truth_within_its_resolution(rate):
     """S7 without noise: a wide range of speed, and turns to both sides."""
