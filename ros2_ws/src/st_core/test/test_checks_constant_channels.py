@@ -102,3 +102,15 @@ def test_model_car_on_circles_of_constant_steering_has_no_error(log, leaf):
     assert not found.keys() & {"velocity_scale", "velocity_x_scale", "x_scale", "y_scale", "position_scale"}, found
     assert "road_wheel_angle" not in [channel for finding in found.values() if finding.name == "channel_frozen"
                                       for channel in finding.channels]
+
+
+def test_constant_position_of_a_standing_car_is_no_fault(log, leaf):
+    """A receiver reports 0.3 m/s while the car waits for 20 s."""
+    first = 600
+    wait = {name: np.insert(getattr(log, name), first, np.full(2000, getattr(log, name)[first]))
+            for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "acceleration_x", "acceleration_y",
+                         "road_wheel_angle")}
+    wait["velocity_x"][first:first + 2000] = 0.3
+    times = log.ins_time_ns[0] + 10_000_000 * np.arange(len(wait["x"]))
+    found = check(replace(log, ins_time_ns=times, steering_time_ns=times, **wait), leaf).findings
+    assert not [f for f in found if f.name == "channel_frozen" and {"x", "y"} & set(f.channels)], found

@@ -31,6 +31,7 @@ CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
+MAX_SPEED_NOISE = 0.5  # m/s; a receiver reports up to this speed while the car stands and its position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
 LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
@@ -329,7 +330,8 @@ POSITION_EFFECT = {
 # By channel: its rate from other channels, the largest bias of that rate, and the expected change above which a
 # constant value is a fault.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
-    "x": (lambda m: m.velocity_map.real, 0.0, 1.0), "y": (lambda m: m.velocity_map.imag, 0.0, 1.0),
+    "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
+    "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
 # By channel: a quantity derived from other channels, and its range [SI] above which a constant channel is a fault.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {

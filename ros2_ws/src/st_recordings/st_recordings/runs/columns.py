@@ -87,7 +87,7 @@ def _words(text: str) -> tuple[str, ...]:
 
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
-        "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time "
+        "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time gps_tow tow gps_seconds time_of_week itow datetime epoch epoch_time zeit "
         "zeitstempel datum_zeit x_value")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _words(
