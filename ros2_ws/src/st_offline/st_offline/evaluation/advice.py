@@ -151,7 +151,7 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
 
 
 def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables, write advice.csv if the task has a folder; skip unusable runs. tolerance: lateral error [m]."""
+    """Print the tables and write advice.csv; unusable runs are skipped. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         costs, accuracies, unusable = measure_runs(sources, task)
     rows = make_advice_rows(costs, accuracies)
@@ -161,8 +161,7 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     console.print(make_table(chosen, title=make_choice_title(tolerance), **TABLE_STYLE))
     for (model, step), reason in unusable.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
-    if task.folder is None:
-        return
+    assert task.folder is not None  # set by the command
     file = task.folder / "advice.csv"
     write_csv(file, iter(rows))
     list_files({file: "cost, error and band of each model and step"}, console)
