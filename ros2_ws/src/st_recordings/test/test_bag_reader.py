@@ -290,6 +290,10 @@ def test_compressed_bag_is_read(tmp_path: Path, mode: CompressionMode) -> None:
     with writer:
         write_topics(writer, DRIVE)
     check_drive(tmp_path / "drive")
+    (file,) = (tmp_path / "drive").glob("*.db3*")
+    file.write_bytes(file.read_bytes()[:20_000])
+    with pytest.raises(RunError, match="drive: cannot be read as a bag .*; copy it again"):
+        read_bag(tmp_path / "drive")
 
 
 def test_topic_of_two_publishers_is_read_in_the_order_of_the_file(tmp_path: Path) -> None:

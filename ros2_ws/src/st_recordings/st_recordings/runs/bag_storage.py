@@ -8,7 +8,7 @@ import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -19,8 +19,7 @@ import yaml
 import zstandard
 from mcap.reader import NonSeekingReader
 from mcap.summary import Summary
-from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.rosbag2 import ReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.typesys.store import Typestore
 
 from ..bag_metadata import read_information
@@ -31,7 +30,7 @@ from .errors import RunError, check_readable, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
 ZSTD_MARK = b"\x28\xb5\x2f\xfd"
-RECOVERY_ADVICE = "if the recording was interrupted, repair it with `st recover`"
+COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
 
 
 @dataclass(frozen=True)
@@ -193,29 +192,30 @@ def read_time_span(file: Path) -> tuple[int, int] | None:
         return None
 
 
+@contextmanager
+def _report_damage(file: Path, advice: str, *errors: type[Exception]) -> Iterator[None]:
+    try:
+        yield
+    except errors as error:
+        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", advice) from None
+
+
 def _stream(file: Path) -> Iterator[Any]:
     """Yields (schema, channel, message) of an MCAP file one by one, even if it has no index. Raises RunError."""
-    try:
-        with file.open("rb") as stream:
-            yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
-    except READ_ERRORS as error:
-        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
+    with _report_damage(file, RECOVERY_ADVICE, *READ_ERRORS), file.open("rb") as stream:
+        yield from NonSeekingReader(stream).iter_messages(log_time_order=False)
 
 
 def _read_blocks(file: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:
-    try:
+    with _report_damage(file, RECOVERY_ADVICE, *READ_ERRORS):
         yield from read_blocks(file, summary, channels)
-    except READ_ERRORS as error:
-        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
 
 
 def _query(file: Path, text: str, *values: Any) -> Iterator[tuple[Any, ...]]:
     """Yields the rows that a query of an SQLite file returns. Raises RunError."""
-    try:
-        with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            yield from database.execute(text, values)
-    except sqlite3.Error as error:
-        raise RunError(file, f"cannot be read as a bag ({shorten(error)})", "copy it again") from None
+    uri = f"{file.absolute().as_uri()}?mode=ro"
+    with _report_damage(file, COPY_ADVICE, sqlite3.Error), closing(sqlite3.connect(uri, uri=True)) as database:
+        yield from database.execute(text, values)
 
 
 class McapStorage(Storage):
@@ -333,11 +333,9 @@ def _decompress(data: bytes) -> bytes:
 
 class RosbagsStorage(Storage):
     def __init__(self, path: Path):
-        try:
+        with _report_damage(path, COPY_ADVICE, Exception):  # any, from rosbags
             self._reader = AnyReader([path], default_typestore=load_typestore())
             self._reader.open()
-        except (AnyReaderError, ReaderError, OSError, KeyError) as error:
-            raise RunError(path, f"cannot be read as a bag ({shorten(error)})", RECOVERY_ADVICE) from None
         super().__init__(path)
 
     def _count_messages(self) -> Counter[tuple[str, str]]:
@@ -345,7 +343,8 @@ class RosbagsStorage(Storage):
 
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]
-        return ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=connections))
+        with _report_damage(self.path, COPY_ADVICE, Exception):  # any, from rosbags
+            yield from ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=connections))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
         forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
