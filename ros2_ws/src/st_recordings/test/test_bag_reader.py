@@ -292,7 +292,7 @@ def test_compressed_bag_is_read(tmp_path: Path, mode: CompressionMode) -> None:
     check_drive(tmp_path / "drive")
     (file,) = (tmp_path / "drive").glob("*.db3*")
     file.write_bytes(file.read_bytes()[:20_000])
-    with pytest.raises(RunError, match="drive: cannot be read as a bag .*; copy it again"):
+    with pytest.raises(RunError, match=r"drive: cannot be read as a bag .*; copy it again"):
         read_bag(tmp_path / "drive")
 
 
