@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 import zstandard
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapWriter
@@ -18,7 +19,7 @@ from st_recordings.mcap import BagWriter
 from st_recordings.runs import bag, find_runs, read
 from st_recordings.runs.bag import ODOMETRY, STEERING, has_odometry, read_bag
 from st_recordings.runs.bag_storage import McapStorage, SqliteStorage, Storage
-from st_recordings.runs.cdr import INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, CdrLayout
+from st_recordings.runs.cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_SPEEDS, CdrLayout
 from st_recordings.runs.errors import RunError
 
 START_NS = 1_700_000_000_123_456_789
@@ -44,9 +45,9 @@ DRIVE: Topics = {("/ins/odometry", ODOMETRY): [odometry_message(k) for k in rang
                  ("/notes", STRING): [(START_NS + k * 10**9, serialise(STRING, data="x" * k)) for k in range(3)]}
 
 
-def write_own(folder: Path, topics: Topics) -> Path:
+def write_own(folder: Path, topics: Topics, records: dict[str, dict[str, str]] | None = None) -> Path:
     """A bag of this project's recorder."""
-    writer = BagWriter(folder)
+    writer = BagWriter(folder, records)
     for (topic, name), messages in topics.items():
         number = writer.add_topic(topic, name, definition=definition(name), type_hash=STORE.hash_rihs01(name))
         for time_ns, data in messages:
@@ -124,6 +125,17 @@ def test_vectorised_reading_is_used_and_equals_message_by_message_reading(
     one_by_one = read_bag(folder).log
     for name in ("ins_time_ns", "x", "y", "yaw", "velocity_x", "yaw_rate", "steering_time_ns", "road_wheel_angle"):
         np.testing.assert_array_equal(getattr(vectorised, name), getattr(one_by_one, name))
+
+
+def test_invalid_recorded_signal_table_is_an_error_only_without_steering(tmp_path: Path) -> None:
+    bridge = {"ros__parameters": {"dbc_file": "can.dbc", "signals_file": "signals.yaml"}}
+    records = {"configuration": {"parameters.yaml": yaml.dump({"canedge_bridge": bridge}), "can.dbc": 'VERSION ""\n',
+                                 "signals.yaml": "messages: ["}}
+    frames = {("/can/frames", CAN_FRAMES): [(START_NS, serialise(CAN_FRAMES, header=header(START_NS), frames=[]))]}
+    check_drive(write_own(tmp_path / "with", DRIVE | frames, records))
+    without = {key: messages for key, messages in DRIVE.items() if key[1] != STEERING}
+    with pytest.raises(RunError, match=r"without: its recorded signals\.yaml: "):
+        read_bag(write_own(tmp_path / "without", without | frames, records))
 
 
 def test_odometry_with_changing_frame_ids_is_read(tmp_path: Path) -> None:

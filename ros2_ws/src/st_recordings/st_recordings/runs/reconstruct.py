@@ -6,6 +6,7 @@ This module also reads steering from topics of any type, and auxiliary data for 
 import math
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -136,8 +137,9 @@ class Reconstruction:
         if WHEEL_SPEEDS not in columns and self.bus_is_described:
             from .can_signals import collect_speeds
 
-            wheels, decoded_speed = collect_speeds(self._signals)
-            ins_speed = ins_speed or decoded_speed
+            with suppress(RunError):  # the data for checks is optional
+                wheels, decoded_speed = collect_speeds(self._signals)
+                ins_speed = ins_speed or decoded_speed
         if NCOM in columns and (quality is None or ins_speed is None):
             packet_quality, packet_speed = _decode_packets(columns[NCOM]["raw_packet"])
             quality, ins_speed = quality or packet_quality, ins_speed or packet_speed
@@ -173,7 +175,10 @@ class Reconstruction:
             files = Path(folder, "can.dbc"), Path(folder, "signals.yaml")
             for file, text in zip(files, self._read_descriptions(), strict=True):
                 file.write_text(text or "", encoding="utf-8")
-            return load_signal_table(*files)
+            try:
+                return load_signal_table(*files)
+            except RunError as error:
+                raise RunError(self._path, f"its recorded {Path(error.path).name}: {error.problem}") from None
 
     @cached_property
     def _signals(self) -> Any:
