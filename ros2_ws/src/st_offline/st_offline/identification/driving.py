@@ -116,21 +116,23 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
 def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
-    figure, panels = plt.subplot_mosaic([["rate", "pair"], ["across", "pair"]], figsize=(WIDTH, 4.2),
+    channels = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3))
+    channels = channels[:data["residuals"].shape[1]]  # without lateral velocity, if the sideslip was not measured
+    figure, panels = plt.subplot_mosaic([[key, "pair"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
     position = _concatenate_times(data["residual_run"], data["residual_time"])
     drawn = _thin_rows(len(position))
     begins = position[np.unique(data["residual_run"], return_index=True)[1]]
-    for column, (key, label, factor) in enumerate((("rate", "yaw rate, deg/s", DEG),
-                                                   ("across", "lateral velocity, mm/s", 1e3))):
+    for column, (key, label, factor) in enumerate(channels):
         axes = panels[key]
         for begin in begins[1:]:
             axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
         axes.plot(position[drawn], data["residuals"][drawn, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
         axes.axhline(0.0, color=TEXT, lw=0.8)
         axes.set_ylabel(label)
-    panels["rate"].tick_params(labelbottom=False)
-    panels["across"].set_xlabel("driving, s (runs one after the other)")
+    for key, *_ in channels[:-1]:
+        panels[key].tick_params(labelbottom=False)
+    panels[channels[-1][0]].set_xlabel("driving, s (runs one after the other)")
     second = outcome.estimates[1]
     if outcome.correlation is not None:
         second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
