@@ -153,8 +153,7 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a given or default uncertainty; a last line names other quantities of the car
-    that st discover can fit, if any."""
+    """One line for each quantity with a given or default uncertainty; a last line names others that may be fitted."""
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []

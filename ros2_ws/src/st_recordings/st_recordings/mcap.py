@@ -174,7 +174,6 @@ class BagWriter:
             self.syncer.wake()
 
     def _build_information(self) -> BagInformation:
-        """Content of metadata.yaml for the written chunks."""
         counts = self._contents.counts()
         for channel_id, topic in enumerate(self._topics, start=1):
             topic.count = counts[channel_id]
@@ -182,7 +181,6 @@ class BagWriter:
         return BagInformation([bag_file], self._topics, self._custom)
 
     def _finish(self, folder: Path | None) -> None:
-        """Writes the index, and metadata.yaml to a folder."""
         self._contents.finish(self._file)
         os.fsync(self._file.descriptor)
         if folder is not None:

@@ -150,7 +150,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are relative to the previous frame: many of them decrease, or all are equal."""
+    """Whether the times of a candump are relative to the previous frame: 0, then many decrease, or all are equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_SHARE or not steps.any()))
 

@@ -239,8 +239,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 
 
 def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
-    """Channel -> its column with the best name, the first of several with this name; all of them if equally good names
-    have different paths or may denote another quantity (theta, phi)."""
+    """Channel -> its column with the best name; several if equally good names differ in their paths or are doubtful."""
     paths = {meaning.path for name in names if (meaning := _identify_channel(name))} - {""}
     found: dict[str, list[ColumnSource]] = {}
     ranks: dict[str, int] = {}

@@ -401,8 +401,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates positions that have a lower rate than the rows and are repeated until the next measurement, and
-    extrapolates them after the last measurement."""
+    """Interpolates, and at the end extrapolates, positions of a lower rate that are repeated until the next one."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))

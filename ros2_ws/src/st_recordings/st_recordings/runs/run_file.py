@@ -92,8 +92,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads the other run.yaml, with the stem or in the folder of `file`, that describes a run of it, or is invalid;
-    None if there is none."""
+    """Reads another run.yaml, with the stem or in the folder of `file`, that lists it or is invalid; else None."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:

@@ -136,7 +136,7 @@ def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
 
 
 def _is_document(file: Path) -> bool:
-    """Whether a file has the extension of a document and is not a table with a recording."""
+    """Whether a file has the extension of a document and is neither a CAN log nor a table with a drive."""
     reader = find_reader(file)
     return file.suffix.lower() in DOCUMENT_EXTENSIONS and not is_can_log(file) and not (
         reader and reader.may_contain_drive(file))
