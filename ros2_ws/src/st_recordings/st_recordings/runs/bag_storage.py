@@ -118,8 +118,8 @@ class Storage(ABC):
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
-    """Opens a bag directory or a single storage file. Raises RunError for files of another kind and for a file that was
-    not closed or is damaged. files: the parts of a split recording in order, if there are two or more."""
+    """Opens a bag directory or a single storage file. Raises RunError for a file that is missing, of another kind, not
+    closed or damaged. files: the parts of a split recording in order, if there are two or more."""
     if len(files) < 2:
         files = storage_files(path) if path.is_dir() else [path]
     for file in files:

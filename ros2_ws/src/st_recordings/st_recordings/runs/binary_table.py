@@ -17,7 +17,7 @@ from .errors import RunError, shorten
 ARROW_EXTENSIONS = (".parquet", ".feather")
 BINARY_EXTENSIONS = (".mat", *ARROW_EXTENSIONS)
 MAX_MATRIX_COLUMNS = 32
-"""A matrix with more columns is an image or a map; the columns of a smaller one become signals NAME_1, NAME_2, ..."""
+"""A matrix with more columns and rows is an image or a map; columns or rows of others become signals NAME_1, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit")
@@ -133,7 +133,7 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
     elif _is_vector(value):
         yield Signal(path, unit, value, next((time for time in times if len(time[1]) == len(value)), None))
     elif isinstance(value, np.ndarray) and value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
-        # Each sample is a row, or a column if there are more columns than signals.
+        # Each signal is a column, or a row of a matrix with more columns.
         for number, column in enumerate(value.T if value.shape[1] <= MAX_MATRIX_COLUMNS else value, 1):
             yield from _find_signals(column, (*path[:-1], f"{path[-1]}_{number}"), unit, times)
 
