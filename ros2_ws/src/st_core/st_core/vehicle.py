@@ -271,7 +271,8 @@ class VehicleParameters:
             if not quantity.minimum <= scale <= quantity.maximum:
                 raise ConfigurationError(
                     f"cornering_stiffness_{name.removeprefix('tyre_')}: {axles[name][0]:g} N/rad is {scale:.3g} times "
-                    f"the stiffness of two tyres of {name} (limit {quantity.limits}); check its value and unit")
+                    f"the stiffness of two tyres of {name} (limit {quantity.limits}); check its value and unit, "
+                    f"and {name}.nominal_load")
         changes = {name: getattr(self, name)._replace(lambda_ky=scale) for name, scale in scales.items()}
         sources = {**self.sources, **{f"{name}.lambda_ky": DERIVED_SOURCE for name in tyres}}
         return replace(self, **changes, sources=sources)

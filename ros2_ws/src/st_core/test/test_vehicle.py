@@ -167,3 +167,12 @@ def test_every_value_is_checked_against_its_limits(leaf, key):
     for value in (quantity.minimum - 1.0, quantity.maximum + 1.0, math.nan):
         with pytest.raises(ConfigurationError, match=key):
             replace(leaf, **{key: value})
+
+
+def test_model_car_of_scale_1_to_10_is_read(leaf):
+    tyres = {name: getattr(leaf, name)._replace(nominal_load=8.6) for name in ("tyre_front", "tyre_rear")}
+    car = replace(leaf, mass=3.5, yaw_inertia=0.05, wheelbase=0.32, cg_to_front_axle=0.16, cg_height=0.05, length=0.5,
+                  width=0.25, track_width=0.23, side_area=0.03, cg_to_ins_x=0.0, steering_ratio=1.0,
+                  cornering_stiffness_front=70.0, cornering_stiffness_rear=80.0, **tyres)
+    read = VehicleParameters.from_yaml(car.with_derived_scales().to_yaml())
+    assert read.mass == 3.5 and read.speed_scale == pytest.approx(0.4) and leaf.speed_scale == 1.0
