@@ -67,6 +67,7 @@ VEHICLE_QUANTITIES = {
     "width": _quantity("m", 0.03, 4.0),
     **OPTIONAL_QUANTITIES,
 }
+STIFFNESS_LIMITS = 0.05, 500.0  # cornering stiffness of an axle, divided by the weight of the car [1/rad]
 TYRE_QUANTITIES = {
     "nominal_load": _quantity("N", 1.0, 1.0e5),
     "p_cy1": _quantity("1", 0.5, 3.0),
@@ -395,7 +396,7 @@ def _check_scale(car: VehicleParameters) -> None:
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,
              f"{car.mass:g} kg and a wheelbase of {car.wheelbase:g} m"),
-            *((f"cornering_stiffness_{axle}", 0.05, 500.0, car.mass * GRAVITY, f"{car.mass:g} kg")
+            *((f"cornering_stiffness_{axle}", *STIFFNESS_LIMITS, car.mass * GRAVITY, f"{car.mass:g} kg")
               for axle in ("front", "rear"))):
         unit = VEHICLE_QUANTITIES[key].si_unit
         if not low * reference <= (value := getattr(car, key)) <= high * reference:

@@ -22,7 +22,8 @@ from ..identification.cornering_stiffness import fit_axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y
-from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
+from ..tyres import GRAVITY
+from ..vehicle import STIFFNESS_LIMITS, VehicleParameters
 from .evidence import JointFit
 from .fit import Fit, Problem
 from .result import Combination
@@ -139,8 +140,8 @@ class Axles:
 def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np.ndarray:
     """(5,) `COMBINATIONS` of a model."""
     car = model.effective_vehicle(vehicle)
-    stiffness = VEHICLE_QUANTITIES["cornering_stiffness_front"]  # random draws are clipped to its limits
-    front, rear = (stiffness.clip(float(force[0]) / SMALL_SLIP)
+    low, high = (limit * car.mass * GRAVITY for limit in STIFFNESS_LIMITS)  # random draws are clipped to the limits
+    front, rear = (min(max(float(force[0]) / SMALL_SLIP, low), high)
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
     gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
