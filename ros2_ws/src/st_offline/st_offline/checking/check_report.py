@@ -187,7 +187,6 @@ class CheckedRun:
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Findings as dicts for a JSON file."""
     return [json_ready(finding.as_dict()) for finding in findings]
 
 

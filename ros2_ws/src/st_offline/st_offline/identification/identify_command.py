@@ -94,7 +94,6 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
 
 
 def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict[str, tuple[Finding, ...]]:
-    """Findings of the checks, by name of the drive."""
     return {name: findings for outcome in outcomes for name, findings in outcome.findings.items()}
 
 
