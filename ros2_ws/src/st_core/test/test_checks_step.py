@@ -11,6 +11,8 @@ from st_core import integrate
 from st_core.augmented import augment
 from st_core.checks.finding import Severity
 from st_core.checks.trial import check_step_length
+from st_core.discovery.settings import DiscoverySettings
+from st_core.discovery.windows import Windows
 from st_core.integrate import StepTooLongWarning, are_stable, slip_speed_needed
 from st_core.log import DriveLog
 
@@ -114,3 +116,16 @@ def test_shorter_step_is_proposed_where_no_minimum_slip_speed_helps(leaf, log):
 def test_cars_of_the_repository_have_no_finding(car, log):
     assert check_step_length(("kinematic", *MODELS), car, log, STEP) is None
     assert check_step_length(MODELS, car, log.slice(1, 2), STEP) is None
+
+
+def test_steps_are_shorter_for_a_model_car_that_is_slower_than_its_stable_slip_speed(leaf):
+    tyres = {name: getattr(leaf, name)._replace(nominal_load=4.0) for name in ("tyre_front", "tyre_rear")}
+    car = replace(leaf, mass=1.6, yaw_inertia=0.005, wheelbase=0.17, cg_to_front_axle=0.08, minimum_slip_speed=0.5,
+                  cornering_stiffness_front=60.0, cornering_stiffness_rear=60.0, **tyres).with_derived_scales()
+    log = straight_drive(np.interp(np.arange(6000), [0, 3000, 5999], [1.6, 3.0, 1.6]))
+    finding = check_step_length(MODELS, car, log, STEP)
+    assert finding.advice.kind == "option" and finding.value < STEP
+    assert check_step_length(MODELS, car, log, finding.value) is None
+    settings = DiscoverySettings(channels=("yaw_rate",))
+    substeps = [Windows([log], vehicle, settings)._batch._substeps for vehicle in (car, leaf)]
+    assert substeps[0] > 1 and substeps[1] == 1

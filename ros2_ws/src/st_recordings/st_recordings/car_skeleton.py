@@ -194,7 +194,7 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     if needed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
-            f"{1e3 * step:g} ms; {needed:g} m/s or more is stable"]
+            f"{1e3 * step:g} ms; {needed:g} m/s or more is stable, or shorter steps (st evaluate --step)"]
 
 
 def _find_bus_problems(car: Car) -> list[str]:

@@ -20,10 +20,11 @@ from scipy.optimize import lsq_linear
 from ..augmented import AugmentedModel
 from ..corrections import Correction, apply_corrections
 from ..errors import StCoreError
-from ..integrate import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed
+from ..integrate import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed, substeps_needed
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
+from ..prediction import PredictionSettings
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
@@ -37,6 +38,7 @@ MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the ro
 MIN_STARTS = 4
 REDUCED_STARTS = 100  # smallest number after a reduction, largest 199; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
 MERGE_GAP = 1.0  # s; stretches closer than this are merged
@@ -102,9 +104,13 @@ def _compute_prediction_error(state: State | None) -> float | None:
     starts = regular_starts(log, HORIZON)
     starts = starts[::max(len(starts) // REDUCED_STARTS, 1)]
     angle = log.road_wheel_angle
+    default = PredictionSettings()
+    speeds = (float(log.velocity_x.min()), float(log.velocity_x.max()))
+    step = default.step / min(substeps_needed("linear", vehicle, speeds, default.step), MAX_TRIAL_SUBSTEPS)
+    settings = EvaluationSettings(prediction=replace(default, step=step))
     try:
         base, gain, offset = (
-            evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=changed), EvaluationSettings(), starts)
+            evaluate_log(("linear",), vehicle, replace(log, road_wheel_angle=changed), settings, starts)
             .errors["linear", "hindsight"].at_seconds[:, -1, :2]
             for changed in (angle, (1.0 + GAIN_STEP) * angle, angle + OFFSET_STEP))
     except StCoreError:
@@ -148,6 +154,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
+    For a small car, none above the usual speed is proposed, since it would make the tyres softer throughout.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)
@@ -161,7 +168,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     affected = speed[unstable] if unstable.any() else speed[:1]
     value, unit = slip_speed_needed(resolved, vehicle, speeds.tolist(), step), "m/s"
-    if value is not None:
+    if value is not None and (value <= np.median(speed) or vehicle.speed_scale == 1.0):
         line = f'minimum_slip_speed: {{value: {value:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
         if any(isinstance(model, AugmentedModel) for model in resolved):
             line += "  # then rerun st discover: a model file is valid for its own vehicle file only"

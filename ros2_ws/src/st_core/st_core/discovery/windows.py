@@ -20,6 +20,7 @@ from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
+from ..integrate import substeps_needed
 from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_faultless_readings
@@ -30,6 +31,7 @@ from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
 
 STEP = 0.05  # s, integration step
+TYRE_MODELS = ("linear", "nonlinear")
 SIDESLIP_SETTLING_TIME = 0.75  # s, in which the error of an assumed initial sideslip decays
 MARGIN_NS = 600_000_000  # ns, before the first window; half of it after the last: for effects that shift the steering
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
@@ -80,6 +82,10 @@ class Batch(LogBatch):
         super().__init__(*arguments, **options)
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
+
+    def set_substeps(self, vehicle: VehicleParameters) -> None:
+        """Shortens the integration step as a small car needs it; that of a road car is stable."""
+        self._substeps = max(substeps_needed(model, vehicle, self._speeds, self.step) for model in TYRE_MODELS)
 
     def recording(self, model: Any) -> Recording:
         key = model.correction_key
@@ -136,6 +142,7 @@ class Windows:
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
+        self._batch.set_substeps(vehicle)
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds

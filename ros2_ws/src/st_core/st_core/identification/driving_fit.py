@@ -105,7 +105,7 @@ class _LimitedWindows(Windows):
             channels=tuple(name for name in settings.channels
                            if all(CHANNELS[name].is_measured_in(run) for run in runs)),
             horizon=settings.horizon, windows=20_000, interval=settings.interval))
-        self._batch._substeps = 2  # steps of 50 ms are unstable for some cars at 5 m/s
+        self._batch._substeps = max(2, self._batch._substeps)  # steps of 50 ms are unstable for some cars at 5 m/s
         grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
         speed, rate = self.measured_at(self.starts_ns[:, None] + grid, "velocity_x", "yaw_rate")
         with np.errstate(invalid="ignore"):
