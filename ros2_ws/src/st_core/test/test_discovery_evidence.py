@@ -33,7 +33,7 @@ from st_core.discovery.partitions import (
     find_sites,
     make_partitions,
 )
-from st_core.discovery.windows import Windows, noise_floor
+from st_core.discovery.windows import Windows
 from st_core.timeseries import moving_average
 
 FEW = ("steering_offset", "mass", "yaw_inertia", "road_bank", "yaw_rate_bias")
@@ -314,7 +314,7 @@ def test_conditions_are_halves_by_speed_and_by_lateral_acceleration():
 
 def test_noise_floor_does_not_depend_on_vehicle_model_errors(leaf):
     logs = recorded(leaf, {"steering_offset": {"angle": 0.02}}, 2, ("weave", "slalom", "circle"))
-    floor = noise_floor(Windows(logs, leaf, DiscoverySettings()))
+    floor = Windows(logs, leaf, DiscoverySettings()).noise_floor()
     assert floor["velocity_y"] == pytest.approx(NOISE["velocity_y"], rel=0.1)
     white = np.random.default_rng(0).standard_normal((100, len(logs[0].x)))
     averaged = np.std([moving_average(logs[0].ins_time_ns, each, SMOOTHING_NS) for each in white])

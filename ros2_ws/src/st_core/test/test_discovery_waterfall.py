@@ -1,5 +1,7 @@
 """Waterfall, error budget, intervals, detection power and next manoeuvre, on problems of known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from discovery_drives import COLUMNS, fit_problem, linear_problem, recorded
@@ -222,9 +224,10 @@ def test_separation_is_the_part_of_an_effect_orthogonal_to_the_other(cosine, rem
     one, other = (problem.space.indices(n)[0] for n in ("mass", "road_bank"))
     h = np.zeros((len(problem.space), len(problem.space)))
     h[one, one], h[other, other], h[one, other], h[other, one] = 9.0, 4.0, 6.0 * cosine, 6.0 * cosine
-    values = np.zeros(len(problem.space))
-    values[one] = 2.0
-    result = separation(h, problem, (), "mass", "road_bank", values, 8.0)
+    vector = problem.space.null.copy()
+    vector[one] += 2.0 * problem.space.scale[one]
+    fit = replace(fit_problem(problem, "mass"), vector=vector)
+    result = separation(problem, fit, h, "mass", "road_bank", 8.0)
     assert result[0] == pytest.approx(cosine, abs=1e-6)
     assert result[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * remaining / 8.0), abs=1e-3)
 

@@ -7,7 +7,7 @@ import pytest
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.next_manoeuvre import simulate_drive
-from st_core.discovery.windows import Windows, noise_floor
+from st_core.discovery.windows import Windows
 from st_core.log import DriveLog
 from st_core.manoeuvres import CATALOGUE
 from st_core.readings import find_missing_reading
@@ -42,7 +42,7 @@ def test_windows_are_scored_where_the_acceleration_is_measured(logs, leaf):
 
 
 def test_noise_floor_is_estimated_from_the_measured_samples(logs, leaf):
-    complete, with_gaps = (noise_floor(Windows([log], leaf, DiscoverySettings())) for log in logs)
+    complete, with_gaps = (Windows([log], leaf, DiscoverySettings()).noise_floor() for log in logs)
     averaged = 0.1 / np.diff(logs[0].ins_time_ns * 1e-9).mean()  # number of samples
     assert complete["acceleration_y"] == pytest.approx(0.01 / np.sqrt(averaged), rel=0.2)
     assert with_gaps["acceleration_y"] == pytest.approx(complete["acceleration_y"], rel=0.05)

@@ -114,9 +114,8 @@ class Motion:
 def is_driven(motion: Motion) -> bool:
     """Whether the car drives; either positions or velocity may have a wrong unit. True if the recording is too short.
 
-    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition the
-    direction of travel must persist, or the forward velocity must far exceed its noise, unlike in a parked car with
-    drift.
+    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows; and the direction
+    of travel must persist, or the forward velocity far exceed its noise, neither of which is true of a parked car.
     """
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))

@@ -258,7 +258,6 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
 
 
 def _make_finding(kind: str, channel: _Channel, samples: np.ndarray, is_unusable: bool) -> Finding:
-    """Finding of the samples of one kind. is_unusable: whether the channel keeps its implausible samples."""
     share = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])

@@ -327,13 +327,12 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
-# By channel: its rate from other channels, the largest bias of that rate, and the expected change above which a
-# constant value is a fault.
+# By channel: its rate from other channels, the largest bias of that rate, and the smallest expected change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
     "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
-# By channel: a quantity derived from other channels, and its range [SI] above which a constant channel is a fault.
+# By channel: a quantity derived from other channels, and its smallest range [SI] that excludes a constant channel.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),

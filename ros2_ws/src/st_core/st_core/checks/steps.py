@@ -32,8 +32,7 @@ MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a st
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(the motion, with evenly spaced times in place of jittering time stamps; the findings). With jitter, which causes
-    steps itself, nothing else is judged."""
+    """(the motion, with evenly spaced times in place of jittering time stamps; the findings: jitter, or others)."""
     if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.

@@ -18,7 +18,6 @@ from ..vehicle import VehicleParameters
 from . import certificate, decision, result, waterfall
 from .axles import Axles
 from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
-from .decision import Rival
 from .error_regions import MIN_TURNING_ACCELERATION, find_error_regions
 from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
 from .fit import Fit, Problem
@@ -30,7 +29,7 @@ from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import FreeParameter, Space, find_file_quantities
 from .varying import VaryingFit, collect_varying_evidence, find_varying_effects
-from .windows import MARGIN_NS, Windows, noise_floor
+from .windows import MARGIN_NS, Windows
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
@@ -171,7 +170,8 @@ class _Analysis:
         sensors, effects = {} if self.reference else self.sensors, []
         for name in state.order:
             evidence = state.evidence[name]
-            others = sorted(filter(self._is_alternative, state.rivals.get(name, ())), key=lambda r: -r.share)
+            others = sorted((r for r in state.rivals.get(name, ()) if decision.is_alternative(r, self.limits)),
+                            key=lambda r: -r.share)
             values = waterfall.estimate_parameters(problem, state.fit, name, parts, state.near, joint_fit, noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
@@ -225,7 +225,7 @@ class _Analysis:
         """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, whose
         position error counts as noise of position_5s."""
         settings, space = self.settings, self.space
-        start, prior, gain_between_drives, by_column = space.null, None, 0.0, noise_floor(self.windows)
+        start, prior, gain_between_drives, by_column = space.null, None, 0.0, self.windows.noise_floor()
         if self.reference:
             tick = self._ticker("reference")
             healthy = fit_healthy_car(self.reference, self.vehicle, space, settings, self.threads, tick)
@@ -298,9 +298,6 @@ class _Analysis:
 
     # Results
 
-    def _is_alternative(self, rival: Rival) -> bool:
-        return decision.is_alternative(rival, self.limits)
-
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""
         return tuple({q.key: result.AssumedQuantity(q.key, q.unit, q.value, q.deviation, q.stated)
@@ -357,8 +354,7 @@ class _Analysis:
         rejected for this reason; otherwise the one with the largest gain from separate values, and None."""
         varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
-        rivals = [r for others in state.rivals.values() for r in others]
-        reported = [*state.fit.names, *(r.name for r in filter(self._is_alternative, rivals))]
+        reported = [*state.fit.names, *(r.name for r in state.all_rivals if decision.is_alternative(r, self.limits))]
         for name, (evidence, verdict, fit) in state.refused.items():
             if (verdict.rule == decision.VARIES and not self.space.overlaps(name, reported)
                     and decision.is_relevant(evidence, self.limits)):
@@ -380,8 +376,7 @@ class _Analysis:
         return (varying,), varying_fit
 
     def _collect_reasons(self, state: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
-        rivals = (r for others in state.rivals.values() for r in others)
-        return [*verdicts.values(), *(decision.judge_alternative(r, self.limits) for r in rivals),
+        return [*verdicts.values(), *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
                 *(verdict for _, verdict, _ in state.refused.values())]
 
     def _list_candidates(self, state: SearchState,
@@ -389,8 +384,8 @@ class _Analysis:
         """Every effect of the library with its gain and verdict, in order of decreasing gain."""
         problem, space, candidates = self.problem, self.space, []
         # An effect that was tried in place of several others is listed with the one that it replaces best.
-        rivals = {r.name: r for r in sorted((r for others in state.rivals.values() for r in others),
-                                            key=lambda r: (self._is_alternative(r), r.share))}
+        rivals = {r.name: r for r in sorted(state.all_rivals, key=lambda r: (decision.is_alternative(r, self.limits),
+                                                                            r.share))}
         for name in space.hypotheses:
             values: Mapping[str, float] = space.values(name, state.fit.vector)
             if name in state.evidence:

@@ -172,11 +172,10 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
         common = [c for c in samples.squares if c in expected.squares and np.isfinite(expected.squares[c]).any()]
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
-    ranges, members = assign_ranges(samples)
-    bins = compute_excesses(samples, members, ranges, expected, sigma, settings.seed, RESAMPLES)
+    bins = compute_excesses(samples, expected, sigma, settings.seed, RESAMPLES)
     residuals = {channel: log_residuals(samples, channel, noise_level) for channel, noise_level in sigma.items()}
     stretches = [stretch for channel, residual in residuals.items() for stretch in
-                 find_stretches(samples, channel, residual, settings.block, settings.seed, PERMUTATIONS)]
+                 find_stretches(samples, channel, residual, settings.block, settings.seed)]
     cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
     adjusted = stats.false_discovery_control([c.p for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted, strict=True)
@@ -310,11 +309,11 @@ def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeError
     return sorted(regions, key=lambda r: -r.excess)[:MAX_PLACES]
 
 
-def compute_excesses(samples: Samples, members: np.ndarray, ranges: tuple[Range, ...], reference: Samples | None,
-                     noise: Mapping[str, float], seed: int, resamples: int) -> tuple[BinExcess, ...]:
+def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping[str, float], seed: int,
+                     resamples: int) -> tuple[BinExcess, ...]:
     """Excess of every channel in every range with at least MIN_BLOCKS blocks, with intervals and p-values by Student's
     t for the log ratio, one observation per block. noise: expected error without a reference."""
-    excesses = []
+    excesses, (ranges, members) = [], assign_ranges(samples)
     for number, (channel, squares) in enumerate(samples.squares.items()):
         means, deviations, blocks = _bin_means(squares, samples.block, members,
                                                np.random.default_rng((seed, number, 0)), resamples)
@@ -392,8 +391,7 @@ def log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
     return residual
 
 
-def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int,
-                   permutations: int) -> list[Stretch]:
+def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Stretch]:
     """Find the stretches with larger errors than the other parts of their run, by binary segmentation. A change point
     is significant if the cumulative sum of `residual`, the `log_residuals` of the channel, is larger than with shuffled
     blocks of `block` [s]."""
@@ -405,8 +403,7 @@ def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: 
             continue
         time, index = np.unique(np.floor(samples.time[rows]), return_inverse=True)  # means over whole seconds
         values = np.bincount(index, residual[rows]) / np.bincount(index)
-        changes = sorted(_find_change_points(values, 0, len(values), max(1, round(block)), rng, permutations,
-                                             MAX_CHANGE_POINTS))
+        changes = sorted(_find_change_points(values, 0, len(values), max(1, round(block)), rng, MAX_CHANGE_POINTS))
         if not changes:
             continue
         p = max(p_value for _, p_value in changes)
@@ -419,7 +416,7 @@ def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: 
 
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
-                        permutations: int, max_changes: int) -> list[tuple[int, float]]:
+                        max_changes: int) -> list[tuple[int, float]]:
     """(index, p-value) of at most `max_changes` significant change points in values[first:last]. block: number of
     values that are shuffled together."""
     segment = values[first:last]
@@ -432,14 +429,14 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
     if length < 4 * block:
         return []
     pieces = segment[:length].reshape(-1, block)
-    shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(permutations)])
+    shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(PERMUTATIONS)])
     largest = _cusum(shuffled).max(axis=1)
-    p = (1 + int((largest >= cusum[change]).sum())) / (1 + permutations)
+    p = (1 + int((largest >= cusum[change]).sum())) / (1 + PERMUTATIONS)
     if p > MAX_P_VALUE:
         return []
     middle = first + change
-    return [(middle, p), *_find_change_points(values, first, middle, block, rng, permutations, max_changes - 1),
-            *_find_change_points(values, middle, last, block, rng, permutations, max_changes - 1)][:max_changes]
+    return [(middle, p), *_find_change_points(values, first, middle, block, rng, max_changes - 1),
+            *_find_change_points(values, middle, last, block, rng, max_changes - 1)][:max_changes]
 
 
 def _cusum(rows: np.ndarray) -> np.ndarray:

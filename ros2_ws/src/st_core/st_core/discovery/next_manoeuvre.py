@@ -95,14 +95,14 @@ def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
     return curvatures
 
 
-def separation(h: np.ndarray, problem: Problem, others: Sequence[str], first: str, second: str, values: np.ndarray,
+def separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
                design_effect: float) -> tuple[float, float]:
-    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and `others` do not
-    explain [standard deviations of the noise]) for a curvature h (p, p). others: further effects in the fit. values:
-    (p,) distance from the null [parameter scales]."""
+    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and the others of
+    the fit do not explain [standard deviations of the noise]), at the values of a fit, for a curvature h (p, p)."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
+    others = (n for n in fit.names if n != first)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
-    d = values[indices]
+    d = ((fit.vector - problem.space.null) / problem.space.scale)[indices]
     inside = h[np.ix_(indices, indices)]
     cross = h[np.ix_(indices, free)] @ inverse(h[np.ix_(free, free)])
     unexplained = float(d @ (inside - cross @ h[np.ix_(free, indices)]) @ d)
@@ -117,15 +117,8 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
                         design_effect: float) -> tuple[Separability, ...]:
     """Separability of every named effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-    return tuple(Separability(e.name, rival, *_separation_in_fit(problem, fit, h, e.name, rival, design_effect))
+    return tuple(Separability(e.name, rival, *separation(problem, fit, h, e.name, rival, design_effect))
                  for e in effects for rival in e.alternatives)
-
-
-def _separation_in_fit(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
-                       design_effect: float) -> tuple[float, float]:
-    """`separation` of an effect of a fit from another effect, at the fitted values."""
-    values = (fit.vector - problem.space.null) / problem.space.scale
-    return separation(h, problem, [n for n in fit.names if n != first], first, second, values, design_effect)
 
 
 def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,
@@ -134,17 +127,13 @@ def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect],
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
     errors of the model, which more driving does not reduce."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-
-    def strength_of(pair: tuple[str, str], curvature: np.ndarray) -> float:
-        return _separation_in_fit(problem, fit, curvature, *pair, design_effect)[1]
-
-    pairs = [pair for e in effects for other in e.alternatives
-             if strength_of(pair := (e.name, other), h) < MIN_SEPARATION]
+    pairs = [(e.name, other) for e in effects for other in e.alternatives
+             if separation(problem, fit, h, e.name, other, design_effect)[1] < MIN_SEPARATION]
     if not pairs:
         return None
     weakest = {}
     for name, added in curvatures.items():
-        strengths = {pair: strength_of(pair, h + added) for pair in pairs}
+        strengths = {pair: separation(problem, fit, h + added, *pair, design_effect)[1] for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")

@@ -43,6 +43,10 @@ class SearchState:
     near: list[NearSet] = field(default_factory=list)
 
     @property
+    def all_rivals(self) -> list[Rival]:
+        return [rival for rivals in self.rivals.values() for rival in rivals]
+
+    @property
     def scores(self) -> Scores:
         assert self.cached_scores is not None, "scores are computed before steps and evidence"
         return self.cached_scores

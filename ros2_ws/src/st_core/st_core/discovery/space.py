@@ -66,8 +66,7 @@ class Space:
         self.additions = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([f.effect for f in self.free] + [ACCELEROMETER_GAIN])
-        self._indices = {name: np.flatnonzero(self.effect_of == name).tolist()
-                         for name in dict.fromkeys(self.effect_of)}
+        self._indices = {name: np.flatnonzero(self.effect_of == name).tolist() for name in {*self.effect_of}}
         self.scale = np.array([f.scale for f in self.free] + [TYPICAL_GAIN])
         self.sign = np.array([f.sign for f in self.free] + [1.0])
         self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])

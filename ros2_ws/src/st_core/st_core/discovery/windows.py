@@ -158,10 +158,6 @@ class Windows:
         """(n, k) measured forward speed at the scored points [m/s]."""
         return self._measured["velocity_x"]
 
-    def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
-        """Measured signals at times [ns] of the common clock."""
-        return tuple(self._batch.signals.ins_at(times, *names))
-
     def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Measured signals at times [ns], smoothed for channels with `smoothed`."""
         log, signals = self.joined, Signals(self.joined, MAX_GAP)
@@ -205,6 +201,13 @@ class Windows:
         with np.errstate(all="ignore"):
             return {"x": x[:, 0], "y": y[:, 0], "speed": np.nan_to_num(speed).mean(axis=1),
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
+
+    def noise_floor(self) -> dict[str, float]:
+        """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
+        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self.time[-1], 101) * 1e9).astype(np.int64)
+        step, signals = float(self.time[-1]) / 100.0, self._batch.signals.ins_at(grid, *INS_SIGNALS)
+        return {column: value for c in self.channels
+                for column, value in zip(c.columns, c.noise_errors(self.joined, step, *signals), strict=True)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
         """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
@@ -296,11 +299,3 @@ def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: fl
     if not starts:
         raise StCoreError("no run in which both INS and steering were measured")
     return np.concatenate(starts), np.concatenate(numbers), np.concatenate(seconds)
-
-
-def noise_floor(windows: Windows) -> dict[str, float]:
-    """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
-    grid = windows.starts_ns[:, None] + np.round(np.linspace(0.0, windows.time[-1], 101) * 1e9).astype(np.int64)
-    step, signals = float(windows.time[-1]) / 100.0, windows.measured_at(grid, *INS_SIGNALS)
-    return {column: value for c in windows.channels
-            for column, value in zip(c.columns, c.noise_errors(windows.joined, step, *signals), strict=True)}
