@@ -96,8 +96,7 @@ def with_good_quality(recording: Recording) -> Recording:
     """Adds the status of a unit that has RTK all the time."""
     time = recording.log.ins_time_ns
     level = np.ones(len(time))
-    return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level,
-                                                       0.001 * level))
+    return recording.with_auxiliary(quality=InsQuality(time, LOCKED * level, RTK_INTEGER * level, 0.01 * level))
 
 
 def with_wheel_speed(recording: Recording) -> Recording:

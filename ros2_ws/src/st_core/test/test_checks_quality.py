@@ -19,8 +19,7 @@ def log(leaf):
 def quality_findings(log, **fields):
     """Findings for an INS that reports good quality at 10 Hz except in `fields`."""
     time = np.arange(0, 300)
-    good = InsQuality(T0 + time * 10**8, np.full(300, LOCKED), np.full(300, RTK_INTEGER), np.full(300, 0.01),
-                      np.full(300, 0.002))
+    good = InsQuality(T0 + time * 10**8, np.full(300, LOCKED), np.full(300, RTK_INTEGER), np.full(300, 0.01))
     return check(log, None, AuxiliaryData(quality=replace(good, **fields))).findings
 
 

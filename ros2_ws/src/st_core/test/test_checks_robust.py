@@ -160,7 +160,7 @@ def test_any_invalid_channels_give_a_valid_result(leaf, channels, seed):
 
 def auxiliary_data(time, rows):
     return AuxiliaryData({"INS": time[::-1], "steering": time}, {"x": 3}, Series(time, rows[3]),
-                         Series(time[:1], rows[4][:1]), InsQuality(time, rows[5], rows[6], rows[7], rows[8]))
+                         Series(time[:1], rows[4][:1]), InsQuality(time, rows[5], rows[6], rows[7]))
 
 
 def assert_valid(checked):

@@ -229,7 +229,6 @@ def test_auxiliary_signals_for_the_checks(tmp_path: Path, storage: str) -> None:
     assert (auxiliary.ins_speed.values == 10.0).all() and len(auxiliary.ins_speed.values) == N // 2
     quality = auxiliary.quality
     np.testing.assert_array_equal(quality.time_ns, START_NS + 10**9 * np.arange(5))
-    np.testing.assert_allclose(quality.heading_accuracy, 0.001 * np.arange(5))
     assert set(quality.navigation_status) == {4} and set(quality.position_mode) == {6}
     np.testing.assert_allclose(quality.position_accuracy, 0.05)
     assert [len(auxiliary.stamps[name]) for name in ("INS", "steering")] == [N, N] and auxiliary.missing == {}
@@ -252,7 +251,6 @@ def test_raw_packets_give_speed_and_quality_without_other_topics(tmp_path: Path)
     np.testing.assert_array_equal(auxiliary.quality.time_ns, auxiliary.ins_speed.time_ns)
     assert np.diff(auxiliary.ins_speed.time_ns).tolist() == [10_000_000] * 99
     assert np.isnan(auxiliary.quality.position_accuracy[:10]).all()
-    assert np.isnan(auxiliary.quality.heading_accuracy).all()
     np.testing.assert_allclose(auxiliary.quality.position_accuracy[10:], 0.5)
     assert set(auxiliary.quality.position_mode) == {5.0}
 

@@ -154,7 +154,6 @@ class InsQuality:
     navigation_status: np.ndarray  # NCOM byte 21, 4 = locked
     position_mode: np.ndarray  # NCOM mode: 6 = RTK integer, 5 = RTK float, -1 unknown
     position_accuracy: np.ndarray  # horizontal standard deviation [m]
-    heading_accuracy: np.ndarray  # standard deviation [rad]
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,7 +108,6 @@ def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.nd
 def collect_quality(columns: Columns, packets: np.ndarray) -> InsQuality:
     """Quality that the unit reports at packets with ascending times."""
     position = select_latest_values(*decode_status_channel(columns, 3, ACCURACIES[3]), packets)
-    heading = select_latest_values(*decode_status_channel(columns, 5, ("HeadingAcc",)), packets)[:, 0]
     return InsQuality(columns.utc_ns[packets], columns.navigation_status[packets].astype(float),
                       select_latest_values(*decode_status_channel(columns, 0, ("GpsPosMode",)), packets)[:, 0],
-                      np.hypot(position[:, 0], position[:, 1]), np.radians(heading))
+                      np.hypot(position[:, 0], position[:, 1]))

@@ -32,7 +32,7 @@ RECONSTRUCTED = " (reconstructed)"  # appended to the name of the raw topic if o
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
-                  "position_accuracy_east", "heading_accuracy")
+                  "position_accuracy_east")
 
 
 class Reconstruction:
@@ -157,8 +157,8 @@ class Reconstruction:
             return None
         time_ns, *values = columns.values()
         rows = is_newer(time_ns)
-        status, mode, north, east, heading = (column[rows].astype(float) for column in values)
-        return InsQuality(time_ns[rows], status, mode, np.hypot(north, east), heading)
+        status, mode, north, east = (column[rows].astype(float) for column in values)
+        return InsQuality(time_ns[rows], status, mode, np.hypot(north, east))
 
     def _read_descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
