@@ -21,7 +21,7 @@ MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard d
 MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
 MIN_WINDOWS = 5
 MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows that is not ambiguous
-MAX_MEDIAN_TURN, MIN_LENGTH = 1.0, 0.2  # rad, s; with larger turns, windows are halved, but not below the length
+MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows are halved while turns are larger
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
 SLOPE_ITERATIONS = 8  # of the robust fit of a slope
@@ -227,8 +227,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
-    """Ratios of channels in windows of `length` [s], or shorter ones for a small car, of which the path in a window
-    would be much longer than the distance between its ends."""
+    """Ratios of channels in windows of `length` [s], or shorter ones for a small car, whose path in a window would be
+    much longer than the distance between its ends. min_distance: smallest motion in a window that is used [m]."""
     windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)
@@ -236,7 +236,7 @@ def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MI
     moving = (distance > min_distance) | (integrated_speed > min_distance)
     turn = np.diff(np.unwrap(np.angle(displacement)))
     turning = moving[1:] & moving[:-1] & windows.are_adjacent
-    if length > MIN_LENGTH and turning.any() and float(np.median(np.abs(turn[turning]))) > MAX_MEDIAN_TURN:
+    if length > MIN_HALVED_LENGTH and turning.any() and float(np.median(np.abs(turn[turning]))) > MAX_MEDIAN_TURN:
         return compute_ratios(motion, 0.5 * length, 0.5 * min_distance)
     weights, distance_ratio = integrated_speed[moving], np.nan
     if len(weights) >= MIN_WINDOWS and weights.any():

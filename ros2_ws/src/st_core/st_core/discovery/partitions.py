@@ -44,8 +44,8 @@ def divide_by_run(windows: Windows) -> Partition:
 
 
 def find_sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window. Runs with common places, directly or through other runs, are at one site. Distance does
-    not count, because the maps of different sites may have different origins."""
+    """(n,) site of each window. Runs with enough common places (SAME_SITE_SHARE), directly or through other runs, are
+    at one site. Distance does not count, because the maps of different sites may have different origins."""
     number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
     site = list(range(len(visited)))

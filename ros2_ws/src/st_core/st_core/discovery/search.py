@@ -67,7 +67,7 @@ class Search:
 
     def run(self) -> SearchState:
         """Find the best set from three starts: the empty set, the set found from it plus all physical effects, and the
-        library without composites."""
+        library without composites; without additions and forward-only effects in the last two."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))

@@ -13,16 +13,17 @@ from ..errors import ConfigurationError
 class Limits:
     """Thresholds of the decisions of a discovery.
 
-    false_alarm [1]: significance level for an effect, corrected for the whole library, for the path improvement by a
-    relation and, at its default value, for combinations that differ from the vehicle file (`unseparated_combinations`).
-    undecided_p [1]: p-value above which a difference is undecided (between two effects, between the values in parts of
-    the driving, or from the null); also the error probability of one-sided confidence bounds, and the relative
-    difference below which two gains count as equal. relevant [1]: relative error reduction required of an effect: over
-    all channels, relative to the errors without it, to be kept; in one channel, relative to the baseline error, to be
-    named. relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving condition,
-    that suffices instead of `relevant`. min_relative_size [1]: size in parameter scales that suffices instead if
-    redundant sensors confirm the effect; also size of the load tried as an alternative to lower tyre stiffness.
-    negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
+    false_alarm [1]: significance level for an effect, corrected for the whole library, for its variation between parts
+    of the driving, for the null of redundant sensors, for the path improvement by a relation and, at its default value,
+    for combinations that differ from the vehicle file (`unseparated_combinations`). undecided_p [1]: p-value above
+    which a difference is undecided (between two effects, from the null, or from redundant sensors), and above which a
+    varying effect may be absent in a new part; also the error probability of one-sided confidence bounds, and the
+    relative difference below which two gains count as equal. relevant [1]: relative error reduction required of an
+    effect: over all channels, relative to the errors without it, to be kept; in one channel, relative to the baseline
+    error, to be named. relevant_position [m]: reduction of the mean position error after 5 s, overall or in one driving
+    condition, that suffices instead of `relevant`. min_relative_size [1]: size in parameter scales that suffices
+    instead if redundant sensors confirm the effect; also size of the load tried as an alternative to lower tyre
+    stiffness. negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another effect must reach in its place to be an alternative,
     after subtracting what that effect gains in addition. max_file_deviation [1]: largest accepted deviation of a value
     from the vehicle file, in standard deviations. min_peak_force [1]: fraction of the peak force of an axle that the
