@@ -46,7 +46,7 @@ def test_horizon_errors_are_those_of_the_last_point(explained):
     np.testing.assert_allclose(squares["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))
 
 
-def test_folds_are_whole_runs_if_there_are_at_least_three():
+def test_held_out_groups_are_whole_runs_if_there_are_more_than_three():
     four, two = (linear_problem(FEW, {}, 1, runs=n) for n in (4, 2))
     assert (four.held_out_groups[four.block] == four.errors.windows.run).all()
     assert (two.held_out_groups == two.fold).all()

@@ -75,7 +75,7 @@ class Finding:
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings, with one for all channels that are wrong in the same way, at the same times, by the same value."""
+    """The findings; those of equal name, severity, times and value are merged into one for all their channels."""
     groups: dict[tuple, Finding] = {}
     for finding in findings:
         key = (finding.name, finding.severity, finding.where, finding.value)

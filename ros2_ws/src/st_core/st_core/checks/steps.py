@@ -138,7 +138,7 @@ def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
     power, deviation = float(np.sum(uneven**2)), float(np.std(uneven))
     if deviation < 0.05 * median or power <= 0.0:
         return []
-    slope = float(np.sum(along[inside] * -uneven) / power)
+    slope = float(np.sum(along[inside] * -uneven) / power)  # 1 if the motion is smooth, 0 if the stamps are correct
     effect = deviation * float(np.median(motion.speed[1:][inside]))
     if slope < 0.5 or effect < LIMITS.min_reported_effect:
         return []

@@ -311,7 +311,7 @@ def check_standstill(motion: Motion) -> list[Finding]:
     """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
     windows = make_windows(motion.time, STANDSTILL_WINDOW)
     distance = np.abs(windows.change(motion.position))
-    still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)
+    still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
     findings = []
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
                                         ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):

@@ -268,7 +268,8 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
-    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None if none."""
+    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None if there is none,
+    and with a reference."""
     moved = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
