@@ -158,6 +158,10 @@ class Windows:
         """(n, k) measured forward speed at the scored points [m/s]."""
         return self._measured["velocity_x"]
 
+    def measured_at(self, times: np.ndarray, *names: str) -> tuple[np.ndarray, ...]:
+        """Measured signals at times [ns] of the common clock."""
+        return tuple(self._batch.signals.ins_at(times, *names))
+
     def _sample_channels(self, times: np.ndarray) -> dict[str, np.ndarray]:
         """Measured signals at times [ns], smoothed for channels with `smoothed`."""
         log, signals = self.joined, Signals(self.joined, MAX_GAP)
@@ -205,7 +209,7 @@ class Windows:
     def noise_floor(self) -> dict[str, float]:
         """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self.time[-1], 101) * 1e9).astype(np.int64)
-        step, signals = float(self.time[-1]) / 100.0, self._batch.signals.ins_at(grid, *INS_SIGNALS)
+        step, signals = float(self.time[-1]) / 100.0, self.measured_at(grid, *INS_SIGNALS)
         return {column: value for c in self.channels
                 for column, value in zip(c.columns, c.noise_errors(self.joined, step, *signals), strict=True)}
 
