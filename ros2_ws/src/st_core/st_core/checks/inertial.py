@@ -117,8 +117,7 @@ def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerance
 
 
 def _make_unit_finding(scale: Estimate, tolerances: Tolerances) -> Finding:
-    """Finding of a scale too far from 1 for calibration. If a unit or sign explains it, the correction has its exact
-    factor."""
+    """Finding of a scale far from 1. If a unit or sign explains it, the correction has the exact factor of the unit."""
     factors = (sign * size for size in (1.0, *tolerances.unit_questions) for sign in (1.0, -1.0))
     factor = min((f for f in factors if f != 1.0 and is_near(scale.value, f, LIMITS.channel_unit_ratio)),
                  key=lambda f: abs(np.log(scale.value / f)), default=scale.value)
@@ -175,8 +174,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 
 
 def estimate_yaw_rate_lag(motion: Motion) -> float:
-    """Lag of the yaw rate behind yaw [s]; 0 if it is not significant or below LIMITS.severe_lag, or if the correlation
-    is low, or hardly lower without the correction."""
+    """Lag of the yaw rate behind yaw [s]; 0 unless it is significant, severe (LIMITS) and improves the correlation."""
     agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF,
                            derived_is_angle=True)
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag

@@ -147,8 +147,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
-    """Median distance [m] between positions and integrated velocity after one second, apart from scales of x and y; inf
-    with fewer than MIN_WINDOWS windows."""
+    """Median misfit of positions and velocity after one second [m], apart from scales of x and y; inf if too short."""
     problem = make_residual_regression(motion)
     return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 

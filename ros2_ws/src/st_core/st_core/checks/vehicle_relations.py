@@ -81,8 +81,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
-    """Finding of steering that is not correlated with curvature; None if it is, if either hardly varies, or if both are
-    known for less than MIN_COMMON_TIME."""
+    """Finding of steering not correlated with curvature; None if it is, if either hardly varies, or if too short."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (

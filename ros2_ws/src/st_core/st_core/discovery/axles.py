@@ -90,8 +90,7 @@ class Axles:
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def reached_force_ratios(self) -> dict[str, float]:
-        """Largest force up to the largest slip in the drives (99.5 % quantile), divided by the peak force [1], by axle.
-        """
+        """Largest force up to the 99.5 % quantile of the slip in the drives, divided by the peak force [1], by axle."""
         ratios = {}
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)

@@ -219,8 +219,6 @@ class _Analysis:
                          for p, f in ((problem, state.fit), (without_priors, fit)))
         return (problem, state.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 
-    # Inputs
-
     def _make_problem(self) -> tuple[Problem, dict[str, float]]:
         """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, whose
         position error counts as noise of position_5s."""
@@ -295,8 +293,6 @@ class _Analysis:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
         elif min(left, right) < MIN_TURNING_SHARE * (left + right):
             self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
-
-    # Results
 
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""

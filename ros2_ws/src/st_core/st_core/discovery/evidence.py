@@ -140,8 +140,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[str], rng: np.random.Generator,
                   draws: int, prior_gradient: np.ndarray | None = None) -> Scores:
     """`Scores` of effects, each compared with the effects of a fit that do not overlap it. q: loss by block about the
-    vector of the fit, in all parameters. draws: number of random sign vectors. prior_gradient: see `efficient_score`.
-    """
+    vector of the fit, in all parameters. draws: number of sign vectors. prior_gradient: see `efficient_score`."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
     by_effect, gains, losses = {}, {}, {}
@@ -268,8 +267,7 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
-    """The quantity that an effect moves furthest from the vehicle file, in standard deviations; None if there is none,
-    and with a reference."""
+    """Quantity that an effect moves furthest from the file, in standard deviations; None if none, or with reference."""
     moved = []
     for i in problem.space.indices(effect) if problem.prior is None else ():
         quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])

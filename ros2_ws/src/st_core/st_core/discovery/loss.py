@@ -95,8 +95,7 @@ class Loss:
         self.scale = self.scale_of(vector)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) 68 % quantile of the magnitude of the residuals, one standard deviation if they are normal; at least the
-        resolution of the channel [SI]."""
+        """(m,) 68 % quantile of the |residuals|, one standard deviation if they are normal; at least the resolution."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
