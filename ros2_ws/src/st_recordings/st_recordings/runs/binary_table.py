@@ -115,9 +115,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         vectors = [name for name, entry in value.items() if _is_vector(entry)]
         source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
         own = [(vectors[source.column], value[vectors[source.column]])] if source else []
-        nanoseconds = value[vectors[stamp[1]]] if source and stamp and source.column == stamp[0] else np.empty(0)
-        if own and len(own[0][1]) == len(nanoseconds):  # a ROS stamp
-            own = [("t [s]", own[0][1] + 1e-9 * nanoseconds)]
+        if source and stamp and source.column == stamp[0]:  # sec and nanosec of a ROS stamp
+            seconds, nanoseconds = (value[vectors[column]] for column in stamp)
+            own = [("t [s]", seconds + 1e-9 * nanoseconds)] if len(seconds) == len(nanoseconds) else []
         if isinstance(axis := value.get("X"), dict) and _is_vector(axis.get("Data")):
             own.append(("time", axis["Data"]))  # dSPACE ControlDesk
             value = {name: entry for name, entry in value.items() if name != "X"}
