@@ -440,9 +440,9 @@ def test_two_runs_with_the_same_name_are_refused(leaf):
 def test_run_at_standstill_is_refused(leaf):
     log = recorded(leaf, {}, 9, ("step",))[0]
     stationary = replace(log, velocity_x=0.0 * log.velocity_x)
-    with pytest.raises(StCoreError, match="drive longer, above walking speed"):
+    with pytest.raises(StCoreError, match=r"drive longer, faster than 1\.5 m/s"):
         discover([stationary], leaf, settings=FEW)
-    with pytest.raises(StCoreError, match="drive longer, above walking speed"):
+    with pytest.raises(StCoreError, match=r"drive longer, faster than 1\.5 m/s"):
         discover([stationary, replace(stationary, name="2")], leaf, settings=SETTINGS,
                  clocks={log.name: 0.02, "2": 0.02})
 

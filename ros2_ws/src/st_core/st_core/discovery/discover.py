@@ -29,7 +29,7 @@ from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import FreeParameter, Space, find_file_quantities
 from .varying import VaryingFit, collect_varying_evidence, find_varying_effects
-from .windows import MARGIN_NS, Windows
+from .windows import MARGIN_NS, MIN_SPEED, Windows
 
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
@@ -101,8 +101,8 @@ class _Analysis:
         self.clock_errors: dict[str, float] = {}
         self.runs, self.reference = self._select_usable(runs, "run"), self._select_usable(reference, "reference")
         if not self.runs:
-            raise StCoreError("no run is long enough: a run needs "
-                              f"{self._required_duration:.0f} s of driving above walking speed with INS and steering")
+            raise StCoreError(f"no run is long enough: a run needs {self._required_duration:.0f} s of driving faster "
+                              f"than {MIN_SPEED:g} m/s with INS and steering")
         self.settings = settings = self._select_channels(settings)
         self.space = Space(base, settings)
         self.threads = parallel
@@ -110,7 +110,7 @@ class _Analysis:
         self.windows = Windows(self.runs, vehicle, settings)
         if len(self.windows) < MIN_WINDOWS:
             raise StCoreError(f"only {len(self.windows)} predictions of {settings.horizon:g} s fit into the runs: "
-                              "drive longer, above walking speed, without gaps")
+                              f"drive longer, faster than {MIN_SPEED:g} m/s, without gaps")
         # Estimates from redundant sensors, keyed by "effect.parameter".
         self.sensors = {f"{effect}.{p.name}": sensor_estimates[p.identity] for effect in self.space.hypotheses
                         for p in get_effect(effect).parameters if p.identity and p.identity in sensor_estimates}
