@@ -35,6 +35,7 @@ def test_loopback_environment_respects_the_settings_of_the_user():
     assert suite.make_loopback_environment({"FASTRTPS_DEFAULT_PROFILES_FILE": "/other/profile.xml"}) == local
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_nodes_use_udp_on_the_loopback_interface_only(processes):
     node = processes.node("st_predictor", "predictor", f"vehicle_file:={LEAF}")

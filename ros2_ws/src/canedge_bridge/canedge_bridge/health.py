@@ -30,9 +30,10 @@ class Health:
         self._rates: dict[str, float] = {}  # of the same counts [frames/s]
 
     def checks(self) -> list[Check]:
-        plausibility = Check("plausibility", OK, "all decoded signals are plausible")
+        plausibility = Check("plausibility", OK, "no signal is persistently implausible")
         if implausible := self._decoder.implausible_signals():
-            plausibility = Check("plausibility", ERROR, "; ".join(implausible) + "; its message is not published")
+            text = "; ".join(implausible) + "; messages with these signals are not published"
+            plausibility = Check("plausibility", ERROR, text)
         return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
 
     def _check_bus(self) -> Check:

@@ -51,8 +51,8 @@ PARAMETERS = (
     Parameter("checks", [], "overrides of the table: MESSAGE=off|warn|drop, MESSAGE.counter=..., MESSAGE.checksum=..."),
     Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
     Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
-    Parameter("steering_wheel_offset", math.nan, "signed sensor reading when driving straight, left +; NaN: from "
-              "vehicle_file", "rad", -math.pi, math.pi),
+    Parameter("steering_wheel_offset", math.nan, "reading of the sensor times steering_sign when driving straight, "
+              "left +; NaN: from vehicle_file", "rad", -math.pi, math.pi),
     Parameter("steering_latency", 0.0, "delay from steering wheel motion to the stamp of its frame", "s", 0.0, 1.0),
     Parameter("silence_after", 1.0, "an open bus without a frame for this long counts as silent", "s", 0.05, 60.0),
     Parameter("publish_frames", False, "publish every raw frame on can/frames"),
@@ -165,7 +165,8 @@ def _make_decoder(settings: SimpleNamespace) -> Decoder:
         for text in settings.checks:
             key, equals, mode = text.partition("=")
             if not equals:
-                raise ValueError(f"checks: {text!r} is not MESSAGE=off|warn|drop")
+                raise ValueError(f"checks: {text!r} is not MESSAGE=off|warn|drop, MESSAGE.counter=... or "
+                                 "MESSAGE.checksum=...")
             checks[key.strip()] = mode.strip()
         return Decoder(settings.dbc_file, settings.signals_file, settings.needed_messages, checks)
     except (TableError, ValueError) as error:

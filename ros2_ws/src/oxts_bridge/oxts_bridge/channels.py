@@ -61,6 +61,7 @@ class Field:
         nibble; ibits: inverted bits
         shifted: signed 7-bit number above a validity bit; digits6: i24, decoded to text of at least six digits
         text<n>: n characters
+    An f32 that is negative or NaN, and an empty text, are invalid.
     """
 
     name: str
@@ -128,7 +129,8 @@ class Field:
         buffer[:] = (others | (number & mask ^ flip) << shift).to_bytes(8, "little")
 
     def _to_raw(self, value: float | int | str) -> int:
-        """The valid raw number closest to a physical value."""
+        """Raw number of a physical value: the closest valid one if scaled, else the integer part. Raises NcomError if
+        an unscaled value does not fit or means invalid."""
         unscaled = self.scale == 1 and not self.offset
         _, mask, _, sign = self._bit_layout
         low, high = -sign, mask - sign

@@ -19,12 +19,12 @@ Change: TypeAlias = tuple[int, int, str, Value]
 """Change of a status field: packet, channel, field, value (None: invalid)."""
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
-_LARGEST_UMAC_STATUS = 10  # written by the vendor's tools for all robot interface codes without a name
+_LARGEST_UMAC_STATUS = 10  # the vendor's tools write larger codes of the robot interface as this one
 # In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
-_SETTINGS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
+_DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
              63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
 """Status channel -> fields that derived columns and surface angles depend on."""
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
@@ -34,8 +34,9 @@ _ROWS_PER_WRITE = 1 << 12
 def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Path | None = None) -> int:
     """Write the packets of an .ncom file, and optionally its status changes, as CSV; returns the number of packets.
 
-    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: from m, deg and s; times in
-    GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or validity.
+    csv_path: columns of `_make_table`, one row per accepted packet; empty: invalid. Units: m, m/s, m/s^2, deg,
+    deg/s, deg/s^2; times in GPS seconds. status_path: pkt,channel,field,valid,value, one row per change of value or
+    validity.
     Raises NcomError for a file without packets and if two of the three files are the same; OSError for one that cannot
     be read or written.
     """
@@ -66,7 +67,7 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
 
 
 def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
-    """Columns of the CSV by name. settings: values of the fields in _SETTINGS, by channel."""
+    """Columns of the CSV by name. settings: values of the fields in _DERIVATION_FIELDS, by channel."""
     is_timed = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(is_timed, columns.gps_ns // 1_000_000, 0)
     degrees, out_type = np.degrees, np.array(KINDS, "<U8")[columns.kind]
@@ -92,11 +93,11 @@ def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dic
 
 
 def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHistory]]:
-    """Changes of all status fields, and the values of the fields in _SETTINGS by channel."""
+    """Changes of all status fields, and the values of the fields in _DERIVATION_FIELDS by channel."""
     tracker = StatusTracker()
     last_values: dict[str, Value] = {}
     changes: list[Change] = []
-    settings: dict[int, list[tuple[int, tuple[Value, ...]]]] = {channel: [] for channel in _SETTINGS}
+    settings: dict[int, list[tuple[int, tuple[Value, ...]]]] = {channel: [] for channel in _DERIVATION_FIELDS}
     positions = np.array([columns.latitude, columns.longitude, columns.altitude]).T
     for i in np.flatnonzero(columns.has_status).tolist():
         channel = int(columns.channel[i])
@@ -109,10 +110,10 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHi
             if is_reported and last_values.get(name) != value:
                 last_values[name] = value
                 changes.append((i, channel, name, value))
-        if fields and channel in _SETTINGS:
+        if fields and channel in _DERIVATION_FIELDS:
             # A status applies from the next packet on; in a trigger packet, it applies from this packet on.
             first_packet = i if columns.kind[i] == TRIGGER else i + 1
-            settings[channel].append((first_packet, tuple(map(tracker.get, _SETTINGS[channel]))))
+            settings[channel].append((first_packet, tuple(map(tracker.get, _DERIVATION_FIELDS[channel]))))
     changes.extend(_compute_surface_angles(columns, settings[60]))
     return sorted(changes, key=lambda change: change[0]), settings
 

@@ -70,6 +70,7 @@ def test_evaluate_scores_bands_on_unseen_drives(folder, tmp_path):
     assert "<h2>Bands</h2>" in page and "Reliability of the bands" in page
 
 
+@pytest.mark.slow
 def test_calibration_recordings_are_reported_as_no_test(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "known" / "weave_1.csv", "--vehicle", base / "car.yaml", "--model", "linear",

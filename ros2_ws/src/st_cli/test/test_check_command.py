@@ -107,6 +107,7 @@ def test_reported_findings_are_described_in_the_manual(checked):
             assert f"`{one['name']}`" in manual, one["name"]
 
 
+@pytest.mark.slow
 def test_proposed_correction_removes_the_finding(faulty_drive, tmp_path):
     car = tmp_path / "car"  # of table recordings: without DBC and signal table
     car.mkdir()
@@ -157,6 +158,7 @@ def test_evaluate_excludes_a_run_with_an_error(faulty_drive, tmp_path, evaluated
     assert alone.exit_code == 2 and "yaw_rate_scale" in alone.output
 
 
+@pytest.mark.slow
 def test_evaluate_force_includes_the_run_and_changes_no_number(faulty_drive, tmp_path, evaluated):
     result = st("evaluate", faulty_drive, DRIVE, *QUICK, "--output", tmp_path / "o", "--force")
     assert result.exit_code == 0 and "error: yaw_rate" in result.output
@@ -165,6 +167,7 @@ def test_evaluate_force_includes_the_run_and_changes_no_number(faulty_drive, tmp
     assert content["runs"]["rfs_turn_a"] == evaluated[2]["runs"]["rfs_turn_a"]
 
 
+@pytest.mark.slow
 def test_evaluate_reports_a_too_long_step_and_its_correction(tmp_path):
     stiff = tmp_path / "stiff.yaml"
     lines = [line if not line.startswith("yaw_inertia:") else
@@ -202,6 +205,7 @@ def test_identify_excludes_a_run_with_an_error(faulty_drive, tmp_path):
     assert forced.exit_code in (0, 1) and "left out: " not in forced.output
 
 
+@pytest.mark.slow
 def test_discover_excludes_a_run_with_an_error(faulty_drive, tmp_path):
     result = st("discover", faulty_drive, "--vehicle", CAR, "--output", tmp_path / "o", "--fresh")
     assert result.exit_code == 2 and "no run can be used" in result.output and "yaw_rate_scale" in result.output

@@ -64,6 +64,7 @@ def test_exported_casadi_step_loads_without_the_suite_and_agrees(tmp_path, name)
     assert [m.shape for m in jacobian(state, INPUTS, H)] == [(6, 6), (6, 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc")
 def test_exported_c_code_compiles_and_agrees(tmp_path, augmented):
     out = tmp_path / "out"

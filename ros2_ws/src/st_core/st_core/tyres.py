@@ -60,25 +60,24 @@ def magic_formula_peak(load, tyre: MagicFormula):
 def magic_formula_coefficients(load, tyre: MagicFormula):
     """(B, D, E) of one tyre at load [N], the coefficients that depend only on the load; D: `magic_formula_peak`.
 
-        B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0
-
-    F_z >= 1 N and E <= 1; with a larger E the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
+        B = K / (C D),  E = p_ey1 + p_ey2 df,  df = (F_z - F_z0) / F_z0;  F_z >= 1 N
     """
     load = maximum(load, MINIMUM_LOAD)
     increment = load / tyre.nominal_load - 1.0
     peak = magic_formula_peak(load, tyre)
     stiffness_factor = magic_formula_stiffness(load, tyre) / (tyre.p_cy1 * tyre.lambda_cy * peak)
-    return stiffness_factor, peak, minimum(tyre.p_ey1 + tyre.p_ey2 * increment, 1.0)
+    return stiffness_factor, peak, tyre.p_ey1 + tyre.p_ey2 * increment
 
 
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
-    """F_y = D sin(C atan(B a - E (1 - p_ey3 sgn a) (B a - atan(B a)))) [N], a = slip angle [rad].
+    """F_y = D sin(C atan(B a - min(E (1 - p_ey3 sgn a), 1) (B a - atan(B a)))) [N], a = slip angle [rad].
 
+    Without the limit 1 the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
     C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0
     the force opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """
     x = stiffness_factor * slip
-    e = curvature * (1.0 - tyre.p_ey3 * sign(slip))
+    e = minimum(curvature * (1.0 - tyre.p_ey3 * sign(slip)), 1.0)
     return peak * sin(tyre.p_cy1 * tyre.lambda_cy * atan(x - e * (x - atan(x))))
 
 

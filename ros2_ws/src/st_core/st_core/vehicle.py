@@ -40,7 +40,7 @@ def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, 
     return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
 
 
-# The limits are wide, from a model car of scale 1:16 to a loaded truck. `_check_scale` detects a misplaced digit.
+# The limits are wide, from a model car of scale 1:16 to a loaded truck. `_check_scale` detects a wrong unit.
 OPTIONAL_QUANTITIES = {
     "track_width": _quantity("m", 0.03, 4.0, default=1.54),
     "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
@@ -201,8 +201,8 @@ class VehicleParameters:
 
     @property
     def speed_scale(self) -> float:
-        """Speed at which a small car does what one with a wheelbase of 2 m does at 1 m/s, at most 1: bends of as many
-        wheelbases with the same lateral acceleration."""
+        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is that for radii. At
+        scaled speeds, bends with the same radius in wheelbases have the same lateral acceleration."""
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
     def uncertainty(self, key: str) -> float | None:
@@ -391,7 +391,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError if a value has another order of magnitude than the rest of the car, at any scale."""
+    """Raises ConfigurationError if a value does not fit the size or mass of the car, by a factor of about 20 to 100."""
     for key, low, high, reference, name in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,

@@ -120,7 +120,7 @@ def test_free_parameter_is_an_argument(leaf):
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"model": "bicycle"}, "unknown model 'bicycle'"),
-    ({"model": "linear", "free": ["mass"]}, "free: 'mass' is not a parameter .* of model linear, which has none"),
+    ({"model": "linear", "free": ["mass"]}, "free: 'mass' is not a parameter of an effect .* linear; those are: none"),
     ({"model": "linear", "substeps": 0}, "substeps: 0 is below 1"),
 ])
 def test_invalid_arguments_are_rejected(leaf, arguments, message):

@@ -39,6 +39,7 @@ def test_roll_gain_scales_the_specific_force_but_not_the_bias_of_the_acceleromet
     assert abs(np.nanmean(residual[gain])) < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("time", "values"), [("steering_time_ns", ("road_wheel_angle",)),
                                               ("ins_time_ns", (*INS_SIGNALS, "acceleration_x", "acceleration_y"))])
 def test_gap_of_one_second_does_not_raise_the_loss(leaf, time, values):
@@ -351,6 +352,7 @@ def test_windows_do_not_warn_about_the_integration_step_of_trial_models(leaf):
         windows.errors(Space("linear", settings).model)
 
 
+@pytest.mark.slow
 def test_held_out_loss_is_not_below_the_loss_of_the_fit(leaf):
     """Parameters fitted to the other folds cannot be better than those fitted to all."""
     settings = DiscoverySettings(windows=100)

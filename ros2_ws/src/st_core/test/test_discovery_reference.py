@@ -38,6 +38,7 @@ def test_second_start_of_the_fit_is_at_the_theoretical_values():
     assert changed == {("combined_slip", "share"): 1.0}
 
 
+@pytest.mark.slow
 def test_healthy_car_fit_recovers_the_true_values_within_its_uncertainty(leaf):
     effects = {"steering_lag": {"time_constant": 0.06}, "heading_misalignment": {"angle": 0.01}}
     settings = DiscoverySettings(windows=60, effects=("steering_lag", "heading_misalignment", "yaw_rate_bias"))

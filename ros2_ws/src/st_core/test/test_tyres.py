@@ -64,7 +64,14 @@ def test_asymmetric_curvature_depends_on_the_sign_of_the_slip(leaf):
 def test_any_load_gives_a_finite_force(car, load):
     for tyre in (car.tyre_front, car.tyre_rear):
         assert math.isfinite(force(0.1, load, tyre))
-        assert magic_formula_coefficients(load, tyre)[2] <= 1.0
+
+
+@pytest.mark.parametrize("p_ey3", [-0.5, 0.0, 0.5])
+def test_force_opposes_any_slip_angle_with_a_large_curvature_factor(leaf, p_ey3):
+    tyre = leaf.tyre_front._replace(p_ey1=1.0, p_ey2=0.0, p_ey3=p_ey3)
+    slip = np.linspace(0.01, 1.5, 150)
+    assert (force(slip, np.full_like(slip, 4000.0), tyre) < 0.0).all()
+    assert (force(-slip, np.full_like(slip, 4000.0), tyre) > 0.0).all()
 
 
 def test_slip_angle_is_positive_to_the_left_and_bounded_at_standstill():

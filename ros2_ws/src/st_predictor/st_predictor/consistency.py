@@ -19,7 +19,7 @@ MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driv
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurement between checks
 CPU_SHARE = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
-# Findings not reported live: a single bend does not distinguish a heading error from a wrong measuring point. Gaps and
+# Findings not reported live: a single bend does not distinguish a heading error from a wrong INS lever arm. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
                      "out_of_range", "channel_wraps", "channel_jumps")
@@ -138,5 +138,8 @@ def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], durati
         severity = confirmed[0].severity
         text = "; ".join(fault.text for fault in confirmed if fault.severity is severity)
         return Verdict(severity.value, text, values)
-    new = f", to be confirmed: {', '.join(fault.name for fault in faults)}" if faults else ""
-    return Verdict("note" if findings else "", f"signals agree in the newest {duration:.0f} s{new}", values)
+    text = f"signals agree in the newest {duration:.0f} s"
+    if faults:
+        names = ", ".join(fault.name for fault in faults)
+        text = f"no confirmed fault in the newest {duration:.0f} s; to be confirmed by the next check: {names}"
+    return Verdict("note" if findings else "", text, values)

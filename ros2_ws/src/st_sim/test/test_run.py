@@ -275,6 +275,7 @@ def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
     assert output in err
 
 
+@pytest.mark.slow
 def test_full_disk_ends_the_truth_file_but_not_the_drive(tmp_path):
     if not os.path.exists("/dev/full"):
         pytest.skip("this system has no /dev/full")

@@ -89,8 +89,8 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
     known, free = list_free_parameters(model), tuple(dict.fromkeys(free))
     for name in free:
         if name not in known:
-            raise ConfigurationError(f"free: {name!r} is not a parameter of the equations of model {model.name}, which "
-                                     f"has {', '.join(known) or 'none'}")
+            raise ConfigurationError(f"free: {name!r} is not a parameter of an effect in the equations of model "
+                                     f"{model.name}; those are: {', '.join(known) or 'none'}")
     parameters = (*(known[name] for name in free), *(Variable(name, "") for name in model.signals))
     units = [unit for e in _find_acting_effects(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
     states = tuple(Variable(name, unit, *_BOUNDS.get(name, ())) for name, unit in zip(

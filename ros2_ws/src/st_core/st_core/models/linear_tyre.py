@@ -1,6 +1,6 @@
 """Dynamic single-track model with linear tyres: F_y = -C alpha per axle. Source: paper, dynamic model.
 
-The slip angles are exact (arc tangent, full steering geometry); only the tyre is linear.
+Slip and road wheel angles are not linearised; only the tyre is linear.
 """
 
 from typing import NamedTuple

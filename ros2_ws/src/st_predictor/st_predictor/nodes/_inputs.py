@@ -82,7 +82,7 @@ class PublisherLock:
         names = ", ".join(self.names)
         if self._indistinguishable or self._number is None:
             return f"published by {len(self.names)} nodes that cannot be distinguished, none is used: {names}"
-        return f"published by {len(self.names)} nodes: {names}; only the first one is used"
+        return f"published by {len(self.names)} nodes ({names}); only the first one received is used"
 
 
 class Inputs:
@@ -157,7 +157,7 @@ class Inputs:
         rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
-        return [Check("publishers", level, text or "one of each input", rejected),
+        return [Check("publishers", level, text or "at most one of each input", rejected),
                 *(self._make_input_check(signal) for signal in self.received)]
 
     def _make_input_check(self, signal: str) -> Check:

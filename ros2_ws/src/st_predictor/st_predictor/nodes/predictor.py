@@ -281,7 +281,7 @@ class PredictorNode(Node):
     def _make_steering_check(self) -> Check:
         frozen = self._core.frozen_steering.frozen
         if frozen is None:
-            return Check("steering", diagnostics.OK, "consistent with the yaw rate")
+            return Check("steering", diagnostics.OK, "no frozen angle detected")
         text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.duration:.1f} s, but the yaw rate corresponds "
                 f"to {frozen.low:.4f} to {frozen.high:.4f} rad: check whether the sensor is frozen")
         return Check("steering", diagnostics.WARN, text)
