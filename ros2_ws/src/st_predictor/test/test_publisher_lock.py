@@ -82,7 +82,7 @@ def test_second_publisher_of_the_same_name_is_rejected_and_reported():
     lock, now = make_lock_in_use()
     lock.update([OURS, OURS])
     assert not lock.accept(1, now) and lock.accept(1001, now)
-    assert lock.describe_competition(now).startswith("published by 2 nodes: /oxts_bridge, /oxts_bridge")
+    assert lock.describe_competition(now).startswith("published by 2 nodes (/oxts_bridge, /oxts_bridge)")
 
 
 def test_other_publisher_is_not_accepted_while_the_first_is_silent():
