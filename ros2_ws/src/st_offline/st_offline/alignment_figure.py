@@ -18,7 +18,7 @@ MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed, the most active 10 s of the yaw rate (each else the first signal), correlation, lags."""
+    """Write the figure: speed, the most active 10 s of the yaw rate (or the first signal), correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -75,7 +75,7 @@ def _draw_correlation(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: 
     for peak, style, name in ((alignment.peak, "o", "best"), (alignment.second_peak, "s", "second")):
         if peak is not None and peak[1] > 0:
             ax.plot(peak[0] - zero, peak[1], style, ms=5, color=OTHER_COLOUR, label=f"{name}: {peak[1]:.2f}")
-    ax.set(ylim=(-1.05, 1.1), xlabel="offset minus the result, s", ylabel="correlation")
+    ax.set(ylim=(-1.05, 1.1), xlabel="offset relative to the estimate, s", ylabel="correlation")
     if alignment.peak is not None:
         ax.legend(loc="lower right")
 

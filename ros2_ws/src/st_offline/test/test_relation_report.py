@@ -114,7 +114,7 @@ def test_variation_between_runs_is_reported_and_relation_of_time_writes_no_file(
     search = RelationSearch(relation, "it reduces the errors by 10 %", {})
     lines = format_report(search)
     sizes = "lap 1.2 ± 0.2, other 0.1 ± 0.2, third 0.9 ± 1.0"
-    assert f"nearly absent in other (relative size by run, 95 %: {sizes})" in lines
+    assert f"less than half as large in other (relative size by run, 95 %: {sizes})" in lines
     assert "no effect file is written" in lines and "once from another starting point" in lines
     assert write_files(search, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
@@ -130,7 +130,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     assert set(file.effects) == {"mass", "proposed_rear_steer"} and "PROPOSAL" in file.provenance.note
     lines = format_report(search)
     assert "without the relation, 0.500 m with it; noise floor 0.060 m" in lines
-    assert "do not separate it from: side force on the body as a function of the speed (0.90)" in lines
+    assert "do not separate it from: additional side force on the body as a function of the speed (0.90)" in lines
     assert "mass is named above, but is redundant with this relation (without it, the residual increases" in lines
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
@@ -173,7 +173,7 @@ def test_reason_is_reported_without_a_proposal(tmp_path):
     assert report_relation(search, DISCOVERY, CAR, "out") == RelationReport(groups)
     search = RelationSearch(None, "the curve of side_force over speed runs into its bound",
                             {"side_force over speed": (0.1, 0.2)})
-    reason = "the curve of side force on the body as a function of the speed runs into its bound"
+    reason = "the curve of additional side force on the body as a function of the speed runs into its bound"
     assert f"none: {reason}" in format_report(search)
     assert build_relation_document(search)["proposal"] is None
 
@@ -203,7 +203,7 @@ def test_next_drives_are_recommended_with_their_gain():
     text = format_report(RelationSearch(relation, "", {}))
     assert "y = 1 rad/s² corresponds to a moment of 2925 N m, with the yaw" in text
     text = "\n".join(describe_next_drives(relation))
-    assert "from side force on the body as a function of the speed: brake_in_turn, 3 times" in text
+    assert "from additional side force on the body as a function of the speed: brake_in_turn, 3 times" in text
     assert "separation is then 6.0 times as large" in text
     assert "for a narrower interval: brake_in_turn, 3 times" in text and "The widest 95 % interval shrinks" in text
     assert "from ± 0.02 to ± 0.0098 rad/s²" in text

@@ -227,13 +227,13 @@ def _make_parser() -> argparse.ArgumentParser:
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before lock")
-    parser.add_argument("--ncom-host", default="127.0.0.1")
-    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000)
-    parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100)
+    parser.add_argument("--ncom-host", default="127.0.0.1", help="destination of the NCOM packets")
+    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000, help="its UDP port")
+    parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100, help="packets per second")
     parser.add_argument("--can-interface", default="udp_multicast")
     parser.add_argument("--can-channel", default="239.74.163.2")
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
-                        help="full: with the other frames of a Car-CAN, 1750 frames/s, plus those of the INS")
+                        help="of the car, realistic: steering, wheel speeds and gear; full: a Car-CAN, 1750 frames/s")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for truth.mcap")
     parser.add_argument("--to-files", type=Path, metavar="DIR",
                         help="folder for run.ncom, run.log or run.mf4, and truth.mcap; nothing is sent")

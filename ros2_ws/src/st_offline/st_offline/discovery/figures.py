@@ -32,7 +32,7 @@ AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are
 
 @dataclass(frozen=True)
 class FigureData:
-    """Data of the figures. runs: suspect drives. before, after: their errors with the base and the complete model."""
+    """Data of the figures. runs: drives to be explained. before, after: errors with base and complete model."""
 
     discovery: Discovery
     runs: Sequence[DriveLog]
@@ -75,7 +75,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
         label, text = _step_texts(data.discovery, step)
         _annotate(axes, max(before, after, *ends), row, text)
         rows.append(label)
-    end = "model without effective corrections" if data.discovery.effective else "complete model"
+    end = "model with identified effects only" if data.discovery.effective else "complete model"
     axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
     axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))

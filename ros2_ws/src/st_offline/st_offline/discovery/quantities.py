@@ -14,13 +14,17 @@ MAX_DECIMALS = 6  # numbers that need more are written with an exponent
 BOUND_TOLERANCE = Limits().at_bound  # distance from a bound, divided by the typical size of the parameter
 DISPLAY_UNITS = {"rad": (math.degrees(1.0), "°"), "rad/s": (math.degrees(1.0), "°/s")}  # (factor from SI, unit)
 TERM_NAMES = {
-    "front_steer": "steering of the front wheels", "rear_steer": "steering of the rear wheels",
-    "front_force": "lateral force of the front axle", "rear_force": "lateral force of the rear axle",
-    "front_grip": "grip of the front axle", "rear_grip": "grip of the rear axle", "both_grip": "grip of both axles",
-    "yaw_moment": "yaw moment on the body", "side_force": "side force on the body",
+    "front_steer": "additional steer angle of the front wheels",
+    "rear_steer": "additional steer angle of the rear wheels",
+    "front_force": "additional lateral force of the front axle",
+    "rear_force": "additional lateral force of the rear axle",
+    "front_grip": "relative change of the grip of the front axle",
+    "rear_grip": "relative change of the grip of the rear axle",
+    "both_grip": "relative change of the grip of both axles",
+    "yaw_moment": "additional yaw moment on the body", "side_force": "additional side force on the body",
     "sensor_yaw_rate": "error of the yaw rate sensor", "sensor_acceleration_y": "error of the lateral accelerometer",
     "sensor_velocity_y": "error of the lateral velocity of the INS",
-    "sensor_heading": "error of the heading of the INS",
+    "sensor_heading": "error of the yaw angle of the INS",
 }
 QUANTITY_NAMES = {
     "slip_front": "slip angle of the front axle", "slip_rear": "slip angle of the rear axle",
@@ -130,7 +134,7 @@ def axis_label(c: Candidate) -> str:
     """Label of the vertical axis, with the reference of relative values and the positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", + reads too large" if c.is_sensor_error else ", relative, + more force" if c.term.endswith("grip")
+    sign = (", + reads too large" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
             else f"{divisor}, left +")
     return f"{TERM_NAMES[c.term]}{sign}{f', for each unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 

@@ -48,7 +48,7 @@ OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_a
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.
-Over {low:.3g} to {high:.3g} {quantity_unit} of {quantity}; constant beyond. {meaning}
+For {quantity} from {range}; constant beyond. {meaning}
 Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.2g} over all candidates.
 {formulas}
 Keep it, rename it, or delete it.
@@ -74,7 +74,7 @@ def relation(u):
 @register
 class {cls}(Effect):
     physics = "{physics}"
-    excited_by = "{quantity} from {low:.3g} to {high:.3g} {quantity_unit}"
+    excited_by = "{quantity} from {range}"
     kind, slot = "{kind}", "{slot}"
     applies_to = DYNAMIC
     order = 90{states}
@@ -116,7 +116,8 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
                          for k, f in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
         title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
-        high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=c.quantity.replace("_", " "),
+        high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=quantities.QUANTITY_NAMES[c.quantity],
+        range=f"{c.low:.3g} to {c.high:.3g} {QUANTITIES[c.quantity]}".removesuffix(" 1"),
         quantity_unit=QUANTITIES[c.quantity], unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.",
         before=relation.position_5s[0], after=relation.position_5s[1], p_value=relation.p_value, formulas=formulas,
         interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),

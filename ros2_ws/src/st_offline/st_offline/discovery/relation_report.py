@@ -101,8 +101,8 @@ def _uncertainty(relation: Relation) -> list[str]:
     if absent and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
                            relation.agreement.ratios.items())
-        lines.append(f"varies between runs: nearly absent in {', '.join(absent)} (relative size by run, 95 %: "
-                     f"{shares})")
+        lines.append(f"varies between runs: less than half as large in {', '.join(absent)} (relative size by run, "
+                     f"95 %: {shares})")
     return lines
 
 
@@ -167,8 +167,9 @@ def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: 
         rows.append(tuple(cells))
     return [Table("Values without and with the relation",
                   "Two fits of the same car. The values without the relation are those of vehicle.yaml and model.yaml; "
-                  "the values with it are for proposed.yaml only and explain less of the errors. A factor and the "
-                  "entry of the vehicle file after it are the same correction of the original value.",
+                  "the values with it are for proposed.yaml only; they differ because the relation explains a part of "
+                  "the errors. A factor and the entry of the vehicle file after it are the same correction of the "
+                  "original value.",
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 

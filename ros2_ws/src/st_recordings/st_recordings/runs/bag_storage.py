@@ -60,7 +60,7 @@ class Storage(ABC):
 
     @abstractmethod
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Yields (log time [ns], serialised message) of a topic in the order of an MCAP file, else in order of time."""
+        """Yields (log time [ns], serialised message) of a topic, in file order for MCAP, else in order of log time."""
 
     @abstractmethod
     def definitions(self) -> dict[str, tuple[str, str]]:
