@@ -27,7 +27,7 @@ from .settings import SETTINGS, SimulationError, find_overrides, resolve_setting
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
-START_GRID_NS = 20_000_000  # drives start on this UTC grid, so that epochs at 100 and 250 Hz are whole milliseconds
+START_GRID_NS = 20_000_000  # drives start on this UTC grid, a multiple of the periods at 100 and 250 Hz
 LEAD_NS = 20_000_000  # minimum time from the end of preparation to the first epoch
 FILE_EPOCH_NS = 1_756_900_800_000_000_000  # 2025-09-03 12:00 UTC: start of a drive written to files with seed 0
 DEFAULT_ORIGIN = "51.448,5.49,65.0"

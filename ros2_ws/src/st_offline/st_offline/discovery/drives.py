@@ -141,7 +141,10 @@ def cache_folder() -> Path | None:
 def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
-    """Cache key of a result: a hash of all its inputs and of the code of st_core."""
+    """Cache key of a result: a hash of all its inputs and of the code of st_core.
+
+    effects: sha256 by file. sensors: from `sensor_estimates`. clocks: standard deviations of the steering clocks [s].
+    """
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -47,7 +47,8 @@ class FigureData:
 
     @property
     def channel(self) -> str:
-        """Channel whose significant excess over the expected error has the highest lower limit; else the first one."""
+        """Channel of the region of which the ratio of error to expected error has the highest lower 95 % limit; the first
+        channel without such regions."""
         channels = list(self.before.squares)
         known = [w for w in self.discovery.where if w.channel in channels]
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]

@@ -43,8 +43,8 @@ class Topic:
 class Storage(ABC):
     """One recording, of one or several files.
 
-    path: the bag directory or file that messages name. topics: those with messages. store: message types with which
-    messages are deserialised.
+    path: bag directory or file, for error messages. topics: those that contain messages. store: message types with
+    which messages are deserialised.
     """
 
     def __init__(self, path: Path):

@@ -142,7 +142,7 @@ def has_drive_columns(file: Path) -> bool:
 
 
 def lacks_steering(file: Path) -> bool:
-    """Whether the header names (or permits to derive) time and every INS channel, but no steering angle."""
+    """Whether time and every INS channel have a column or can be derived, but there is no steering angle."""
     return _missing_in_header(file) == [ROAD_WHEEL]
 
 

@@ -12,8 +12,9 @@ from .columns import UNITS, ColumnSource
 from .errors import RunError
 from .ins_log import LATEST_TIME, select_usable_rows
 
-# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12.5 PM. Spreadsheets
-# write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless _order_dates can convert it.
+# 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
+# Spreadsheets write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless
+# _order_dates can convert it.
 _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|\d\d?/\d\d?/\d{4})[T ] *)?"
                     r"(?:0 days )?(?:(\d{1,2}):)?(\d\d?):(\d\d(?:[.,:]\d+)?) *(?:([AaPp])\.?[Mm]\.?)? *"
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
