@@ -47,8 +47,8 @@ class FigureData:
 
     @property
     def channel(self) -> str:
-        """Channel of the region of which the ratio of error to expected error has the highest lower 95 % limit; the first
-        channel without such regions."""
+        """Channel of the region with the highest lower 95 % limit of the ratio of error to expected error; the first
+        channel if there are no regions."""
         channels = list(self.before.squares)
         known = [w for w in self.discovery.where if w.channel in channels]
         return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]

@@ -172,7 +172,7 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
 
 def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
                    ) -> tuple[Series | None, Series | None]:
-    """(speed of the car from its wheels or its speed signal, forward speed that the INS sends on CAN) [m/s]; None for a missing one.
+    """(speed of the car by its wheels or its speed signal, forward speed of the INS on CAN) [m/s]; None if missing.
 
     to_reference: converts log times [ns] to the clock of the result [ns].
     """
