@@ -40,7 +40,7 @@ class RunComparison:
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, "
                     f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, the "
-                    "projection or the car; the value is reliable")
+                    "projection, the car or its vehicle file")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")

@@ -84,7 +84,7 @@ class Batch(LogBatch):
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
     def set_substeps(self, vehicle: VehicleParameters) -> None:
-        """Shortens the integration step as a small car needs it; that of a road car is stable."""
+        """Divides the integration step if it is unstable at the speeds of the drives, as for small cars."""
         self._substeps = max(substeps_needed(model, vehicle, self._speeds, self.step) for model in TYRE_MODELS)
 
     def recording(self, model: Any) -> Recording:
