@@ -168,8 +168,7 @@ def test_virtual_car_shares_no_equations_with_the_models():
 
 def test_virtual_car_uses_only_codecs_and_transport_of_the_bridges():
     assert forbidden_imports_of_virtual_car(("oxts_bridge", "canedge_bridge"), (
-        "oxts_bridge.ncom", "oxts_bridge.channels", "oxts_bridge.packet_time", "canedge_bridge.decode",
-        "canedge_bridge.transport")) == []
+        "oxts_bridge.ncom", "oxts_bridge.channels", "canedge_bridge.decode", "canedge_bridge.transport")) == []
 
 
 def test_only_nodes_converters_and_launch_files_import_ros():

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oxts_bridge.ncom import Packet, encode
-from oxts_bridge.packet_time import MINUTE_MS
+from oxts_bridge.ncom import MINUTE_MS, Packet, encode
 from scipy.signal import butter, lfilter
 from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps
 from st_recordings.runs import find_runs, read

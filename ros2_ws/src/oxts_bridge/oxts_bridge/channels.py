@@ -13,8 +13,7 @@ from functools import cached_property
 from math import degrees
 from typing import Any, TypeAlias
 
-from .ncom import NcomError
-from .packet_time import LAST_MINUTE
+from .ncom import LAST_MINUTE, NcomError
 
 Value: TypeAlias = Any
 """Float, int or text, depending on the field; None if invalid."""

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from .channels import B6_BIT7_CLEAR, FIELDS, Value
 from .derived import SettingHistory, compute_gps_seconds, derive_columns
 from .file_decoder import EMPTY, KINDS, REGULAR, TRIGGER, UNKNOWN_TIME, Columns, decode_file
-from .ncom import RAW_IMU, NcomError
-from .packet_time import WEEK_MS
+from .ncom import RAW_IMU, WEEK_MS, NcomError
 from .status import RAW_FIELDS, StatusTracker
 
 Change: TypeAlias = tuple[int, int, str, Value]

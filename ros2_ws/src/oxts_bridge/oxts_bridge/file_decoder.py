@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times
 
-from . import ncom, packet_time
+from . import ncom
 from .channels import FIELDS, UTC_CHANNEL, decode_event_time, decode_utc_offset
 from .ncom import BATCH_S, PACKET_SIZE, STATUS_RULES, Counters, NcomError, Packet, find_next_packet, is_valid_position
 
@@ -150,16 +150,16 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
     """Kind, GPS time [ns] and order of every packet, and the number of time jumps."""
     status, ms, minutes = packets["status"], packets["milliseconds"], packets["minute"]
     kind, gps_ns, order = _KIND[status], np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
-    timed = np.flatnonzero(_HAS_TIME[status] & (ms < packet_time.MINUTE_MS))
-    is_minute = (minutes >= packet_time.FIRST_MINUTE) & (minutes <= packet_time.LAST_MINUTE)
+    timed = np.flatnonzero(_HAS_TIME[status] & (ms < ncom.MINUTE_MS))
+    is_minute = (minutes >= ncom.FIRST_MINUTE) & (minutes <= ncom.LAST_MINUTE)
     sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & is_minute
     hints = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
     gps_ms, timed_order, jumps = compute_packet_times(
         ms[timed].astype(np.int64), np.where(sets_minute[timed], minutes[timed], -1),
         list(zip(np.searchsorted(timed, hints).tolist(), minutes[hints].tolist(), strict=True)))
-    same = np.flatnonzero(timed_order == packet_time.SAME)
+    same = np.flatnonzero(timed_order == ncom.SAME)
     repeats = (raw[timed[same]] == raw[timed[same - 1]]).all(axis=1)
-    timed_order[same[repeats]] = packet_time.DUPLICATE
+    timed_order[same[repeats]] = ncom.DUPLICATE
     gps_ns[timed] = np.where(gps_ms >= 0, gps_ms * 1_000_000, UNKNOWN_TIME)
     order[timed] = timed_order
     previous = b""
@@ -169,7 +169,7 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
         if event_ns is None:
             kind[i] = EMPTY
         else:
-            gps_ns[i], order[i] = event_ns, packet_time.DUPLICATE if packet == previous else packet_time.NEW
+            gps_ns[i], order[i] = event_ns, ncom.DUPLICATE if packet == previous else ncom.NEW
         previous = packet
     return kind, gps_ns, order, jumps
 
@@ -186,24 +186,24 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     each status-only packet that sent a minute; index: number of timed packets before it.
     """
     step = np.diff(ms, prepend=ms[:1])
-    ahead = step % packet_time.MINUTE_MS
-    is_late, is_jump = ahead >= packet_time.HALF_MINUTE_MS, ahead * 1_000_000 > packet_time.LARGEST_STEP_NS
+    ahead = step % ncom.MINUTE_MS
+    is_late, is_jump = ahead >= ncom.HALF_MINUTE_MS, ahead * 1_000_000 > ncom.LARGEST_STEP_NS
     wraps = np.cumsum((step < 0) & ~is_late)
     # Minute of each packet that has one, less the rollovers up to it: constant while the count is right.
     timed = np.flatnonzero(minutes >= 0)
     bases = minutes[timed] - wraps[timed]
     stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])
     times = np.full(len(ms), -1, np.int64)
-    order = np.where(ahead > 0, packet_time.NEW, packet_time.SAME).astype(np.int8)
-    waiting, clock, start = deque(hints), packet_time.GpsClock(), 0
+    order = np.where(ahead > 0, ncom.NEW, ncom.SAME).astype(np.int8)
+    waiting, clock, start = deque(hints), ncom.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
             base, k = clock.minute - wraps[start - 1], np.searchsorted(timed, start)
             stop = min([*stops[np.searchsorted(stops, start):][:1], *timed[k:k + 1][bases[k:k + 1] != base], len(ms)])
             if stop > start:
                 run = slice(start, stop)
-                times[run] = (wraps[run] + base) * packet_time.MINUTE_MS + ms[run]
-                clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), packet_time.MINUTE_MS)
+                times[run] = (wraps[run] + base) * ncom.MINUTE_MS + ms[run]
+                clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), ncom.MINUTE_MS)
                 clock.jumps += int(np.count_nonzero(is_jump[run]))
             start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
@@ -238,12 +238,12 @@ def _fill_counters(columns: Columns) -> None:
     structure_b = status == ncom.STRUCTURE_B
     counters.structure_b = int(structure_b.sum())
     counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= packet_time.MINUTE_MS)).sum())
+    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= ncom.MINUTE_MS)).sum())
     counters.unknown_statuses = int((~_IS_DEFINED[status]).sum())
     counters.unknown_channels = int((columns.has_status & ~_IS_KNOWN_CHANNEL[columns.channel]).sum())
     counters.triggers = int((_KIND[status] == TRIGGER).sum())
-    counters.duplicates = int((order == packet_time.DUPLICATE).sum())
-    counters.late = int((order == packet_time.LATE).sum())
+    counters.duplicates = int((order == ncom.DUPLICATE).sum())
+    counters.late = int((order == ncom.LATE).sum())
 
 
 def _mask_invalid(columns: Columns) -> None:

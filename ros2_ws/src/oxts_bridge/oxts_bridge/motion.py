@@ -6,8 +6,7 @@ from math import degrees, isfinite, isnan, radians
 from typing import NamedTuple
 
 from .geometry import Attitude, LocalFrame, Number, Vector, flu_from_frd
-from .ncom import Packet
-from .packet_time import NEW, SAME
+from .ncom import NEW, SAME, Packet
 from .status import StatusTracker
 from .stream import NcomParser, ReceivedPacket
 

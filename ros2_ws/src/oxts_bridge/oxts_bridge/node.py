@@ -16,8 +16,7 @@ from .convert import MESSAGE_TYPES, Publishers
 from .geometry import LocalFrame, Vector
 from .health import Health
 from .motion import FIRST_FIX, GIVEN, UNIT, Accuracy, Motion, Origin, extract_motion
-from .ncom import NcomError, Packet
-from .packet_time import DUPLICATE, NEW, SAME, to_unix_nanoseconds
+from .ncom import DUPLICATE, NEW, SAME, NcomError, Packet, to_unix_nanoseconds
 from .sources import ReplaySource, Source, UdpSource, continues_stream
 from .status import StatusTracker
 from .stream import NcomParser, ReceivedPacket, StreamStatistics

@@ -15,8 +15,7 @@ from st_core.measurement_history import unexplained_step
 
 from .file_decoder import UNKNOWN_TIME, decode_file
 from .geometry import LocalFrame
-from .ncom import PACKET_SIZE, Packet, decode
-from .packet_time import MINUTE_MS
+from .ncom import MINUTE_MS, PACKET_SIZE, Packet, decode
 
 # Linux socket option and message type for the kernel's receive time; not every Python build defines the name.
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)

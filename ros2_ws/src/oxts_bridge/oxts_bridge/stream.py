@@ -4,9 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 from statistics import median
 
-from . import channels, ncom, packet_time
-from .ncom import PACKET_SIZE, Counters, Packet, StatusRule, find_next_packet
-from .packet_time import DUPLICATE, LATE, MINUTE_MS, NEW, SAME, GpsClock
+from . import channels, ncom
+from .ncom import DUPLICATE, LATE, NEW, SAME, Counters, GpsClock, Packet, StatusRule
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 HOST_MINUTE_DELAY_NS = 2_000_000_000  # without channel 0, after which a stream gets its minute from the host's clock
@@ -72,14 +71,14 @@ class NcomParser:
         packets: list[ReceivedPacket] = []
         start = 0
         while start < len(buffer):
-            start, self._in_sync = find_next_packet(buffer, start, self._in_sync, self.counters)
-            raw = buffer[start : start + PACKET_SIZE]
-            if len(raw) < PACKET_SIZE:
+            start, self._in_sync = ncom.find_next_packet(buffer, start, self._in_sync, self.counters)
+            raw = buffer[start : start + ncom.PACKET_SIZE]
+            if len(raw) < ncom.PACKET_SIZE:
                 break
             received = self._accept(raw, self._consumed + start, received_ns)
             if received is not None:
                 packets.append(received)
-            start += PACKET_SIZE
+            start += ncom.PACKET_SIZE
         self._tail = buffer[start:]
         self._consumed += start
         return packets
@@ -98,7 +97,7 @@ class NcomParser:
         kind, order = rule.kind, NEW
         gps_ns: int | None = None
         minute = self._read_status(packet) if kind != "empty" else None
-        if rule.has_time and packet.milliseconds >= MINUTE_MS:
+        if rule.has_time and packet.milliseconds >= ncom.MINUTE_MS:
             counters.impossible_times += 1
         elif rule.has_time:
             gps_ns, order = self._compute_time(packet, raw, minute, received_ns)
@@ -109,7 +108,7 @@ class NcomParser:
         elif not rule.is_defined:
             counters.unknown_statuses += 1
         counters.impossible_positions += _mask_invalid(packet, rule, kind)
-        utc_ns = None if gps_ns is None else packet_time.to_unix_nanoseconds(gps_ns, self.utc_offset)
+        utc_ns = None if gps_ns is None else ncom.to_unix_nanoseconds(gps_ns, self.utc_offset)
         event_ns = None
         if packet.channel in channels.TRIGGER_CHANNELS and rule.has_status and order in (NEW, SAME):
             event_ns = self._detect_event(packet.channel, packet.batch_s, kind == "trigger")
@@ -133,7 +132,7 @@ class NcomParser:
             if self._untimed_since_ns is None:
                 self._untimed_since_ns = received_ns
             if received_ns - self._untimed_since_ns > HOST_MINUTE_DELAY_NS:
-                self.clock.hint(packet_time.compute_host_minute(received_ns, packet.milliseconds))
+                self.clock.hint(ncom.compute_host_minute(received_ns, packet.milliseconds))
                 self.minute_from_host = True
         return None, order
 
@@ -173,7 +172,7 @@ class NcomParser:
             self.utc_offset = self.utc_offset if offset is None else offset
             return None
         minute = int.from_bytes(data[:4], "little", signed=True)
-        if not packet_time.FIRST_MINUTE <= minute <= packet_time.LAST_MINUTE:
+        if not ncom.FIRST_MINUTE <= minute <= ncom.LAST_MINUTE:
             return None
         if status == ncom.STATUS_ONLY:
             self.clock.hint(minute)

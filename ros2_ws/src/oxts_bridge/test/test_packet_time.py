@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oxts_bridge.file_decoder import compute_packet_times
-from oxts_bridge.packet_time import LATE, MAX_LATE_RUN, NEW, SAME, GpsClock, compute_host_minute, to_unix_nanoseconds
+from oxts_bridge.ncom import LATE, MAX_LATE_RUN, NEW, SAME, GpsClock, compute_host_minute, to_unix_nanoseconds
 from st_core.leap_seconds import leap_seconds_at_gps
 
 SECOND = 1_000_000_000

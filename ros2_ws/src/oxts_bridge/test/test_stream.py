@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oxts_bridge import ncom
 from oxts_bridge.channels import encode_channel
 from oxts_bridge.file_decoder import KINDS, UNKNOWN_TIME, decode_file
-from oxts_bridge.packet_time import DUPLICATE, LATE, NEW, to_unix_nanoseconds
+from oxts_bridge.ncom import DUPLICATE, LATE, NEW, to_unix_nanoseconds
 from oxts_bridge.stream import NcomParser
 from trigger_bytes import encode_trigger
 

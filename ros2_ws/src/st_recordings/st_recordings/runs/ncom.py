@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from oxts_bridge import file_decoder, packet_time
+from oxts_bridge import file_decoder
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.motion import Motion
-from oxts_bridge.ncom import BATCH_S, STATUS_RULES, NcomError
+from oxts_bridge.ncom import BATCH_S, LATE, NEW, SAME, STATUS_RULES, NcomError
 from st_core.checks import InsQuality
 
 from .errors import RunError, check_readable, format_share
@@ -36,7 +36,7 @@ def read_ncom(file: Path) -> NcomLog:
         problem = str(error).removeprefix(f"{file}: ")
         raise RunError(file, problem, "remove the file from the command, or name the right one") from None
     warnings = _damage_warnings(columns, file)
-    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
+    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
@@ -79,7 +79,7 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
         lost.append(f"{counters.duplicates} packets are duplicates")
     notes = [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
     regular = columns.kind == file_decoder.REGULAR
-    other = regular & np.isin(columns.order, (packet_time.SAME, packet_time.LATE))
+    other = regular & np.isin(columns.order, (SAME, LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = format_share(int(other.sum()), int(regular.sum()), "packets")
         notes.append(f"{file}: {count} are neither later than those before them nor duplicates; they were left out; if "

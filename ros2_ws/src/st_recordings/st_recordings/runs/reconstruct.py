@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from canedge_bridge.decode import SteeringCalibration
-from oxts_bridge import file_decoder, packet_time
+from oxts_bridge import file_decoder
 from oxts_bridge.motion import FIRST_FIX, GIVEN, Motion, Origin, reconstruct_odometry
-from oxts_bridge.ncom import NcomError
+from oxts_bridge.ncom import NEW, NcomError
 from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
@@ -207,7 +207,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
         return None, None
-    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == packet_time.NEW)
+    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
     rows = timed[is_newer(columns.utc_ns[timed])]
     if not len(rows):
