@@ -43,7 +43,7 @@ class Drives:
 
 
 def settings_of(case: Case) -> DiscoverySettings:
-    return DiscoverySettings(channels=channels_of(case), effects=case.effects, where=False)
+    return DiscoverySettings(channels=channels_of(case), effects=case.effects, locate_errors=False)
 
 
 def channels_of(case: Case) -> tuple[str, ...]:
@@ -89,7 +89,7 @@ def _make_file(case: Case) -> tuple[VehicleParameters, Values]:
     start = vehicle_of(case.car.plant, case.car.settings)
     logs = [record_run(case.car.plant, start, Order(f"identified_{i + 1}", (case.seed, 400 + i), case.settings))
             for i in range(RUNS)]
-    model = Oracle(logs, start, IDENTIFIED, {}, DiscoverySettings(where=False)).best.model
+    model = Oracle(logs, start, IDENTIFIED, {}, DiscoverySettings(locate_errors=False)).best.model
     ratio = start.steering_ratio * model.values["steering_ratio"]["factor"]
     offset = start.steering_wheel_offset - model.values["steering_offset"]["angle"] * ratio
     mistaken = {n: {"factor": 1.0 / model.values[n]["factor"]} for n in IDENTIFIED if n != "steering_offset"}

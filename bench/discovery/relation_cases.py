@@ -45,7 +45,7 @@ class RelationCase:
         effects = None
         if self.hidden and self.hidden.removed:
             effects = tuple(n for n in find_applicable_effects("nonlinear") if not is_similar(n, self.hidden.removed))
-        return DiscoverySettings(effects=effects, where=False)
+        return DiscoverySettings(effects=effects, locate_errors=False)
 
 
 @dataclass(frozen=True)

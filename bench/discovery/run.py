@@ -35,7 +35,7 @@ def run_case(case: AnyCase, limits: Limits | None = None, whole: bool = True) ->
     limits = limits or Limits()
     if isinstance(case, EditCase):
         logs, vehicle = edits.drives_of(case)
-        found, seconds = _discover(logs, vehicle, (), DiscoverySettings(where=False, limits=limits))
+        found, seconds = _discover(logs, vehicle, (), DiscoverySettings(locate_errors=False, limits=limits))
         return {**describe_case(case), "cpu_s": seconds, **describe_answer(found)}
     drives = drives_of(case)
     settings = replace(settings_of(case), limits=limits)

@@ -12,8 +12,8 @@ from typing import Protocol
 from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
-from st_sim.can_wire import BackgroundTraffic, CanWire, Frame
-from st_sim.ncom_wire import NcomWire, Origin
+from st_sim.can_encoder import BackgroundTraffic, CanEncoder, Frame
+from st_sim.ncom_encoder import NcomEncoder, Origin
 from st_sim.sensors import InsReading
 from winding_road import RATE, Truth, winding_road
 
@@ -90,9 +90,9 @@ class Car(threading.Thread):
         start_ns = time.time_ns() // 10**6 * 10**6
         began = time.monotonic()
         origin = Origin(51.0, 4.0, 50.0)
-        unit = NcomWire(origin, start_ns, self._ncom_rate)
-        wires = CanWire(Decoder(config("can/leaf_ze0.dbc"), config("can/leaf_ze0.yaml")), origin, start_ns)
-        frames = _Frames(wires, self._drive, self._full_bus)
+        unit = NcomEncoder(origin, start_ns, self._ncom_rate)
+        encoder = CanEncoder(Decoder(config("can/leaf_ze0.dbc"), config("can/leaf_ze0.yaml")), origin, start_ns)
+        frames = _Frames(encoder, self._drive, self._full_bus)
         now = 0
         while not self._ending.is_set():
             wait = began + now / 1000 - time.monotonic()
@@ -118,18 +118,18 @@ class Car(threading.Thread):
 class _Frames:
     """All frames of the bus. The constant frames of other control units are packed once."""
 
-    def __init__(self, wires: CanWire, drive: Drive, full: bool):
-        self._wires, self._drive = wires, drive
+    def __init__(self, encoder: CanEncoder, drive: Drive, full: bool):
+        self._encoder, self._drive = encoder, drive
         background = BackgroundTraffic(0) if full else None
         self._others = [_packed(background.select_frames(ms)) for ms in range(100)] if background else []
 
     def at(self, now: int) -> Iterator[bytes]:
         """Frames that are due in two milliseconds. now: the first of them, an even number since the start."""
         if now % STEERING_PERIOD == 2:
-            yield from _packed(self._wires.encode_steering(self._drive.steering_wheel(now / 1000), 0.0))
+            yield from _packed(self._encoder.encode_steering(self._drive.steering_wheel(now / 1000), 0.0))
         if now % WHEEL_PERIOD == 6:
             speed = self._drive.reading(now / 1000).velocity_x
-            yield from _packed(self._wires.encode_wheel_speeds((speed,) * 4, speed))
+            yield from _packed(self._encoder.encode_wheel_speeds((speed,) * 4, speed))
         if self._others:
             yield from self._others[now % 100]
             yield from self._others[(now + 1) % 100]

@@ -82,7 +82,7 @@ def discover_hidden(folder: Path, effects: Mapping[str, float], seed: int, refer
                     ) -> dict[str, Any]:
     """discovery.json of drives with these settings of the plant."""
     drives = load_drives(write_drives(folder / "raw", effects, seed))
-    settings = DiscoverySettings(where=False)
+    settings = DiscoverySettings(locate_errors=False)
     found = discover(logs(drives), CAR, "nonlinear", logs(reference), settings,
                      sensor_estimates=sensor_estimates(drives))
     out = folder / "out"

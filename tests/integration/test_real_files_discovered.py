@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 pytestmark = pytest.mark.slow
 RUNS = ("cpg_lap_medium", "cpg_lap_slow", "cpg_low_speed_a", "rfs_turn_a")
-SETTINGS = DiscoverySettings(where=False, windows=160)
+SETTINGS = DiscoverySettings(locate_errors=False, windows=160)
 SCALE, OFFSET = 0.9, 0.02  # of the steering [1]; of the road wheel angle [rad]
 Row = dict[str, str]
 

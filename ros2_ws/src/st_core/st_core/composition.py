@@ -3,10 +3,10 @@
 The functions are created once per base and set of effects. Values occur only in the parameters p, so a fit never
 recreates, retraces or recompiles the functions. Layout of a composed model:
 
-    p     = AugmentedParameters: parameters of the base model, theta of each effect that acts in inputs or equations;
+    p     = AugmentedParameters: parameters of the base model, theta of each effect that changes inputs or equations;
             p of the base model alone if none does
     w     = (road_wheel_angle, velocity_x_dot, prepared quantities of each effect ..., w of the base model);
-            w of the base model alone if no effect acts in the equations
+            w of the base model alone if no effect changes the equations
     state = the six states of the base model, then the extra states of each effect
 
 Effects at their null values leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
@@ -91,7 +91,7 @@ def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], 
                  only_inputs: bool) -> Callable[..., tuple]:
     """Function inputs(road_wheel_angle, velocity_x_dot, p, *values of the signals) -> w.
 
-    only_inputs: no effect acts in the equations, and w is that of the base model.
+    only_inputs: no effect changes the equations, and w is that of the base model.
     """
     # Each effect receives the signals that it declares.
     hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])

@@ -25,8 +25,8 @@ from a motion planner; course = from earlier drives at the same place."""
 class Score:
     """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
 
-    NaN where not scored: from a position jump on, without a measured position, and in hindsight from an unknown input
-    on. *_mean: mean over all points of the horizon, the start included; NaN unless complete.
+    NaN after a position jump, where no position was measured, and, in hindsight, after an unknown input. *_mean: mean
+    over all points of the horizon, the start included; NaN unless complete.
     """
 
     model: str

@@ -145,7 +145,7 @@ class ModelFile:
         file.model()
         digest = document.get("hash")
         if digest is not None and digest != file.hash:
-            raise ConfigurationError(f"hash: {str(digest)[:12]} is not that of the content, {file.hash[:12]}: base, a "
+            raise ConfigurationError(f"hash: {str(digest)[:12]} does not match the content ({file.hash[:12]}): base, a "
                                      "value or the vehicle was edited; to accept the edit, remove the line `hash`")
         return file
 
@@ -190,8 +190,8 @@ def _read_vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     except ConfigurationError as error:
         raise ConfigurationError(f"vehicle.parameters: {error}") from None
     if vehicle.hash != digest:
-        raise ConfigurationError(f"vehicle.hash: {digest[:12]} is not that of vehicle.parameters, {vehicle.hash[:12]}; "
-                                 "restore the vehicle for which the effects were identified")
+        raise ConfigurationError(f"vehicle.hash: {digest[:12]} does not match vehicle.parameters ({vehicle.hash[:12]})"
+                                 "; restore the vehicle for which the effects were identified")
     return vehicle, name, digest
 
 

@@ -21,7 +21,7 @@ from st_core.effects import EFFECTS, load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 
-SETTINGS = DiscoverySettings(where=False)
+SETTINGS = DiscoverySettings(locate_errors=False)
 FEW = replace(SETTINGS, effects=("steering_offset", "steering_ratio", "mass"), windows=50)
 PAIR = ("lateral_acceleration_bias", "heading_misalignment")
 OFFSET = {"steering_offset": {"angle": 0.006}}

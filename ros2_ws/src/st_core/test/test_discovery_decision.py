@@ -167,7 +167,7 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
     (CONFIRMED, NamingChecks(excludes_null=False), NAMED),
     (GOOD, NamingChecks(crossing="factor"), MINOR), (GOOD, NamingChecks(peak_force_share=0.5), MINOR),
     (GOOD, NamingChecks(worse_axle="rear"), FORCES), (GOOD, NamingChecks(summed=("steering_lag",)), MINOR),
-    (CONFIRMED, NamingChecks(objection="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
+    (CONFIRMED, NamingChecks(violation="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
     (replace(GOOD, position=-0.03), NamingChecks(), MINOR),  # adding it raises the held-out position error
     (replace(CONFIRMED, position=-0.03), NamingChecks(), NAMED)])  # but the sensors confirm it
 def test_intervals_and_axle_forces_decide_the_naming(evidence, checks, rule):

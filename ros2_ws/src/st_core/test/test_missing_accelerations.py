@@ -33,7 +33,7 @@ def test_sensor_effects_on_a_kinematic_base_with_slip_need_only_accelerations():
 
 
 def test_windows_are_scored_where_the_acceleration_is_measured(logs, leaf):
-    settings = DiscoverySettings(where=False)
+    settings = DiscoverySettings(locate_errors=False)
     complete, with_gaps = (Windows([log], leaf, settings)._measured["acceleration_y"] for log in logs)
     lost = np.isnan(with_gaps) & np.isfinite(complete)
     assert 0.0 < lost.mean() < 0.1

@@ -17,7 +17,7 @@ RELATION = Candidate("yaw_moment", "acceleration_x", NEITHER, -4.0, 2.0)
 OTHER = Candidate("front_steer", "acceleration_x", NEITHER, -4.0, 2.0)
 AT = np.linspace(RELATION.low, RELATION.high, 41)
 HIDDEN = relation(RELATION, lambda acceleration: 0.02 * acceleration)
-SETTINGS = DiscoverySettings(where=False, block=4.0, windows=100)
+SETTINGS = DiscoverySettings(locate_errors=False, block=4.0, windows=100)
 
 
 def fit_relations(leaf, names, scale=None):
@@ -81,7 +81,7 @@ def test_relation_found_without_an_accelerometer_has_a_next_drive(leaf):
     names = ("lane_change", "slalom", "circle", "brake_in_turn", "brake_in_turn")
     logs = [replace(log, acceleration_y=None) for log in recorded(leaf, HIDDEN, 3, names)]
     channels = ("position", "yaw", "yaw_rate", "velocity_y")
-    settings = DiscoverySettings(where=False, block=5.0, windows=60, channels=channels)
+    settings = DiscoverySettings(locate_errors=False, block=5.0, windows=60, channels=channels)
     no_effects = replace(discovery(logs, (), 1.0), noise=dict.fromkeys(channels, 0.01))
     one = find_relation(no_effects, logs, leaf, settings).relation
     assert (one.candidate.term, one.candidate.quantity) == ("yaw_moment", "acceleration_x")

@@ -232,7 +232,7 @@ def test_relation_on_the_vehicle_must_significantly_improve_the_predicted_path(f
 def test_true_relation_is_proposed_with_its_slope(leaf):
     c = Candidate("sensor_yaw_rate", "acceleration_y", -1.0, -7.0, 7.0)
     logs = recorded(leaf, relation(c, lambda u: 0.003 * u), 3, DRIVEN)
-    settings = DiscoverySettings(where=False)
+    settings = DiscoverySettings(locate_errors=False)
     outcome = find_relation(discover(logs, leaf, "nonlinear", (), settings), logs, leaf, settings)
     one = outcome.relation
     assert one is not None, outcome.reason
@@ -267,7 +267,7 @@ def test_lagged_relations_use_the_steering_rate_and_the_lagging_steering(leaf):
 
 def test_run_time_starts_at_zero_in_every_run(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom", "brake_in_turn"))
-    windows = RunWindows(logs, leaf, DiscoverySettings(where=False))
+    windows = RunWindows(logs, leaf, DiscoverySettings(locate_errors=False))
     time = compute_run_time(windows, windows.starts_ns)
     assert time == pytest.approx(windows.seconds)
     found = find_candidates(windows, leaf)
@@ -279,13 +279,13 @@ def test_run_time_starts_at_zero_in_every_run(leaf):
 @pytest.mark.parametrize("seed", [3, 4])
 def test_no_relation_is_proposed_for_a_complete_model(leaf, seed):
     logs = recorded(leaf, {}, seed, DRIVEN)
-    outcome = find_relation(discovery(logs, (), 1.0), logs, leaf, DiscoverySettings(where=False))
+    outcome = find_relation(discovery(logs, (), 1.0), logs, leaf, DiscoverySettings(locate_errors=False))
     assert outcome.relation is None and outcome.reason and outcome.tried
 
 
 def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
-    no_effects, settings = discovery(logs, (), 1.0), DiscoverySettings(where=False)
+    no_effects, settings = discovery(logs, (), 1.0), DiscoverySettings(locate_errors=False)
     outcome = find_relation(no_effects, logs, leaf, settings)
     assert outcome.relation is None and "a curve needs 10" in outcome.reason
     outcome = find_relation(no_effects, logs[:1], leaf, settings)
@@ -294,7 +294,7 @@ def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
 
 @pytest.fixture(scope="module")
 def fits(leaf):
-    settings = DiscoverySettings(where=False, block=4.0)
+    settings = DiscoverySettings(locate_errors=False, block=4.0)
     windows = RunWindows(recorded(leaf, {}, 3, ("lane_change", "slalom")), leaf, settings)
     return RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
 
@@ -329,7 +329,7 @@ def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text)
 def test_terms_without_excitation_are_listed(leaf):
     """Straight driving at constant speed does not excite the axles."""
     straight = [drive(leaf, speed, lambda t: 0.0 * t, seconds=70.0, name=f"{speed:g}") for speed in (10.0, 14.0)]
-    settings = DiscoverySettings(where=False)
+    settings = DiscoverySettings(locate_errors=False)
     outcome = find_relation(discover(straight, leaf, "nonlinear", (), settings), straight, leaf, settings)
     assert outcome.relation is None
     assert {"front_grip", "rear_grip", "both_grip"} <= set(outcome.find_unexamined_terms())
@@ -341,7 +341,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
     """A straight line without the constant has the slope of this curve, but not its effect."""
     c = Candidate("yaw_moment", "speed", 0.0, 6.0, 18.0)
     logs = recorded(leaf, relation(c, lambda u: 0.3 - 0.02 * u), 3, DRIVEN)
-    settings = DiscoverySettings(where=False, block=4.0)
+    settings = DiscoverySettings(locate_errors=False, block=4.0)
     windows = RunWindows(logs, leaf, settings)
     fits = RelationFits(windows, augment("nonlinear", {}), 0.0, (), settings)
     without = fits.fit_without_relation()
@@ -359,7 +359,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
 
 def test_kinematic_base_without_tyre_slip_is_refused(leaf):
     logs = recorded(leaf, {}, 3, ("lane_change", "slalom"))
-    settings = DiscoverySettings(where=False, effects=("steering_ratio",))
+    settings = DiscoverySettings(locate_errors=False, effects=("steering_ratio",))
     outcome = find_relation(discover(logs, leaf, "kinematic", (), settings), logs, leaf, settings)
     assert outcome.relation is None and "use --base linear or --base nonlinear" in outcome.reason
 

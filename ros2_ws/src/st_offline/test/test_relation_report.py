@@ -188,7 +188,7 @@ def test_tables_list_errors_by_run_and_both_values_of_a_parameter():
 
 def test_files_are_listed_with_the_commands_that_use_them():
     lines = format_report(RelationSearch(make_relation("rear_steer", "acceleration_y", -1.0), "", {}))
-    assert "st export --model out/proposed.yaml --effects out/effects;" in lines
+    assert "st export with --model out/proposed.yaml --effects out/effects;" in lines
     assert "st effects check out/effects/proposed_rear_steer.py" in lines
 
 

@@ -66,7 +66,7 @@ def test_recordings_without_a_partner_are_reported(tmp_path: Path) -> None:
     raw_data = find_runs(touch(tmp_path / "raw_data", "d.log", "d.rd"))
     assert any("d.rd: this is raw data of an OxTS unit: convert it to NCOM" in str(run.problem) for run in raw_data)
     only_ins = find_runs(touch(tmp_path / "only_ins", "e.ncom"))
-    assert "no CAN log has the same stem" in str(only_ins[0].problem)
+    assert "no CAN log has the same name" in str(only_ins[0].problem)
 
 
 def test_table_without_a_required_column_is_a_run_with_an_error(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_folder_with_runs_of_several_kinds_and_other_files(tmp_path: Path) -> No
     ("note.txt", r"the file or folder does not exist; looked for in .*, did you mean notes\.txt\?"),
     ("notes.doc", r"recordings with the extension \.doc are not supported; give files with .*\.ncom"),
     ("table.lvm", r"recordings with the extension \.lvm are not supported; rename it to \.csv if it is a text"),
-    ("capture.pcap", "no CAN log has the same stem"),
+    ("capture.pcap", "no CAN log has the same name"),
     ("unit.bin", r"recordings with the extension \.bin are not supported; rename it to \.ncom if"),
     ("unit.rd", r"recordings with the extension \.rd are not supported; .* convert it to NCOM"),
     ("logger.vbb", r"recordings with the extension \.vbb are not supported; export it as \.vbo"),
@@ -181,7 +181,7 @@ def test_single_drive_is_read_with_the_run_file_of_its_folder(tmp_path: Path) ->
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
     (run,) = find_runs([tmp_path])
-    assert "no CAN log has the same stem; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
+    assert "no CAN log has the same name; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
 
 
 @pytest.mark.parametrize(("name", "error"), [

@@ -15,11 +15,11 @@ from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
 
-from .can_wire import STEERING_MESSAGE, CanWire
+from .can_encoder import STEERING_MESSAGE, CanEncoder
 from .car import read_car
 from .driver import SimulatedCar
 from .files import LogFile, Mf4File, TruthFile, make_folder
-from .ncom_wire import NcomWire, Origin
+from .ncom_encoder import NcomEncoder, Origin
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
@@ -105,8 +105,8 @@ class _Run:
     def generate_outputs(self, start_ns: int) -> Iterator[Output]:
         options, settings, rate = self._options, self.settings, self._options.ncom_rate
         return Stream(self._source, settings, Ins(self._car, settings, 1 / rate, options.seed),
-                      SteeringSensor(self._car, settings, options.seed), NcomWire(self._origin, start_ns, rate),
-                      CanWire(self._codec, self._origin, start_ns), rate, options.seed, options.can_rate == "full",
+                      SteeringSensor(self._car, settings, options.seed), NcomEncoder(self._origin, start_ns, rate),
+                      CanEncoder(self._codec, self._origin, start_ns), rate, options.seed, options.can_rate == "full",
                       options.startup).generate_outputs(self.duration)
 
 

@@ -11,9 +11,9 @@ import can
 from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
-from .can_wire import FRAME_TIME, BackgroundTraffic, CanWire, Frame
+from .can_encoder import FRAME_TIME, BackgroundTraffic, CanEncoder, Frame
 from .driver import SimulatedCar
-from .ncom_wire import NO_DATA, RAW_IMU, NcomWire
+from .ncom_encoder import NO_DATA, RAW_IMU, NcomEncoder
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
@@ -65,8 +65,8 @@ class Stream:
     """Outputs of a source, which is advanced at most one tick ahead of them. ins_rate: INS epochs per second.
     background: whether to add BackgroundTraffic. start_up: whether time 0 is the power-up of the INS."""
 
-    def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomWire,
-                 can: CanWire, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
+    def __init__(self, source: Source, settings: Settings, ins: Ins, steering: SteeringSensor, ncom: NcomEncoder,
+                 can: CanEncoder, ins_rate: int, seed: int, background: bool = False, start_up: bool = False):
         self._source, self._settings = source, settings
         self._ins, self._steering, self._ncom, self._can = ins, steering, ncom, can
         self._ins_schedule = 1000 // ins_rate, 0

@@ -8,7 +8,7 @@ from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim import run
 from st_sim.car import read_car
-from st_sim.ncom_wire import UNDULATION
+from st_sim.ncom_encoder import UNDULATION
 from st_sim.recorded_drive import COLUMNS, RecordedDrive
 from st_sim.settings import SimulationError
 from support import EXAMPLES, ROOT

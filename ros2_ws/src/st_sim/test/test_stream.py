@@ -9,10 +9,10 @@ from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
-from st_sim.can_wire import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanWire, Frame
+from st_sim.can_encoder import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanEncoder, Frame
 from st_sim.car import read_car
 from st_sim.driver import SimulatedCar
-from st_sim.ncom_wire import CYCLE_LENGTH, UNDULATION, NcomWire, Origin, from_ecef, make_schedule, to_ecef
+from st_sim.ncom_encoder import CYCLE_LENGTH, UNDULATION, NcomEncoder, Origin, from_ecef, make_schedule, to_ecef
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
@@ -35,7 +35,7 @@ def outputs(seconds, effects=(), scenario="S6", plant="ideal", rate=100, seed=0,
     settings = resolve_settings(plant, effects)
     car = SimulatedCar(CAR, settings, load_plan(scenario), seed)
     stream = Stream(car, settings, Ins(CAR, settings, 1 / rate, seed), SteeringSensor(CAR, settings, seed),
-                    NcomWire(ORIGIN, START_NS, rate), CanWire(codec(), ORIGIN, START_NS), rate, seed, **options)
+                    NcomEncoder(ORIGIN, START_NS, rate), CanEncoder(codec(), ORIGIN, START_NS), rate, seed, **options)
     return list(stream.generate_outputs(seconds))
 
 

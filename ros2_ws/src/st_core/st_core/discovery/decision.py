@@ -23,15 +23,15 @@ class NamingChecks:
     crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: force reached in the drives
     divided by the peak force, larger of both axles; 1 for an effect that does not act on the peak. worse_axle: an axle
     on which the effect acts and where the measured forces agree better with the vehicle file than with the final model,
-    or "". summed: other effects of the model; only their sum with this effect is identifiable. objection: reason why
-    the car with this effect would be implausible (see `handling.find_implausible_values`), or ""."""
+    or "". summed: other effects of the model; only their sum with this effect is identifiable. violation: range
+    that the car with this effect would violate (see `handling.find_violations`), or ""."""
 
     excludes_null: bool = True
     crossing: str = ""
     peak_force_share: float = 1.0
     worse_axle: str = ""
     summed: Sequence[str] = ()
-    objection: str = ""
+    violation: str = ""
 
 
 @dataclass(frozen=True)
@@ -193,8 +193,8 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
     if checks.worse_axle:
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
                       "less well with it than with the vehicle file: it improves predictions, but is not named")
-    if checks.objection:
-        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.objection}; "
+    if checks.violation:
+        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.violation}; "
                       "it improves predictions, but is not named")
     if checks.summed:
         return minor(f"only the sum of it and {' and '.join(checks.summed).replace('_', ' ')} is identifiable")

@@ -140,7 +140,7 @@ class _Analysis:
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
         outcome, why = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
-        regions = self._locate_errors(base, floor) if settings.where else ()
+        regions = self._locate_errors(base, floor) if settings.locate_errors else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
@@ -172,7 +172,8 @@ class _Analysis:
             evidence = state.evidence[name]
             others = sorted((r for r in state.rivals.get(name, ()) if decision.is_alternative(r, self.limits)),
                             key=lambda r: -r.share)
-            values = waterfall.estimate_parameters(problem, state.fit, name, parts, state.near, joint_fit, noise_ratio)
+            values = waterfall.estimate_parameters(problem, state.fit, name, parts, state.near_optimal, joint_fit,
+                                                   noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
                 {n: replace_interval(p, sensors.get(f"{name}.{n}")) for n, p in values.items()},
@@ -308,7 +309,7 @@ class _Analysis:
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
-                          [vector for _, vector in state.near])
+                          [vector for _, vector in state.near_optimal])
             return axles, axles.force_curves(base), axles.combinations(base) if joint_fit else ()
         except StCoreError:
             return None, (), ()
@@ -318,7 +319,7 @@ class _Analysis:
         """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
         car, so verdicts do not use them."""
         worse_axles: dict[str, str] = {}
-        car_objections: dict[str, str] = {}
+        violations: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
             reached_force_ratio = max(axles.reached_force_ratios().values())
@@ -326,15 +327,15 @@ class _Analysis:
                 worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
-                implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
-                car_objections[name] = next(iter(implausible), "")
+                found = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
+                violations[name] = next(iter(found), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_naming(state.evidence[e.name], self.limits, decision.NamingChecks(
             excludes_null=bool(self.reference) or excludes_null(e),
             crossing="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
-            worse_axle=worse_axles.get(e.name, ""), objection=car_objections.get(e.name, ""),
+            worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
             summed=tuple(n for n in delays if n != e.name) if e.name in delays else ())) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
@@ -368,7 +369,7 @@ class _Analysis:
         if varying is None:
             return (), None
         self.warnings.append(f"an effect similar to {varying.resembles.replace('_', ' ')} is significant, but varies "
-                             f"between {decision.PARTITION_NAMES[varying.varies_with]}; it is reported, not named")
+                             f"between {decision.PARTITION_NAMES[varying.varies_with]}; it is listed as varying")
         return (varying,), varying_fit
 
     def _collect_reasons(self, state: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
@@ -411,7 +412,7 @@ class _Analysis:
 
     def _simulate_catalogue(self, state: SearchState, effects: Sequence[result.FoundEffect]) -> Curvatures:
         """Curvatures of the loss for the manoeuvres of the catalogue; empty if they are not needed."""
-        if not self.settings.where and not any(e.alternatives for e in effects):
+        if not self.settings.locate_errors and not any(e.alternatives for e in effects):
             return {}
         self._ticker("next drive")()
         return simulate_catalogue(self.problem, state.fit)

@@ -30,8 +30,8 @@ class SearchState:
     """State of the search. fit: fit of the current set. order: names in order of selection, at the end of decreasing
     gain. By effect of the set: evidence for it, fit without it, and rivals that were tried in its place. refused:
     (evidence, verdict, fit) of each effect that was tried in addition and rejected. cached_scores: scores of the
-    effects outside the set. near: sets that fit nearly as well, see `_find_near_sets`, and fits with a load, without
-    names (`_add_load_rivals`)."""
+    effects outside the set. near_optimal: sets that fit nearly as well, see `_find_near_sets`, and fits with a
+    load, without names (`_add_load_rivals`)."""
 
     fit: Fit
     order: list[str]
@@ -40,7 +40,7 @@ class SearchState:
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     cached_scores: Scores | None = None
-    near: list[NearSet] = field(default_factory=list)
+    near_optimal: list[NearSet] = field(default_factory=list)
 
     @property
     def all_rivals(self) -> list[Rival]:
@@ -89,7 +89,7 @@ class Search:
                 p.loss.scale, p.design_effect = scale, design_effect
         state = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
-        state.near = self._find_near_sets(state)
+        state.near_optimal = self._find_near_sets(state)
         state.rivals = {name: [replace(r, added=self._added_share(state, r)) for r in rivals]
                         for name, rivals in state.rivals.items()}
         self._add_load_rivals(state)
@@ -127,7 +127,7 @@ class Search:
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())
                         state.rivals[rival.replaces] = [*(r for r in others if r.name != other), rival]
-                    state.near.append(((), fit.vector))
+                    state.near_optimal.append(((), fit.vector))
                     break
 
     def add_corrections(self, fit: Fit) -> Fit:

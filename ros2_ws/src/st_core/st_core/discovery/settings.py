@@ -68,7 +68,7 @@ class DiscoverySettings:
     predictions; they start at least `interval` [s] apart, as closer starts add little with a horizon of 5 s. block [s]:
     duration of a block; blocks count as independent. effects: names to choose from; None for all that apply. limits:
     thresholds of the decisions. certify: measure the power by one step of the search on simulated drives instead of
-    predicting it. where: report the conditions, times and places of the largest errors.
+    predicting it. locate_errors: report the conditions, times and places of the largest errors.
 
     Raises ConfigurationError naming the key and the limit.
     """
@@ -82,7 +82,7 @@ class DiscoverySettings:
     effects: tuple[str, ...] | None = None
     limits: Limits = field(default_factory=Limits)
     certify: bool = False
-    where: bool = True
+    locate_errors: bool = True
 
     def __post_init__(self) -> None:
         for channel in self.channels:

@@ -2,9 +2,9 @@
 
     y_point = y - shift a_y,   v_y_point = v_y - shift v_x r_dot,   v_x_point = v_x + shift a_y r,   a_y = v_x r
 
-shift is the height of the point above the roll axis times the roll angle per lateral acceleration. The roll is steady:
-its delay of about 50 ms is neglected, as is v_x_dot. Without yaw acceleration, as for a single live sample, the
-lateral velocity is not corrected. Source: rigid-body kinematics, velocity of a point.
+shift is the height of the point above the roll axis times the roll angle per lateral acceleration. Roll is
+quasi-static: its delay of about 50 ms is neglected, as is v_x_dot. Without yaw acceleration, as for a single live
+sample, the lateral velocity is not corrected. Source: rigid-body kinematics, velocity of a point.
 """
 
 from ..ops import cos, sin

@@ -31,9 +31,9 @@ def check_file_name(file: Path) -> None:
 
 
 def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
-    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. Advice of other
-    kinds, on notes, in conflict with an earlier finding, or on columns of a run without a table appears in comments
-    only. Paths are relative to `file`."""
+    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. A
+    correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
+    earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`."""
     corrections: dict[str, Any] = {}
     lines = [HEADER]
     for finding in findings:
@@ -105,7 +105,7 @@ def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
     """Settings of the run's own run.yaml, overridden by the options of the command line."""
-    # A car of table recordings has neither DBC nor signal table.
+    # A car whose recordings are tables has neither DBC nor signal table.
     bus = {"dbc": read.dbc, "signals": read.signals}
     given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}

@@ -44,7 +44,7 @@ HOOKS = {  # (signature, body) of the effect's method, by term
     "yaw_moment": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
     "side_force": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
 }
-OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}  # the static load grows with it
+OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}  # its CG distance sets the load
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.

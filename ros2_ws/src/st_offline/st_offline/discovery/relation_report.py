@@ -123,12 +123,12 @@ def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
     if relation.candidate.quantity == "run_time":
         return ["no effect file is written: a relation with the time in a run does not apply to other drives"]
     lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{effect_name(relation)}.py. To "
-             f"predict, give st evaluate, st demo or st export --model {folder}/proposed.yaml --effects "
-             f"{folder}/effects; to search for further effects, give st discover --base {folder}/proposed.yaml "
+             f"predict, run st evaluate, st demo or st export with --model {folder}/proposed.yaml --effects "
+             f"{folder}/effects; to search for further effects: st discover --base {folder}/proposed.yaml "
              f"--effects {folder}/effects; to test the file: st effects check "
              f"{folder}/effects/{effect_name(relation)}.py"]
     if has_model:
-        lines += ["without the relation: vehicle.yaml and model.yaml, or the one of them that was written",
+        lines += ["without the relation: vehicle.yaml and model.yaml, whichever was written",
                   "do not combine proposed.yaml with vehicle.yaml (the commands reject this): proposed.yaml already "
                   "contains the corrections of the vehicle file, which would be applied twice"]
     return lines

@@ -25,9 +25,9 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
          settings: ReadSettings | None = None) -> LoadedRun:
     """Reads one run. Raises RunError for a run that cannot be used.
 
-    vehicle: gives the steering ratio and offset for the road wheel angle, which the recording (bag, CSV) must contain
-    otherwise, and heading and sideslip if the yaw is the course over ground. Implausible samples are left out or NaN
-    (`st_core.checks.plausibility`), as `auxiliary.implausible` describes. Then the run.yaml corrects the drive.
+    vehicle: used for the steering ratio and offset, and for heading and sideslip if the yaw is the course over ground;
+    without a vehicle, the recording (bag, CSV) must contain the road wheel angle. Implausible samples are left out or
+    NaN (`st_core.checks.plausibility`), as `auxiliary.implausible` describes. Then the run.yaml corrects the drive.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -61,7 +61,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
     """Applies the corrections of the run.yaml. Raises RunError if they are invalid or a time shift leaves no sample.
 
-    Labels count from the first INS sample, so they are shifted if the first samples are left out.
+    Label times are relative to the first INS sample, so they are shifted if the first samples are left out.
     """
     left_out = source.settings.get("leave_out", ())
     phrases = (*describe_corrections(source.settings.get("correct", {})),

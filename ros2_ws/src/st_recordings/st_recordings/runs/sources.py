@@ -187,7 +187,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
             continue
-        why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same stem"
+        why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same name"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         signals = [name for name in others if Path(name).suffix.lower() in MF4_EXTENSIONS]

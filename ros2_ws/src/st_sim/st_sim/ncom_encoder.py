@@ -62,7 +62,7 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     return latitude, math.atan2(y, x), height
 
 
-class NcomWire:
+class NcomEncoder:
     """Encoder of the packets of one INS.
 
     start_ns: UTC of the start [ns since 1970], in whole milliseconds as NCOM requires. rate: packets per second.

@@ -8,7 +8,7 @@ import can
 import numpy as np
 from canedge_bridge.decode import Decoder
 
-from .ncom_wire import Origin
+from .ncom_encoder import Origin
 from .sensors import InsReading
 
 STEERING_MESSAGE = "Leaf_Steering"
@@ -34,7 +34,7 @@ class Frame:
     bus: int
 
 
-class CanWire:
+class CanEncoder:
     """Encoder of frames according to a DBC. start_ns: UTC of the start of the drive [ns since 1970]."""
 
     def __init__(self, codec: Decoder, origin: Origin, start_ns: int):
@@ -97,7 +97,7 @@ class CanWire:
 class BackgroundTraffic:
     """Other frames of the Car-CAN, each with constant random data, for a realistic load on filters and queues.
 
-    1540 per second; with the 217 encoded by CanWire, about CAR_CAN_RATE. INS frames are additional.
+    1540 per second; with the 217 encoded by CanEncoder, about CAR_CAN_RATE. INS frames are additional.
     """
 
     def __init__(self, seed: int):
