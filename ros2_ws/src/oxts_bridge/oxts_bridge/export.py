@@ -24,7 +24,7 @@ _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
 _DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
-             63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
+                      63: ("AngAccFiltFreq", "AngAccFiltZeta"), 74: ("LinAccFiltFreq", "LinAccFiltZeta")}
 """Status channel -> fields that derived columns and surface angles depend on."""
 _SURFACE_ANGLES = ("Surf2OutHeading", "Surf2OutPitch", "Surf2OutRoll")
 _ROWS_PER_WRITE = 1 << 12
@@ -46,8 +46,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     if len({output.resolve() for output in outputs}) < len(outputs):
         raise NcomError(f"values and status would both be written to {csv_path}: name two files")
     columns = decode_file(ncom_path)
-    changes, settings = _read_status(columns)
-    table = _make_table(columns, settings)
+    changes, history = _read_status(columns)
+    table = _make_table(columns, history)
     with Path(csv_path).open("w", encoding="ascii", newline="") as file:
         file.write(",".join(table) + "\n")
         for start in range(0, len(columns), _ROWS_PER_WRITE):
@@ -65,8 +65,8 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     return len(columns)
 
 
-def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
-    """Columns of the CSV by name. settings: values of the fields in _DERIVATION_FIELDS, by channel."""
+def _make_table(columns: Columns, history: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
+    """Columns of the CSV by name. history: values of the fields in _DERIVATION_FIELDS, by channel."""
     is_timed = (columns.gps_ns != UNKNOWN_TIME) & (columns.kind != TRIGGER)
     gps_ms = np.where(is_timed, columns.gps_ns // 1_000_000, 0)
     degrees, out_type = np.degrees, np.array(KINDS, "<U8")[columns.kind]
@@ -86,8 +86,8 @@ def _make_table(columns: Columns, settings: Mapping[int, SettingHistory]) -> dic
         **dict(zip(("Vn", "Ve", "Vd"), columns.velocity_ned, strict=True)),
         "Heading": np.where(heading < 0, heading + 360.0, heading),
         "Pitch": degrees(columns.pitch), "Roll": degrees(columns.roll),
-        **derive_columns(columns, velocity_accuracy=settings[4], acceleration_filter=settings[74],
-                         rate_filter=settings[63]),
+        **derive_columns(columns, velocity_accuracy=history[4], acceleration_filter=history[74],
+                         rate_filter=history[63]),
     }
 
 
@@ -96,7 +96,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHi
     tracker = StatusTracker()
     last_values: dict[str, Value] = {}
     changes: list[Change] = []
-    settings: dict[int, list[tuple[int, tuple[Value, ...]]]] = {channel: [] for channel in _DERIVATION_FIELDS}
+    history: dict[int, list[tuple[int, tuple[Value, ...]]]] = {channel: [] for channel in _DERIVATION_FIELDS}
     positions = np.array([columns.latitude, columns.longitude, columns.altitude]).T
     for i in np.flatnonzero(columns.has_status).tolist():
         channel = int(columns.channel[i])
@@ -112,9 +112,9 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHi
         if fields and channel in _DERIVATION_FIELDS:
             # A status applies from the next packet on; in a trigger packet, it applies from this packet on.
             first_packet = i if columns.kind[i] == TRIGGER else i + 1
-            settings[channel].append((first_packet, tuple(map(tracker.get, _DERIVATION_FIELDS[channel]))))
-    changes.extend(_compute_surface_angles(columns, settings[60]))
-    return sorted(changes, key=lambda change: change[0]), settings
+            history[channel].append((first_packet, tuple(map(tracker.get, _DERIVATION_FIELDS[channel]))))
+    changes.extend(_compute_surface_angles(columns, history[60]))
+    return sorted(changes, key=lambda change: change[0]), history
 
 
 def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[Change]:

@@ -27,7 +27,7 @@ class Channel:
     name: str
     label: str  # name in reports
     unit: str  # SI
-    resolution: float  # lower limit of the scale of residuals [unit], below the noise of an INS
+    min_residual_scale: float  # lower limit of the scale of residuals [unit], below the noise of an INS
     signals: tuple[str, ...] = ()  # DriveLog fields with the measurements; default: name
     columns: tuple[str, ...] = ()  # components of its error; default: name
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None

@@ -92,9 +92,9 @@ def test_residual_scale_is_the_standard_deviation_of_the_errors():
     np.testing.assert_allclose(problem.loss.scale, 0.02 * np.sqrt(10.0), rtol=0.06)
 
 
-def test_residual_scale_is_at_least_the_resolution_of_the_sensors():
+def test_residual_scale_has_a_lower_limit():
     problem = reduce_noise(linear_problem(FEW, {}, 1), 1e-9)
-    smallest = [CHANNEL_OF_COLUMN[column].resolution for column in COLUMNS] * 4
+    smallest = [CHANNEL_OF_COLUMN[column].min_residual_scale for column in COLUMNS] * 4
     np.testing.assert_array_equal(problem.loss.scale, smallest)
 
 

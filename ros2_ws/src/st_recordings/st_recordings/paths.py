@@ -20,7 +20,7 @@ MIN_FREE_SPACE = 10_000_000  # bytes, enough for the shortest run
 
 
 def project_root() -> Path:
-    """Checkout set by ./st, else share/ of the wheel, else that around the current folder. Raises SystemExit."""
+    """Checkout set by ./st, else share/ of the wheel, else the checkout that contains the current folder."""
     if "ST_ENVIRONMENT" in os.environ:
         return Path(os.environ["ST_ENVIRONMENT"])
     for folder in (INSTALLED_FILES, Path.cwd(), *Path.cwd().parents):
@@ -52,7 +52,7 @@ class OutputError(OSError):
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     """Absolute path of `given` or else runs/<name>-<time>; if `create`, the folder is created. Raises OutputError if it
-    is a file, is not empty or cannot be read or created; with `create` also if its disk is full."""
+    is a file, is not empty, or cannot be read or created; with `create`, also if its disk is full."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):

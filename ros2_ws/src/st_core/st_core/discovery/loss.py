@@ -90,17 +90,17 @@ class Loss:
         self.errors, self.space = errors, errors.space
         self.known = errors.windows.known & np.isfinite(errors.at(vector)).any(axis=1)[:, None]
         self.residual_count = int(self.known.sum())
-        resolution = [CHANNEL_OF_COLUMN[column].resolution for column in errors.windows.columns]
-        self.resolution = np.tile(resolution, len(errors.windows.time))
+        smallest = [CHANNEL_OF_COLUMN[column].min_residual_scale for column in errors.windows.columns]
+        self.min_scale = np.tile(smallest, len(errors.windows.time))
         self.scale = self.scale_of(vector)
 
     def scale_of(self, vector: np.ndarray) -> np.ndarray:
-        """(m,) 68 % quantile of the |residuals|, one standard deviation if they are normal; at least the resolution."""
+        """(m,) 68 % quantile of the |residuals|, one standard deviation if they are normal; at least min_scale."""
         rows = np.where(self.known, np.abs(self.errors.at(vector)), np.nan)
         rows[self.known & ~np.isfinite(rows)] = np.inf
         with np.errstate(all="ignore"):
             size = np.nanquantile(rows, 0.683, axis=0)
-        return np.clip(np.nan_to_num(size, nan=1.0, posinf=1e3), self.resolution, 1e3)
+        return np.clip(np.nan_to_num(size, nan=1.0, posinf=1e3), self.min_scale, 1e3)
 
     def rescale(self, vector: np.ndarray) -> None:
         self.scale = self.scale_of(vector)

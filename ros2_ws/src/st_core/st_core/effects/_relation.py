@@ -28,17 +28,17 @@ _register = partial(register, registry=UNLISTED)
 FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
     "front_steer": ("rad", "added to the road wheel angle, left +"),
-    "rear_steer": ("rad", "steer angle of the rear wheels, left +"),
-    "front_force": ("1", "lateral force of the front axle divided by its static load, left +"),
-    "rear_force": ("1", "lateral force of the rear axle divided by its static load, left +"),
+    "rear_steer": ("rad", "additional steer angle of the rear wheels, left +"),
+    "front_force": ("1", "additional lateral force of the front axle divided by its static load, left +"),
+    "rear_force": ("1", "additional lateral force of the rear axle divided by its static load, left +"),
     "front_grip": ("1", "relative change of the lateral force of the front axle"),
     "rear_grip": ("1", "relative change of the lateral force of the rear axle"),
-    "yaw_moment": ("rad/s^2", "yaw acceleration due to a moment on the body, left +"),
-    "side_force": ("m/s^2", "lateral acceleration due to a force on the body, left +"),
+    "yaw_moment": ("rad/s^2", "additional yaw acceleration due to a moment on the body, left +"),
+    "side_force": ("m/s^2", "additional lateral acceleration due to a force on the body, left +"),
     "sensor_yaw_rate": ("rad/s", "added to the reading of the yaw rate sensor"),
     "sensor_acceleration_y": ("m/s^2", "added to the reading of the accelerometer"),
     "sensor_velocity_y": ("m/s", "added to the lateral velocity of the INS"),
-    "sensor_heading": ("rad", "added to the heading of the INS"),
+    "sensor_heading": ("rad", "added to the yaw angle of the INS"),
 }
 """Terms that a curve is added to: unit, and meaning with its sign."""
 

@@ -51,32 +51,32 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
             raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, but a run.yaml describes "
                                      "one: give one run")
     folder = new_folder(job.output, "check", create=False)
-    good: list[CheckedRun] = []
-    failed: dict[str, str] = {}
+    checked_runs: list[CheckedRun] = []
+    unreadable: dict[str, str] = {}
     with make_progress_bars(console) as progress:
         for source in progress.track(sources, description="checking"):
             try:
-                good.append(check_run(source, job))
+                checked_runs.append(check_run(source, job))
             except RUN_ERRORS as error:
-                failed[source.name] = describe_problem(error, source)
-    if not good:
-        raise ConfigurationError("no run can be read: " + join_problems(failed.values()))
+                unreadable[source.name] = describe_problem(error, source)
+    if not checked_runs:
+        raise ConfigurationError("no run can be read: " + join_problems(unreadable.values()))
     new_folder(folder, "")
-    print_runs(good, console)
-    for name, problem in failed.items():
+    print_runs(checked_runs, console)
+    for name, problem in unreadable.items():
         report_problem(name, problem, console)
-    for number, quantity in enumerate(compare_runs([run.checked for run in good])):
+    for number, quantity in enumerate(compare_runs([run.checked for run in checked_runs])):
         print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
     if report_vehicle and not job.vehicle_is_given:
-        for file in sorted({run.vehicle_from for run in good}):
+        for file in sorted({run.vehicle_from for run in checked_runs}):
             report_vehicle(file)
-    files = write_results(good, failed, folder, job.json, console)
+    files = write_results(checked_runs, unreadable, folder, job.json, console)
     if target := job.correction_file:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(run_yaml(sources[0], good[0].checked.findings, target, job.read), encoding="utf-8")
+        target.write_text(run_yaml(sources[0], checked_runs[0].checked.findings, target, job.read), encoding="utf-8")
         files[target] = "the run with its corrections, for every command"
     list_files(files, console)
-    return int(bool(failed) or any(run.checked.with_severity(Severity.ERROR) for run in good))
+    return int(bool(unreadable) or any(run.checked.with_severity(Severity.ERROR) for run in checked_runs))
 
 
 def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
@@ -90,13 +90,13 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
                       summarise_alignment(run.alignment), source.arguments)
 
 
-def write_results(good: Sequence[CheckedRun], failed: Mapping[str, str], folder: Path, json: Path | None,
+def write_results(checked_runs: Sequence[CheckedRun], unreadable: Mapping[str, str], folder: Path, json: Path | None,
                   console: Console) -> dict[Path, str]:
     """Write page and JSON file; returns their descriptions by path."""
-    content = document(good, failed)
+    content = document(checked_runs, unreadable)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):
-        write_page(page, good, failed, content)
+        write_page(page, checked_runs, unreadable, content)
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json_text(content), encoding="utf-8")
     return {page: "one page, with the findings and figures", numbers: "all numbers; keys in docs/manual/checks.md"}

@@ -133,7 +133,7 @@ def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
 def cache_folder() -> Path | None:
     """Folder of cached results; None without a home directory."""
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "answers"
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "discovery"
     except RuntimeError:
         return None
 

@@ -35,10 +35,10 @@ QUANTITY_NAMES = {
     "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
-SIGNS = {"acceleration_x": " (derivative of the forward speed, including deceleration by cornering; braking −)",
+SIGNS = {"acceleration_x": " (derivative of the forward speed, so cornering drag is included; braking −)",
+         **dict.fromkeys(("acceleration_y", "lean"), " (forward speed times yaw rate; left +)"),
          **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
-         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "acceleration_y", "lean", "yaw_rate"),
-                         " (left +)")}
+         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "yaw_rate"), " (left +)")}
 """Positive direction of each signed quantity."""
 
 
@@ -76,7 +76,8 @@ def format_metres(value: float) -> str:
 
 
 def format_decimal(number: float, decimals: int) -> str:
-    """A number with this number of decimals, or with an exponent if it would need more than MAX_DECIMALS."""
+    """A number with this number of decimals, or with an exponent if it would need more than MAX_DECIMALS; with one
+    significant digit if it would be rounded to 0."""
     if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "× 0" for a small number
@@ -134,7 +135,7 @@ def axis_label(c: Candidate) -> str:
     """Label of the vertical axis, with the reference of relative values and the positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", + reads too large" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
+    sign = (", + reads too far to the left" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
             else f"{divisor}, left +")
     return f"{TERM_NAMES[c.term]}{sign}{f', for each unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 

@@ -107,7 +107,7 @@ def _title_with_causes(relation: Relation) -> str:
 def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
     """Source code of the effect file, with the fitted curve interpolated linearly between KNOTS points."""
     c = relation.candidate
-    meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {c.factor.replace('_', ' ')}"
+    meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {quantities.QUANTITY_NAMES[c.factor]}"
                                       if c.factor else "")
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = relation.coefficients @ c.compute_splines(knots)
@@ -123,7 +123,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),
         odd=", odd=True" if c.is_one_sided else "",
         ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), states=_state_source(c)[0],
-        physics=f"y = curve of {c.quantity}: {meaning}", body=_hooks_source(relation),
+        physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}", body=_hooks_source(relation),
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
         slot=SLOTS[c.term])
 

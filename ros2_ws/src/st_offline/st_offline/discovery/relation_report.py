@@ -50,7 +50,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
     causes = relation.formulas[0].causes if relation.formulas else ""
     proposal = [f"{f'{worse}. ' if runs else ''}{full_title(relation)}. A proposal is not established: try it, then "
                 "keep or delete it",
-                *([f"textbook causes: {causes}. These drives do not show the cause"] if causes else [])]
+                *([f"textbook causes: {causes}. These drives do not determine which one applies"] if causes else [])]
     headline = (f"PROPOSAL, not established: {full_title(relation)}; {without:.2f} m → {with_it:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
     groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, search.reason)),
@@ -96,12 +96,12 @@ def _uncertainty(relation: Relation) -> list[str]:
                            for low, high in relation.next_drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, turning to both sides")
-    absent = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
+    weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
               if ratio + report_text.Z95 * deviation < 0.5]
-    if absent and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
+    if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
                            relation.agreement.ratios.items())
-        lines.append(f"varies between runs: less than half as large in {', '.join(absent)} (relative size by run, "
+        lines.append(f"varies between runs: less than half as large in {', '.join(weak)} (relative size by run, "
                      f"95 %: {shares})")
     return lines
 

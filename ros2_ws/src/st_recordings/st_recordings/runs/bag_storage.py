@@ -131,8 +131,9 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
         return McapStorage(path, files)
     if suffixes == {".db3"}:
         return SqliteStorage(path, files)
-    problem = "this bag has storage files of both kinds (.mcap, .db3)" if suffixes == {*EXTENSIONS} else (
-        "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)")
+    if suffixes == {*EXTENSIONS}:
+        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "move each kind to a folder")
+    problem = "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)"
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
 

@@ -176,15 +176,15 @@ def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.
 
     to_reference: converts log times [ns] to the clock of the result [ns].
     """
-    wheels = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
+    speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
               for name in SPEEDS if (signal := signals.first_of(name)) is not None}
     ins = signals.all_of("ins_velocity_x")  # the two axis conventions have different messages
     if not ins:
-        return compute_car_speed(wheels), None
+        return compute_car_speed(speeds), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")
     time_ns, values = (np.concatenate([getattr(signal, name)[signal.valid] for signal in ins])[order]
                        for name in ("time_ns", "values"))
-    return compute_car_speed(wheels), make_series(to_reference(time_ns), values)
+    return compute_car_speed(speeds), make_series(to_reference(time_ns), values)
 
 
 def load_signal_table(dbc: Path, table: Path) -> SignalTable:

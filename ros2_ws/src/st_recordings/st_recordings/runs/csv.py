@@ -33,7 +33,7 @@ MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
 MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
-AGREEING_ANGLE, OTHER_ANGLE = 0.1, 0.3
+MAX_AGREEING_ANGLE, MIN_DISAGREEING_ANGLE = 0.1, 0.3
 """[rad]. A heading and a course agree if their median difference, due to sideslip and noise, is smaller than the first
 limit; above the second, the heading has another unit or direction."""
 MAX_HELD_SHARE = 0.3
@@ -268,7 +268,7 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
         for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
             errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
     name, unit = min(errors, key=lambda reading: errors[reading])
-    if errors[channel, source.unit] > OTHER_ANGLE and errors[name, unit] < AGREEING_ANGLE:
+    if errors[channel, source.unit] > MIN_DISAGREEING_ANGLE and errors[name, unit] < MAX_AGREEING_ANGLE:
         raise RunError(table.file, f"column {source.name} agrees with the velocities to the east and north only as "
                        f"{name} in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{source.name}'}} and "
                        f"units: {{{name}: {unit}}}")
@@ -311,9 +311,9 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
                        "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
-    if abs(ratio - 1.0) > 0.05 and angle > OTHER_ANGLE and np.abs(longitude[rows]).max() < np.pi / 2:
+    if abs(ratio - 1.0) > 0.05 and angle > MIN_DISAGREEING_ANGLE and np.abs(longitude[rows]).max() < np.pi / 2:
         ratio, angle = compare(longitude, latitude)
-        if abs(ratio - 1.0) < 0.02 and angle < AGREEING_ANGLE:
+        if abs(ratio - 1.0) < 0.02 and angle < MAX_AGREEING_ANGLE:
             raise RunError(table.file, f"{names[0]} and {names[1]} are interchanged: they agree with the driven "
                            "distance and the heading only the other way round", "interchange them in a run.yaml, as "
                            f"columns: {{latitude: '{names[1]}', longitude: '{names[0]}'}}")
@@ -394,7 +394,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
         speed = columns["velocity_x"]
         columns["velocity_x"], columns["velocity_y"] = speed * np.cos(sideslip), speed * np.sin(sideslip)
         if not np.nan_to_num(sideslip).any():
-            notes.append(f"{table.file}: no column was recognised as velocity_y, so the sideslip is not measured")
+            notes.append(f"{table.file}: no column was recognised as velocity_y; it is set to 0, sideslip is unknown")
     if "yaw_rate" not in columns:
         columns["yaw_rate"] = differentiate_yaw(table, columns["yaw"])
         notes.append(f"{table.file}: no column was recognised as yaw_rate; the derivative of yaw is used")

@@ -136,8 +136,11 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     """Builds the drive of a decoded run, on the INS clock. Raises RunError, also if the alignment is not accepted."""
     warnings, verdict, reasons = list(run.warnings), run.alignment.verdict, "; ".join(run.alignment.reasons)
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
-        raise RunError(source.where, f"its clock cannot be aligned with the clock of the CAN log: {reasons}",
-                       "inspect the alignment with `st align`, and give the offset if you know it (--offset)")
+        advice = "inspect the alignment with `st align`, and give the offset if you know it (--offset)"
+        if verdict is Verdict.REFUSED:
+            raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}", advice)
+        raise RunError(source.where, f"the alignment of its clock with that of the CAN log is doubtful: {reasons}",
+                       f"{advice}, or omit --strict to use it")
     if reasons:
         warnings.append(f"{source.where}: the alignment of the clocks is {verdict}: {reasons}")
     ins, steering = run.ins, run.steering
