@@ -157,10 +157,10 @@ def _read_effect(name: str, entry: Any) -> dict[str, EffectValue]:
     estimates = {}
     for key in entry:
         where = f"effects.{name}.{key}"
-        fields = _check_mapping(where, entry[key])
+        unit = parameters[key].unit
+        fields = _check_mapping(where, entry[key], f"value: ..., unit: {quote(unit)}")
         check_keys(f"{where}.", fields, ["value", "unit", "interval", "source", "effective"],
                    required=["value", "unit"])
-        unit = parameters[key].unit
         if str(fields["unit"]) != unit:
             raise ConfigurationError(f"{where}: unit {str(fields['unit'])!r} is not {unit}; convert the value")
         value = parameters[key].check(fields["value"], where)
@@ -195,9 +195,9 @@ def _read_vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     return vehicle, name, digest
 
 
-def _check_mapping(where: str, value: Any) -> dict[str, Any]:
+def _check_mapping(where: str, value: Any, form: str = "key: value, ...") -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigurationError(f"{where}: not a mapping of `key: value`; see docs/manual/effects.md")
+        raise ConfigurationError(f"{where}: expected a mapping, {{{form}}}; see docs/manual/effects.md")
     return value
 
 

@@ -88,7 +88,7 @@ def test_hash_depends_on_what_changes_a_prediction(leaf):
     ("mass: {value: 1590.0", "mass: {value: 1.0", r"vehicle\.parameters: mass: 1 kg does not fit a car"),
     ("date:", "day:", r"provenance\.day: unknown key"),
     ('"ab12"', "12", r"provenance\.data\.run one\.ncom: 12 is not a string"),
-    ("  steering_lag:", "  mass: 3\n  steering_lag:", r"effects\.mass: not a mapping"),
+    ("  steering_lag:", "  mass: 3\n  steering_lag:", r"effects\.mass: expected a mapping"),
     ("effects:", "effects: [", r"not valid YAML, line"),
     ("    wind_x:", "    wind_y: {value: 1.0, unit: m/s}\n    wind_x:", r"wind_y: given twice"),
 ])
@@ -102,7 +102,7 @@ def test_mistakes_name_file_key_and_limit(leaf, old, new, message):
 
 @pytest.mark.parametrize("text", ["", "- 1", "linear", "base: linear", "base: linear\neffects: [mass]"])
 def test_other_yaml_is_rejected(text):
-    with pytest.raises(ConfigurationError, match=r"^m: (the file: not a mapping|effects)"):
+    with pytest.raises(ConfigurationError, match=r"^m: (the file: expected a mapping|effects)"):
         ModelFile.from_yaml(text, "m")
 
 

@@ -45,8 +45,8 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             comment = check_report.describe_correction(advice)
         elif finding.severity is Severity.NOTE:
             comment = f"not applied, negligible: {advice.line}"
-        elif source.kind not in TABLE_KEYS and CSV_KEYS & advice.entry.keys():
-            comment = f"not applied, only a csv or vbo has columns and units: {advice.line}"
+        elif not READERS[source.kind].is_table and CSV_KEYS & advice.entry.keys():
+            comment = f"not applied, only a {' or '.join(TABLE_KEYS)} has columns and units: {advice.line}"
         elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
             comment = f"not applied, an earlier finding has another value: {advice.line}"
         else:
@@ -58,7 +58,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
                      f"{read.steering_latency:g}\n")
     settings = append_corrections(_settings(source, file, read), corrections)
     parts = [_relative(path, file) for path in source.files]
-    files = {READERS[source.kind].key: parts if source.kind in TABLE_KEYS and len(parts) > 1 else parts[0],
+    files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
     content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)

@@ -69,7 +69,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     if not phrases:
         return run
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
-    if "yaw" in corrections and READERS[source.kind].scales_yaw:
+    if "yaw" in corrections and READERS[source.kind].is_table:
         corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     try:
         log = apply_corrections(run.log, corrections, vehicle, left_out)

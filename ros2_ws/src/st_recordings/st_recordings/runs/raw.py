@@ -26,7 +26,6 @@ from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS, find_reader
-from .run_file import TABLE_KEYS
 from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
 from .sources import find_runs
 
@@ -216,7 +215,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
 def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
     logs = [f for f in files if is_can_log(f)]
-    tables = [(f, reader) for f in files if f not in logs and (reader := find_reader(f)) and reader.key in TABLE_KEYS]
+    tables = [(f, reader) for f in files if f not in logs and (reader := find_reader(f)) and reader.is_table]
     if len(tables) == 1 and len(logs) == len(files) - 1 and logs:  # find_runs would read the table as a complete drive
         ((table, reader),) = tables
         return RunSource(table.stem, reader.kind, (table,), tuple(logs))

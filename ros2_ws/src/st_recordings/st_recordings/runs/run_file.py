@@ -19,7 +19,7 @@ from .run_types import Label, RunSource
 
 RUN_FILE = "run.yaml"
 RUN_SUFFIX = ".run.yaml"
-TABLE_KEYS = ("csv", "vbo")  # keys of recordings that have columns and may consist of several files
+TABLE_KEYS = tuple(reader.key for reader in READERS.values() if reader.is_table)
 _FILE_KEYS = tuple(dict.fromkeys(reader.key for reader in sorted(READERS.values(), key=lambda r: not r.needs_can)))
 _KEYS = ("name", *_FILE_KEYS, "each", "can", "offset", "ins_can_latency", "labels", "dbc", "signals", "columns",
          "units", "correct", "leave_out")
@@ -123,9 +123,9 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
     if reader.needs_can and not logs:
         raise RunError(path, "the key can names no CAN log", "list the logs, a folder that contains them, or a pattern")
     for setting in ("columns", "units"):
-        if setting in content and key not in TABLE_KEYS:
-            raise RunError(path, f"{setting}: only csv and vbo files have columns, and other files have fixed units",
-                           "change values of other recordings with `correct:`")
+        if setting in content and not reader.is_table:
+            raise RunError(path, f"{setting}: only {' and '.join(TABLE_KEYS)} files have columns, and other files have "
+                           "fixed units", "change values of other recordings with `correct:`")
     settings = {setting: parse(path, setting, content[setting]) for setting, parse in _SETTINGS.items()
                 if setting in content and (setting != "offset" or content[setting] is not None)}
     if "columns" in content or "units" in content:
@@ -142,7 +142,7 @@ def find_logs(file: Path, files: Sequence[Path]) -> list[Path]:
 
 
 def _find_parts(path: Path, key: str, value: Any) -> tuple[Path, ...]:
-    """Finds the files with the INS measurements. Only csv and vbo recordings may consist of several files."""
+    """Finds the files with the INS measurements. Only tables may consist of several files."""
     if key not in TABLE_KEYS:
         return (_find_file(path, key, value),)
     files = tuple(dict.fromkeys(_find_matching_files(path, key, value)))

@@ -23,8 +23,8 @@ class Reader:
     that a run needs CAN logs. read_ins: reads only the INS, for a run with CAN logs. is_folder: whether a folder is one
     recording. has_drive: whether a file contains a drive, by a quick test; True if undecided. is_incomplete: whether a
     file without a drive is probably meant as one, so that it is reported. lacks_steering: whether a recording contains
-    no steering angle, so that CAN logs belong to it. scales_yaw: whether `read` and `read_ins` apply the correction
-    factor of yaw.
+    no steering angle, so that CAN logs belong to it. is_table: whether it has columns and may consist of several files;
+    `read` and `read_ins` then apply the correction factor of yaw.
     """
 
     kind: str
@@ -36,7 +36,7 @@ class Reader:
     has_drive: Callable[[Path], bool] = lambda path: True
     is_incomplete: Callable[[Path], bool] = lambda path: False
     lacks_steering: Callable[[Path], bool] = lambda path: False
-    scales_yaw: bool = False
+    is_table: bool = False
 
     @property
     def needs_can(self) -> bool:

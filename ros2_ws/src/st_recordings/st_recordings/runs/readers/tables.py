@@ -22,8 +22,9 @@ def _get_yaw_scale(source: RunSource) -> float:
     return source.settings.get("correct", {}).get("yaw", Correction()).scale
 
 
-def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
-              **tests: Callable[[Path], bool]) -> None:
+def register_table(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
+                   **tests: Callable[[Path], bool]) -> None:
+    """Adds a kind of table. kind: also its key in a run.yaml. read_one: reads one file. tests: fields of `Reader`."""
     def _read_joined(source: RunSource, layout: Layout) -> Table:
         return join_tables([read_one(file, layout) for file in source.files])
 
@@ -37,9 +38,9 @@ def _register(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, 
         table = _read_joined(source, source.settings.get("layout") or Layout())
         return csv.build_ins_log(table, yaw_scale=_get_yaw_scale(source))
 
-    register(Reader(kind, kind, extensions, read, read_ins, scales_yaw=True, **tests))
+    register(Reader(kind, kind, extensions, read, read_ins, is_table=True, **tests))
 
 
-_register("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
-          has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
-_register("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)
+register_table("csv", (".csv", ".tsv", ".txt", ".dat", *MF4_EXTENSIONS, *BINARY_EXTENSIONS), read_table,
+               has_drive=csv.has_drive_columns, is_incomplete=csv.looks_like_a_drive, lacks_steering=csv.lacks_steering)
+register_table("vbo", (".vbo",), read_vbo, lacks_steering=lacks_steering)
