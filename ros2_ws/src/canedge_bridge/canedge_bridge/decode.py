@@ -35,10 +35,12 @@ class DecodedFrame:
 @dataclass
 class MessageStatistics:
     """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. implausible: excludes
-    plausible frames that are withheld. dropped: failed in mode `drop`. lost: missing by the counter. last_seen_ns: time
-    of the last good frame with signals, or None."""
+    plausible frames that are withheld. dropped: failed in mode `drop`. lost: missing by the counter. bad: with a
+    fault; one with a failed check in mode `warn` may also be not finite or implausible. last_seen_ns: time of the last
+    good frame with signals, or None."""
 
     good: int = 0
+    bad: int = 0
     wrong_length: int = 0
     wrong_checksum: int = 0
     wrong_counter: int = 0
@@ -97,16 +99,19 @@ class Decoder:
         data = strip_padding(bytes(frame.data), spec.dbc.length)
         if data is None:
             statistics.wrong_length += 1
+            statistics.bad += 1
             return None
         fault = self._find_fault(state, data, time_ns)
+        statistics.bad += fault is not Mode.OFF
         if fault is Mode.DROP:
             statistics.dropped += 1
             return None
         values = spec.to_si(data)
         if not all(map(math.isfinite, values.values())):
             statistics.not_finite += 1
+            statistics.bad += fault is Mode.OFF
             return None
-        if state.plausibility and not self._are_plausible(state, values, time_ns):
+        if state.plausibility and not self._are_plausible(state, values, time_ns, fault):
             return None
         statistics.good += 1
         if not values:  # a multiplexed frame that carries none of the table's signals
@@ -114,13 +119,14 @@ class Decoder:
         statistics.last_seen_ns = time_ns
         return DecodedFrame(spec.name, time_ns, replace_gps_time(values), fault is Mode.OFF)
 
-    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int) -> bool:
+    def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, fault: Mode) -> bool:
         """Whether all values are plausible; also false while too many recent values of a signal are implausible,
-        because the plausible ones are then a coincidence."""
+        because the plausible ones are then a coincidence. fault: of this frame, from `_find_fault`."""
         plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
                      if name in state.plausibility]
         if not all(plausible):
             state.statistics.implausible += 1
+            state.statistics.bad += fault is Mode.OFF
             return False
         return not any(check.fault for check in state.plausibility.values())
 

@@ -88,7 +88,7 @@ class Health:
             for fault in ("lost", *_FAULTS, "dropped"):
                 if count := getattr(counts, fault):
                     values[f"{name} {fault.replace('_', ' ')}"] = count
-            bad += sum(getattr(counts, fault) for fault in _FAULTS)
+            bad += counts.bad
         values["unknown identifiers"] = self._decoder.skipped["unknown"]
         values["remote frames"] = self._decoder.skipped["remote"]
         new, self._previous_bad = bad - self._previous_bad, bad

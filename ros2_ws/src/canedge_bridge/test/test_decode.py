@@ -6,6 +6,8 @@ import math
 import can
 import pytest
 from canedge_bridge.decode import Decoder
+from canedge_bridge.health import Health
+from canedge_bridge.receiver import ReceiverStatus
 from canedge_bridge.table_reader import TableError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -151,6 +153,19 @@ def test_implausible_angle_updates_nothing(decoder):
     assert decoder.decode(encode_steering(decoder, 1, math.radians(1200)), STEP) is None
     statistics = decoder.statistics("Leaf_Steering")
     assert (statistics.implausible, statistics.last_seen_ns) == (1, 0)
+
+
+def test_frame_with_two_faults_is_one_bad_frame(dbc_file, signals_file):
+    decoder = Decoder(dbc_file, signals_file, checks={"Leaf_Steering": "warn"})
+    assert decoder.decode(encode_steering(decoder, 0, 0.0), 0) is not None
+    assert decoder.decode(flip_bit(encode_steering(decoder, 1)), STEP) is not None
+    assert decoder.decode(encode_steering(decoder, 4, math.radians(1200)), 2 * STEP) is None  # counter and angle
+    assert decoder.decode(encode_steering(decoder, 5, math.radians(1200)), 3 * STEP) is None
+    statistics = decoder.statistics("Leaf_Steering")
+    assert (statistics.wrong_checksum, statistics.wrong_counter, statistics.implausible, statistics.bad) == (1, 1, 2, 3)
+    health = Health("can0", decoder, ReceiverStatus, lambda: 0)
+    assert {check.name: check.message for check in health.checks()}["frames"] == (
+        "3 bad frames since the last report, 3 since start")
 
 
 def test_wrong_byte_order_is_detected_while_steering(decoder):

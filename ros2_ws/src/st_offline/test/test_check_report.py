@@ -28,7 +28,9 @@ from st_offline.checking.gate import RefusedRunError
 from st_offline.checking.run_corrections import append_corrections, check_file_name, run_yaml
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
+from st_recordings.runs.columns import Layout
 from st_recordings.runs.raw import summarise_alignment
+from st_recordings.runs.run_types import SteeringField
 from support import LEAF
 
 HOSTILE = "<script>alert(1)</script> & [bold]x"
@@ -209,6 +211,19 @@ def test_proposed_run_yaml_contains_all_corrections_with_their_findings(tmp_path
         assert any(f"{one.severity.value}: {one.name}: " in line for line in comments)
     assert "#   in the vehicle file: cg_to_ins_x: {value: -1.9, unit: m}" in comments
     assert "# read with --steering-sign -1 --steering-latency 0" in comments
+
+
+@pytest.mark.parametrize(("sign", "content"), [
+    (1, {"columns": {"yaw": "psi", "steering_wheel_angle": "swa"}, "units": {"steering_wheel_angle": "deg"}}),
+    (-1, {"columns": {"yaw": "psi"}})])
+def test_proposed_run_yaml_contains_the_steering_column_of_the_option(tmp_path, sign, content):
+    """A run.yaml has no sign of the steering; a wrong one would be read without an error."""
+    source = replace(make_source(tmp_path), settings={"layout": Layout({"yaw": "psi"})})
+    read = ReadSettings(steering_sign=sign, steering=SteeringField("", "swa", "wheel", "deg", sign))
+    text = run_yaml(source, [], tmp_path / "run.yaml", read)
+    assert yaml.safe_load(text) == {"name": "drive", "csv": "drive.csv", **content}
+    assert "# read with --steering-field 'swa' --steering-is wheel" in text
+    assert ("--steering-sign -1" in text) is (sign == -1)
 
 
 def test_multiline_finding_remains_a_comment(tmp_path):

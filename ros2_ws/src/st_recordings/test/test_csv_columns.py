@@ -139,6 +139,17 @@ def gnss_drive(course_is_yaw: bool) -> tuple[dict[str, str], dict[str, np.ndarra
     return {**names, "course": "course_over_ground"}, data
 
 
+@pytest.mark.parametrize("name", ["yaw rate [rps]", "yaw_rate_rps"])
+def test_rps_is_no_unit_of_the_yaw_rate(tmp_path: Path, name: str) -> None:
+    """It means revolutions per second in most tables, rad/s in others."""
+    drive = read_csv(write(tmp_path / "d.csv", {**PLAIN, "yaw_rate": name}))
+    np.testing.assert_allclose(drive.log.yaw_rate, 1.0, atol=1e-6)  # of yaw, not of its own column
+    texts = [text.partition(": ")[2] for text in drive.warnings]
+    ignored = ["column yaw rate [rps] is not used: 'rps' is not a unit of angular rate (known units are rad/s, deg/s, "
+               "mrad/s)"] if "[" in name else []
+    assert texts == [*ignored, "no column was recognised as yaw_rate; the derivative of yaw is used"]
+
+
 @pytest.mark.parametrize("course_is_yaw", [True, False])
 def test_course_and_speed_over_ground_give_the_body_velocities(tmp_path: Path, course_is_yaw: bool) -> None:
     names, data = gnss_drive(course_is_yaw)

@@ -11,6 +11,8 @@ from st_core.checks import Finding, Severity
 from st_core.corrections import Correction
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import add_steering_column
 from st_recordings.runs.errors import escape_unprintable
 from st_recordings.runs.readers import READERS
 from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
@@ -53,15 +55,24 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
             corrections = merged
             continue
         lines.append(f"#   {escape_unprintable(comment)}\n")
-    if read.steering_sign != 1 or read.steering_latency:
-        lines.append(f"# read with --steering-sign {read.steering_sign} --steering-latency "
-                     f"{read.steering_latency:g}\n")
+    if options := _format_steering_options(read):
+        lines.append(f"# read with {options}\n")
     settings = append_corrections(_settings(source, file, read), corrections)
     parts = [_relative(path, file) for path in source.files]
     files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
     content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def _format_steering_options(read: ReadSettings) -> str:
+    options = []
+    if (steering := read.steering) is not None:
+        options = [*([f"--steering-topic {steering.topic}"] if steering.topic else []),
+                   f"--steering-field {steering.field!r} --steering-is {steering.quantity}"]
+    if read.steering_sign != 1 or read.steering_latency:
+        options.append(f"--steering-sign {read.steering_sign} --steering-latency {read.steering_latency:g}")
+    return escape_unprintable(" ".join(options))
 
 
 def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,13 +115,16 @@ def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
-    """Settings of the run's own run.yaml, overridden by the options of the command line."""
+    """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml has no sign of a
+    steering column: with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.
     bus = {"dbc": read.dbc, "signals": read.signals}
     given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
              "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
     settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
     layout = settings.pop("layout", None)
+    if read.steering is not None and read.steering.sign == 1 and source.kind in TABLE_KEYS:
+        layout = add_steering_column(layout or Layout(), read.steering)
     result = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
              for key, value in settings.items()}
     if layout is not None:

@@ -29,7 +29,7 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "speed": {"m/s": (1.0, ("mps", "m per s", "m s-1")), "km/h": (1 / 3.6, ("kph", "kmph")),
               "mph": (0.44704, ("mi/h",)), "kn": (1852 / 3600, ("kt", "kts", "knot", "knots")),
               "ft/s": (0.3048, ("fps",)), "cm/s": (1e-2, ()), "mm/s": (1e-3, ())},
-    "angular rate": {"rad/s": (1.0, ("radps", "rps", "rad per s", "rad s-1", "1/s")),
+    "angular rate": {"rad/s": (1.0, ("radps", "rad per s", "rad s-1", "1/s")),
                      "deg/s": (math.pi / 180, ("dps", "degps", "deg per s", "deg s-1")),
                      "mrad/s": (1e-3, ())},
     "ratio": {"1": (1.0, ())},
