@@ -110,7 +110,7 @@ def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal]
         return given
     difference = check.offset_ns * 1e-9 - offset
     reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
-              "middle of the common time")
+              "middle of the overlap")
     close = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
     return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
                    peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)

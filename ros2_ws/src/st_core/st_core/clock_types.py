@@ -102,6 +102,6 @@ def refused_alignment(*reasons: str) -> Alignment:
 
 
 def describe_step(size: float, time: float) -> str:
-    """Reason for a verdict: reference minus other time steps by `size` [s], at `time` [s] from the common middle."""
-    return (f"a clock steps by {size * 1e3:+.0f} ms about {round(time):+d} s from the middle of the common time: "
+    """Reason for a verdict: the clock difference steps by `size` [s], `time` [s] after the middle of the overlap."""
+    return (f"a clock steps by {size * 1e3:+.0f} ms about {round(time):+d} s from the middle of the overlap: "
             "align the parts before and after it separately")

@@ -233,7 +233,7 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--can-interface", default="udp_multicast")
     parser.add_argument("--can-channel", default="239.74.163.2")
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
-                        help="of the car, realistic: steering, wheel speeds and gear; full: a Car-CAN, 1750 frames/s")
+                        help="frames of the car; realistic: steering, wheel speeds and gear; full: 1750 per second")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for truth.mcap")
     parser.add_argument("--to-files", type=Path, metavar="DIR",
                         help="folder for run.ncom, run.log or run.mf4, and truth.mcap; nothing is sent")

@@ -53,8 +53,8 @@ def _matches(ratio: float, target: float) -> bool:
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
     """(motion with units, signs and axes corrected, the findings). `check_time_unit` must precede it."""
     findings: list[Finding] = []
-    for step in (_correct_both_turns, _correct_north_east, _correct_turns, _correct_position_axes, _correct_distance,
-                 _correct_velocity_axes, _correct_yaw_offset):
+    for step in (_correct_rate_in_unit_of_yaw, _correct_north_east, _correct_yaw_or_rate, _correct_position_axes,
+                 _correct_distance, _correct_velocity_axes, _correct_yaw_offset):
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
@@ -99,13 +99,13 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
 
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
     """Finding of time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
-    velocity, turn = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
+    velocity, yaw_rate = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
     wrong = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
-    if velocity is None or turn is None or wrong is None or turn.shifted(-1.0).covers(0.0):
+    if velocity is None or yaw_rate is None or wrong is None or yaw_rate.shifted(-1.0).covers(0.0):
         return None
-    factor, difference = velocity.value, abs(velocity.value - turn.value)
+    factor, difference = velocity.value, abs(velocity.value - yaw_rate.value)
     if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
-            np.hypot(np.hypot(velocity.half_width, turn.half_width), MAX_SCALE_ERROR)):
+            np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
     text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast for positions and yaw: are the rows "
             "stamped at a nominal rate that is not the true one?")
@@ -121,7 +121,7 @@ def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
     return _compute_misfit(shifted) < CLEAR_MISFIT_RATIO * _compute_misfit(motion)
 
 
-def _correct_both_turns(motion: Motion) -> MotionAndFinding:
+def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
     """Correct a yaw rate that is in the same wrong unit as yaw, as the course shows; yaw is corrected later."""
     ratios = compute_ratios(motion)
     size = _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE)
@@ -130,7 +130,7 @@ def _correct_both_turns(motion: Motion) -> MotionAndFinding:
     return motion, None
 
 
-def _correct_turns(motion: Motion) -> MotionAndFinding:
+def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
     """Correct unit and sign of yaw or yaw rate, whichever disagrees with the other estimates of the turn."""
     ratios = compute_ratios(motion)
     if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
@@ -150,8 +150,8 @@ def _correct_turns(motion: Motion) -> MotionAndFinding:
                 + (f": is its unit {unit}?" if unit else ""))
     else:
         name, advice = "yaw_convention", Advice.correct("yaw", scale=-1.0 / size, add=np.pi / 2)
-        text = (f"yaw counts clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from east, "
-                "counter-clockwise")
+        text = (f"yaw increases clockwise{f' in {unit}' if unit else ''}: is it a compass heading? Expected: from "
+                "east, counter-clockwise")
     corrected, finding = _correct(motion, name, ("yaw",), text, factor, advice)
     return replace(corrected, yaw=_remove_wraps(corrected)), finding
 
@@ -228,20 +228,20 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     angle = np.angle(np.sum(measured * derived))
     quarter = int(np.round(angle / (np.pi / 2))) % 4
-    if motion.geographic and quarter % 2:  # even: a longitude that counts west, or a latitude that counts south
-        text = ("yaw and yaw_rate count clockwise: is yaw a compass heading from north, and does the gyroscope's axis "
-                "point down? Expected: left positive, yaw from east")
+    if motion.geographic and quarter % 2:  # even: a longitude positive to the west, or a latitude positive to the south
+        text = ("yaw and yaw_rate are positive clockwise: is yaw a compass heading from north, and does the "
+                "gyroscope's axis point down? Expected: left positive, yaw from east")
         advice = Advice.for_run_yaml({"correct": {"yaw": FROM_EAST, "yaw_rate": MIRRORED}})
         return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_to_course, advice)
     axes: dict[int, tuple[str, dict[str, Any]]] = {
-        0: ("y is mirrored (it should count north)", {"correct": {"y": MIRRORED}}),
+        0: ("y is mirrored (it should increase to the north)", {"correct": {"y": MIRRORED}}),
         1: ("x and y are exchanged (x should be east, y north)", {"columns": EXCHANGED}),
-        2: ("x is mirrored (it should count east)", {"correct": {"x": MIRRORED}}),
+        2: ("x is mirrored (it should increase to the east)", {"correct": {"x": MIRRORED}}),
         3: ("x and y are exchanged and mirrored", {"columns": EXCHANGED, "correct": {"x": MIRRORED, "y": MIRRORED}}),
     }
     text, entry = axes[quarter]
     return _correct(motion, "position_axes", ("x", "y"),
-                    f"positions turn in the opposite direction to the car: {text}", None, Advice.for_run_yaml(entry))
+                    f"the track turns in the opposite direction to the yaw: {text}", None, Advice.for_run_yaml(entry))
 
 
 def _correct_distance(motion: Motion) -> MotionAndFinding:
@@ -316,7 +316,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
-    """Correct a yaw counted from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
+    """Correct a yaw measured from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
@@ -329,7 +329,7 @@ def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
                         Advice.correct("velocity_x", scale=-1.0))
     exact = float(quarter if abs(angle - quarter) < 0.1 else angle)
     questions: dict[float, str] = {  # by quarter turns
-        1.0: ": is it counted from north?", -1.0: ": is it counted from north or south?",
+        1.0: ": is it measured from north?", -1.0: ": is it measured from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     question = questions.get(round(exact / (np.pi / 2), 3), "")
     text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{question}"

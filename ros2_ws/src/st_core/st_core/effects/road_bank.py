@@ -1,4 +1,4 @@
-"""Road banked to the same side of the car everywhere: a_y = -g sin(angle).
+"""Bank angle of the road, constant relative to the car: a_y = -g sin(angle).
 
 The angle is a parameter, because no sensor of the suite separates bank from body roll. An accelerometer measures the
 specific force, which exceeds the lateral acceleration by g sin(angle).

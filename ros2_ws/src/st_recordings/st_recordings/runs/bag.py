@@ -102,7 +102,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     Raises RunError for a file that is not a bag, was not closed, or lacks odometry or steering.
     """
     storage, records = open_bag(path, files), read_metadata_records(path)
-    storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.is_of(t.name)})
+    storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.matches(t.name)})
     reconstruction = Reconstruction(storage, records)
     types = storage.by_type.keys()
     required: dict[Topic, tuple[str, ...]] = {}

@@ -29,8 +29,8 @@ class SteeringField:
         """Factor that converts the recorded number to rad, left positive."""
         return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
 
-    def is_of(self, topic: str) -> bool:
-        """Whether `topic` is the name of its topic, with or without leading slash."""
+    def matches(self, topic: str) -> bool:
+        """Whether `topic` is the name of its topic, with or without a leading slash."""
         return topic.lstrip("/") == self.topic.lstrip("/")
 
 
