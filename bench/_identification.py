@@ -12,8 +12,7 @@ from discovery.sensing import make_log
 from st_core.identification.result import ParameterEstimate
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters, find_quantity
-from st_sim.car import read_car
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 
 SECONDS = 60.0
 SENSORS = ("ins_noise=1", "steering_sensor_noise=0.0005")
@@ -96,7 +95,7 @@ def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), secon
            sensors: Sequence[str] = SENSORS) -> list[DriveLog]:
     """Logs of the runs; the seed determines steering tremor and sensor noise."""
     settings = resolve_settings(plant, ("driver_tremor=0", *sensors, *effects))
-    car, vehicle = read_car(LEAF_FILE), leaf()
+    car, vehicle = read_vehicle(LEAF_FILE), leaf()
     return [make_log(name, _drive_run(run, number, plant, seed, seconds), car, vehicle, settings,
                      1000 * seed + number) for number, run in enumerate(runs) for name in run[:1]]
 
@@ -104,7 +103,7 @@ def record(runs: Runs, plant: str, seed: int, effects: Sequence[str] = (), secon
 @lru_cache(maxsize=60)
 def _drive_run(run: Run, number: int, plant: str, driver: int, seconds: float) -> Recording:
     _, speed, manoeuvre = run
-    car = read_car(LEAF_FILE)
+    car = read_vehicle(LEAF_FILE)
     road = Builder(car, np.random.default_rng([driver, number]), speed)
     count = 0
     while count * DT < seconds:

@@ -13,11 +13,10 @@ from st_core.identification.steering_offset import identify_steering_offset
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.vehicle import VehicleParameters
-from st_sim.car import read_car
 from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 
 # Duration of each scenario [s]; only S6 and S7 have straights above 5 m/s, the others are uniform.
 SECONDS = {"S1": 20, "S2": 15, "S3": 15, "S4": 15, "S5": 25, "S6": 90, "S7": 90}
@@ -47,7 +46,7 @@ def run_procedure() -> dict:
 
 def record_scenario(scenario: str, seconds: float, vehicle: VehicleParameters) -> DriveLog:
     """Log of a scenario from the sensors of the realistic virtual Leaf, with the steering resolution of its CAN bus."""
-    settings, car = resolve_settings("realistic"), read_car(LEAF_FILE)
+    settings, car = resolve_settings("realistic"), read_vehicle(LEAF_FILE)
     simulated = SimulatedCar(car, settings, load_plan(scenario), seed=1)
     ins, sensor = Ins(car, settings, INTERVAL_MS / 1000, 1), SteeringSensor(car, settings, 1)
     rows = []

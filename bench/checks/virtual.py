@@ -9,11 +9,11 @@ from oxts_bridge.geometry import Attitude
 from st_core.checks import AuxiliaryData, Series
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_sim.car import GRAVITY, read_car
 from st_sim.driver import SimulatedCar
+from st_sim.dynamics import GRAVITY
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, InsReading, SteeringSensor, read_wheel_speeds
-from st_sim.settings import Settings, resolve_settings
+from st_sim.settings import Settings, read_vehicle, resolve_settings
 from st_sim.stream import STEERING_SCHEDULE, TICK_MS, WHEEL_SCHEDULE
 
 from .._cars import LEAF_FILE, leaf
@@ -30,7 +30,7 @@ def drive_name(scenario: str) -> str:
 
 def virtual_drive(scenario: str, seed: int, seconds: float) -> Recording:
     """A drive of a scenario or road file, realistic plant; INS and steering at 100 Hz, wheel speeds at 50 Hz."""
-    car, vehicle = read_car(LEAF_FILE), leaf()
+    car, vehicle = read_vehicle(LEAF_FILE), leaf()
     settings = resolve_settings("realistic", [])
     source = SimulatedCar(car, settings, load_plan(scenario), seed)
     ins, sensor = Ins(car, settings, INS_MS / 1000, seed), SteeringSensor(car, settings, seed)

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 from st_core.backends import numba_cache
-from st_sim.car import Car
+from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
 from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
 from st_sim.plant import STANDSTILL_SPEED, STEP, Plant
@@ -63,7 +63,7 @@ class Recording:
     grade: np.ndarray
 
 
-def drive(car: Car, settings: Settings, programme: Programme, seed: int,
+def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed: int,
           later: tuple[Settings, int] | None = None, relation: Relation = NO_RELATION) -> Recording:
     """Drives a programme. later: (other settings, sample from which on they are valid). relation: see
     `relation_equations`. Raises Stopped."""

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from st_core.tyres import GRAVITY, MagicFormula, magic_formula_coefficients, magic_formula_force
 from st_core.vehicle import TYRE_QUANTITIES, VehicleParameters
-from st_sim.car import Car, Tyre
 from st_sim.settings import IDEAL
 from vehiclemodels import vehicle_parameters as package
 from vehiclemodels.utils.tire_model import formula_lateral
@@ -228,10 +227,6 @@ def vehicle_of(car: str, settings: Mapping[str, float] | None = None) -> Vehicle
 
 
 @lru_cache
-def nominal_car(car: str) -> Car:
+def nominal_car(car: str) -> VehicleParameters:
     """The car without hidden effects, for the manoeuvres and sensors of the benchmark."""
-    v = vehicle_of(car)
-    names = [f.name for f in dataclasses.fields(Car) if not f.name.startswith("tyre_")]
-    tyres = {name: Tyre(**{f.name: getattr(getattr(v, name), f.name) for f in dataclasses.fields(Tyre)})
-             for name in ("tyre_front", "tyre_rear")}
-    return Car(**{name: getattr(v, name) for name in names}, **tyres)
+    return vehicle_of(car)

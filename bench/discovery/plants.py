@@ -6,8 +6,7 @@ import numpy as np
 from st_core.log import DriveLog
 from st_core.tyres import magic_formula_stiffness
 from st_core.vehicle import VehicleParameters
-from st_sim.car import Car, read_car
-from st_sim.settings import Settings
+from st_sim.settings import Settings, read_vehicle
 
 from .._cars import LEAF_FILE, leaf
 from . import cars
@@ -19,7 +18,7 @@ from .multibody_car import vehicle_of as multibody_vehicle
 from .relation_equations import REAR_CURVE, Relation
 from .sensing import make_log
 
-NOMINAL: Car = read_car(LEAF_FILE)
+NOMINAL = read_vehicle(LEAF_FILE)
 LEAF = leaf()
 MAX_LATERAL_VELOCITY = 6.0  # m/s; at a higher one the car has spun, and the drive is not used
 
@@ -69,14 +68,14 @@ def _record_once(plant: str, vehicle: VehicleParameters, order: Order, programme
     return make_log(order.name, recording, NOMINAL, vehicle, first, noise, later)
 
 
-def _with_rear_curve(relation: Relation) -> Car:
+def _with_rear_curve(relation: Relation) -> VehicleParameters:
     """The virtual Leaf; for the relation REAR_CURVE its rear tyres have another shape, with the same stiffness and
     friction."""
     if relation.kind != REAR_CURVE:
         return NOMINAL
     rear = NOMINAL.tyre_rear
-    return replace(NOMINAL, tyre_rear=replace(rear, p_cy1=rear.p_cy1 * (1.0 - relation.size),
-                                              p_ey1=rear.p_ey1 - 4.0 * relation.size))
+    return replace(NOMINAL, tyre_rear=rear._replace(p_cy1=rear.p_cy1 * (1.0 - relation.size),
+                                                    p_ey1=rear.p_ey1 - 4.0 * relation.size))
 
 
 def _select_known(settings: Settings) -> Settings:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 from st_core import manoeuvres as standard
 from st_core.manoeuvres import CATALOGUE, UNDERSTEER, Manoeuvre
-from st_sim.car import Car
+from st_core.vehicle import VehicleParameters
 
 from .compiled import Programme
 
@@ -29,7 +29,7 @@ TREMOR, TREMOR_TIME = 0.01, 0.4  # standard deviation at the steering wheel [rad
 class Builder:
     """Collects the parts of a programme, with steering wheel angles of the nominal car."""
 
-    car: Car
+    car: VehicleParameters
     generator: np.random.Generator
     speed: float
     rows: list[np.ndarray] = field(default_factory=list)
@@ -162,8 +162,8 @@ def suggested_part(name: str) -> Part:
     return Part(partial(_whole, manoeuvre=one), (one.speed, one.speed), (one.lateral, one.lateral))
 
 
-def make_programme(car: Car, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None, speed_factor: float = 1.0,
-                   lateral_factor: float = 1.0) -> Programme:
+def make_programme(car: VehicleParameters, seed: tuple[int, ...], parts: tuple[Part, ...] | None = None,
+                   speed_factor: float = 1.0, lateral_factor: float = 1.0) -> Programme:
     """A programme of about half a minute: parts in random order and size, by default FULL and one of EXTRA."""
     generator = np.random.default_rng(seed)
     if parts is None:

@@ -11,8 +11,7 @@ from oxts_bridge.geometry import Attitude
 from scipy.signal import lfilter
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_sim.car import GRAVITY, Car
-from st_sim.dynamics import A_X, A_Y, A_Y_RATE, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
+from st_sim.dynamics import A_X, A_Y, A_Y_RATE, GRAVITY, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z
 from st_sim.sensors import FULL_VIBRATION_SPEED, NOISE
 from st_sim.settings import Settings
 
@@ -26,8 +25,8 @@ RESOLUTION = {"rate": 1e-5, "force": 1e-4, "angle": 1e-6, "velocity": 1e-4, "ste
 """Resolution of NCOM [rad/s, m/s^2, rad, m/s], and of steering wheel angle [rad] and wheel speeds [m/s] on CAN."""
 
 
-def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParameters, settings: Settings, seed: int,
-             later: tuple[Settings, int] | None = None) -> DriveLog:
+def make_log(name: str, recording: Recording, car: VehicleParameters, vehicle: VehicleParameters, settings: Settings,
+             seed: int, later: tuple[Settings, int] | None = None) -> DriveLog:
     """The log of a drive. car: that of the plant; vehicle: the vehicle file of the reader. later: as in
     `compiled.drive`, for faults of the sensors."""
     r = make_readings(recording, car, settings, seed, later)
@@ -50,7 +49,7 @@ def make_log(name: str, recording: Recording, car: Car, vehicle: VehicleParamete
         steering, *round_to_resolution(forces, "force"))
 
 
-def make_readings(recording: Recording, car: Car, settings: Settings, seed: int,
+def make_readings(recording: Recording, car: VehicleParameters, settings: Settings, seed: int,
                   later: tuple[Settings, int] | None = None) -> dict[str, np.ndarray]:
     """The fields of `InsReading` for every sample, before rounding; rates and forces as rate_x ... force_z."""
     count = len(recording.rows)
@@ -64,7 +63,8 @@ def make_readings(recording: Recording, car: Car, settings: Settings, seed: int,
     return dict(zip(CHANNELS, values, strict=True))
 
 
-def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: Car, s: Settings) -> np.ndarray:
+def _noise_free_readings(rows: np.ndarray, bank: np.ndarray, grade: np.ndarray, car: VehicleParameters,
+                         s: Settings) -> np.ndarray:
     """Channels (15, n) without noise, but with the sensor errors of the settings."""
     x, y, yaw, vx, vy, r, a_y, a_y_rate, a_x = rows[:, (X, Y, YAW, VX, VY, YAW_RATE, A_Y, A_Y_RATE, A_X)].T
     vx_dot, vy_dot, r_dot, climb = rows[:, STATES:].T

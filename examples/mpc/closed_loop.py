@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from controlled_car import ControlledCar
 from controller import Controller, Reference
-from st_sim.car import Car
+from st_core.vehicle import VehicleParameters
 from st_sim.scenarios import Plan
 from st_sim.settings import Settings
 
@@ -65,7 +65,7 @@ class Road:
         return Reference(*np.array(rows).T)
 
 
-def drive(controller: Controller, car: Car, settings: Settings, plan: Plan, duration: float,
+def drive(controller: Controller, car: VehicleParameters, settings: Settings, plan: Plan, duration: float,
           seed: int = 0) -> tuple[Drive, np.ndarray]:
     """Drive a plan; returns its results, and rows (time, x, y, distance from the road, speed error, commanded angle).
 

@@ -2,7 +2,7 @@
 
 from math import sin
 
-from st_sim.car import Car
+from st_core.vehicle import VehicleParameters
 from st_sim.driver import MAX_BRAKING, MAX_DRIVE, MAX_STEERING_WHEEL_RATE
 from st_sim.dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
 from st_sim.plant import Plant
@@ -12,7 +12,7 @@ from st_sim.settings import Settings
 class ControlledCar:
     """The virtual car under an external controller, which commands road-wheel angle and acceleration."""
 
-    def __init__(self, car: Car, settings: Settings, seed: int = 0):
+    def __init__(self, car: VehicleParameters, settings: Settings, seed: int = 0):
         self.car = car
         self.plant = Plant(car, settings, seed)
         self.steering_wheel_angle = 0.0

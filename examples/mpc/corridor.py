@@ -37,10 +37,9 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_offline.model_export import make_half_width_function
 from st_recordings.paths import config, new_folder
-from st_sim.car import Car, read_car
 from st_sim.path import straight
 from st_sim.scenarios import RoadPlan
-from st_sim.settings import REALISTIC, Settings
+from st_sim.settings import REALISTIC, Settings, read_vehicle
 
 SPEED, DURATION, HORIZON = 10.0, 20.0, 2.5  # m/s, s, s
 DEVIATIONS = {  # standard deviations of the settings of the plant; of the offset in rad
@@ -115,7 +114,7 @@ def plant_settings(seed: int) -> Settings:
     return values
 
 
-def drive(controller: Controller, car: Car, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
+def drive(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters, gates: Sequence[Gate], seed: int,
           tightening: Margin | None = None) -> Outcome:
     """Drive a car through the gates. tightening: None for constraints without a margin."""
     controller.reset()
@@ -170,7 +169,7 @@ def _make_log(table: np.ndarray, vehicle: VehicleParameters, seed: int) -> Drive
                     time_ns, angle, vehicle.steering_wheel_angle(angle))
 
 
-def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
+def calibrate_band(controller: Controller, car: VehicleParameters, vehicle: VehicleParameters,
                    model: str) -> tuple[Band, CalibrationDomain]:
     """Band and domain of hindsight predictions, because the controller too knows the future inputs."""
     runs = []
@@ -184,16 +183,15 @@ def calibrate_band(controller: Controller, car: Car, vehicle: VehicleParameters,
 
 def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:
     """`summarise` of the drives of all seeds, for each variant of the constraint."""
-    file = config("vehicle/leaf.yaml")
-    vehicle, car, tuning = VehicleParameters.from_yaml(file.read_text(), str(file)), read_car(file), Tuning()
+    vehicle, tuning = read_vehicle(config("vehicle/leaf.yaml")), Tuning()
     controller = Controller(get_model(model), vehicle, round(HORIZON / tuning.step), tuning, "rti", corridor=True)
-    (band, domain), summaries = calibrate_band(controller, car, vehicle, model), {}
+    (band, domain), summaries = calibrate_band(controller, vehicle, vehicle, model), {}
     narrow, wide = (make_half_width_function(band, level, vehicle) for level in LEVELS)
     variants = {"as it is": None, "tightened": Margin(narrow, domain, HORIZON),
                 f"tightened as {NEAR:g} s ahead": Margin(narrow, domain, NEAR),
                 f"{LEVELS[1]:.0%} band, as {NEAR:g} s ahead": Margin(wide, domain, NEAR)}
     for name, margin in variants.items():
-        summaries[name] = summarise([drive(controller, car, vehicle, make_gates(), seed, margin)
+        summaries[name] = summarise([drive(controller, vehicle, vehicle, make_gates(), seed, margin)
                                      for seed in range(seeds)])
         print(name, summaries[name], flush=True)
     return summaries

@@ -18,13 +18,11 @@ from closed_loop import Drive, drive
 from controller import SOLVERS, Controller, Tuning
 from drawing import draw_paths, draw_trade_off
 from st_core.errors import StCoreError
-from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_model
 from st_recordings.paths import config, new_folder
-from st_sim.car import read_car
 from st_sim.path import lane_shift, straight
 from st_sim.scenarios import Plan, RoadPlan, load_plan
-from st_sim.settings import SimulationError, resolve_settings
+from st_sim.settings import SimulationError, read_vehicle, resolve_settings
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 HORIZONS = [0.5, 1.0, 2.0, 3.0]  # s
@@ -48,8 +46,7 @@ def main() -> int:
     options = _arguments()
     try:
         folder = new_folder(options.output, "mpc")
-        vehicle = VehicleParameters.from_yaml(options.vehicle.read_text(encoding="utf-8"), str(options.vehicle))
-        car, settings = read_car(options.vehicle), resolve_settings(options.plant)
+        vehicle, settings = read_vehicle(options.vehicle), resolve_settings(options.plant)
         models = {}
         for name in options.model:
             # --vehicle is the plant; a model file may contain an identified vehicle for its model.
@@ -65,7 +62,7 @@ def main() -> int:
             for name, (model, model_vehicle) in models.items():
                 for horizon in options.horizon:
                     controller = Controller(model, model_vehicle, round(horizon / tuning.step), tuning, solver)
-                    results, table = drive(controller, car, settings, make_plan(), duration)
+                    results, table = drive(controller, vehicle, settings, make_plan(), duration)
                     rows.append({"road": road, "solver": solver, "model": name, "horizon": horizon,
                                  **results.as_dict()})
                     tables[road, solver, name, horizon] = table

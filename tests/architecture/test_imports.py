@@ -161,9 +161,10 @@ def forbidden_imports_of_virtual_car(packages: tuple[str, ...], shared: tuple[st
 
 
 def test_virtual_car_shares_no_equations_with_the_models():
-    """They share manoeuvres and the YAML reader; the equations of motion are written twice, so that errors show."""
-    assert forbidden_imports_of_virtual_car(
-        ("st_core",), ("st_core.manoeuvres", "st_core.yaml_text", "st_core.errors")) == []
+    """They share manoeuvres and vehicle files; the equations of motion are written twice, so that errors show."""
+    assert forbidden_imports_of_virtual_car(("st_core",), (
+        "st_core.manoeuvres", "st_core.yaml_text", "st_core.errors", "st_core.vehicle",
+        "st_core.tyres.MagicFormula")) == []
 
 
 def test_virtual_car_uses_only_codecs_and_transport_of_the_bridges():

@@ -10,17 +10,16 @@ from st_core.augmented import augment
 from st_core.discovery.next_manoeuvre import simulate_drive
 from st_core.manoeuvres import CATALOGUE
 from st_core.vehicle import VehicleParameters
-from st_sim.car import read_car
 from st_sim.driver import SimulatedCar
 from st_sim.dynamics import VX, YAW_RATE
 from st_sim.run import check_arguments
 from st_sim.scenarios import load_plan
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from support import LEAF as LEAF_FILE
 
 from bench.discovery import compiled, programmes
 
-CAR = read_car(LEAF_FILE)
+CAR = read_vehicle(LEAF_FILE)
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
 HEALTHY = resolve_settings("realistic")
 COMPARED_DURATION, RAMP_DURATION = 20.0, 26.0  # s, from the start of a drive; the ramp reaches its limit later

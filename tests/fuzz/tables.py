@@ -12,8 +12,7 @@ from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, find_runs, read
 from st_sim import scenarios
-from st_sim.car import read_car
-from st_sim.settings import SimulationError, resolve_settings
+from st_sim.settings import SimulationError, read_vehicle, resolve_settings
 from support import ROOT
 
 from .harness import Target, one_line
@@ -163,7 +162,7 @@ TARGETS = (
     Target("model", lambda: [MODEL], _model, YAML_FRAGMENTS, text=True),
     Target("run_file", lambda: [RUN, RUN_OF_COLUMNS, b"bag: drive.log\n",
                                b"each: drive.csv\ncolumns: {yaw: yaw}\n"], _run_file, YAML_FRAGMENTS, text=True),
-    Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_car), YAML_FRAGMENTS, text=True),
+    Target("sim_vehicle", lambda: _bytes(VEHICLES / "leaf.yaml"), _simulated(read_vehicle), YAML_FRAGMENTS, text=True),
     Target("sim_plant", lambda: [PLANT], _simulated(lambda file: resolve_settings(str(file))), YAML_FRAGMENTS,
            text=True),
     Target("sim_road", lambda: _bytes(*sorted(ROADS.glob("*.yaml"))), _simulated(_road), YAML_FRAGMENTS, text=True),

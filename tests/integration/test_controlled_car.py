@@ -4,13 +4,12 @@ import math
 import runpy
 
 import pytest
-from st_sim.car import read_car
 from st_sim.driver import MAX_BRAKING, MAX_STEERING_WHEEL_RATE
-from st_sim.settings import PRESETS, resolve_settings
+from st_sim.settings import PRESETS, read_vehicle, resolve_settings
 from support import LEAF, ROOT
 
 ControlledCar = runpy.run_path(str(ROOT / "examples" / "mpc" / "controlled_car.py"))["ControlledCar"]
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 
 
 def make_car(speed=8.0, curvature=0.0):

@@ -12,15 +12,14 @@ from st_core.augmented import augment
 from st_core.batch import LogBatch
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
-from st_sim.car import read_car
 from st_sim.driver import SimulatedCar
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import IDEAL
+from st_sim.settings import IDEAL, read_vehicle
 from support import LEAF as LEAF_FILE
 
 LEAF = VehicleParameters.from_yaml(LEAF_FILE.read_text())
-CAR = read_car(LEAF_FILE)
+CAR = read_vehicle(LEAF_FILE)
 # An effect that the virtual car always has and the models of the paper do not.
 BASELINE_EFFECTS = {"steered_drive_force": {"share": 1.0}}
 PERIOD_NS = 10_000_000

@@ -9,9 +9,8 @@ from st_core.augmented import augment
 from st_core.models import MODELS
 from st_core.vehicle import VehicleParameters
 from st_offline.model_export import export_model
-from st_sim.car import read_car
 from st_sim.scenarios import load_plan
-from st_sim.settings import PRESETS
+from st_sim.settings import PRESETS, read_vehicle
 from support import LEAF as FILE
 from support import ROOT
 
@@ -34,7 +33,7 @@ def drive_lane_change(model, solver, seconds=6.5, steps=10):
     from controller import Controller
 
     controller = Controller(model, LEAF, steps, solver=solver)
-    return drive(controller, read_car(FILE), PRESETS["realistic"], load_plan("lane_change"), seconds)
+    return drive(controller, read_vehicle(FILE), PRESETS["realistic"], load_plan("lane_change"), seconds)
 
 
 def test_linear_model_tracks_a_lane_change_better_than_the_kinematic_one():
@@ -71,7 +70,7 @@ def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
                 np.zeros((3, 19)))
     domain = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)
-    plain, with_margin = (corridor.drive(controller, read_car(FILE), LEAF, gates, 1, margin)
+    plain, with_margin = (corridor.drive(controller, read_vehicle(FILE), LEAF, gates, 1, margin)
                           for margin in (None, corridor.Margin(make_half_width_function(band, 0.9, LEAF), domain, 0.5)))
     assert -0.2 < plain.depth < 0.3
     assert with_margin.depth == pytest.approx(plain.depth - 0.3, abs=0.1) and with_margin.error > plain.error

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 from st_core.manoeuvres import UNDERSTEER
+from st_core.vehicle import VehicleParameters
 
-from .car import Car
 from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
 from .environment import make_normal_source
 from .path import Pose
@@ -35,7 +35,7 @@ class Driver:
     steering_wheel_angle: true [rad, left +]. drive_force: of all wheels [N], braking < 0. distance: along the road [m].
     """
 
-    def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
+    def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
         self.car, self.plan = car, plan
         self.steering_wheel_angle = self.drive_force = 0.0
         self.distance = plan.start
@@ -123,7 +123,7 @@ class Driver:
 class SimulatedCar:
     """Car and driver in a scenario. Call advance(), then make_truth(); the car is already moving at time 0."""
 
-    def __init__(self, car: Car, settings: Settings, plan: Plan, seed: int = 0):
+    def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
         self.car = car
         self.plant = Plant(car, settings, seed)
         self.driver = Driver(car, settings, plan, seed)

@@ -7,9 +7,13 @@ from collections.abc import Sequence
 from math import atan, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
-from .car import GRAVITY, TRACK_WIDTH, Car, Tyre
+from st_core.tyres import MagicFormula
+from st_core.vehicle import VehicleParameters
+
 from .settings import Settings
 
+GRAVITY = 9.81  # m/s^2, as in st_core
+TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file; Leaf ZE0 by its manufacturer: 1.540 m front, 1.535 m rear
 AIR_DENSITY = 1.2  # kg/m^3
 SIDE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's side area (4.7 m^2)
 WIND_ARM = 0.25  # m, distance of the side force of the wind ahead of the CG
@@ -30,8 +34,8 @@ X, Y, Z, YAW, VX, VY, YAW_RATE, RACK, COMPLIANCE_ANGLE, S_FL, S_FR, S_RL, S_RR, 
 STATES = A_X + 1
 
 TyreCoefficients = tuple[float, ...]
-"""F_z0 [N], C, p_ky1 F_z0 lambda [N/rad], 1 / (p_ky2 F_z0) [1/N], p_ky4, p_dy1, p_dy2, p_ey1, p_ey2, p_ey3; see
-`tyre_force`."""
+"""F_z0 [N], C, p_ky1 F_z0 lambda_ky [N/rad], 1 / (p_ky2 F_z0) [1/N], p_ky4, p_dy1, p_dy2 (both scaled by lambda_muy),
+p_ey1, p_ey2, p_ey3; see `tyre_force`."""
 
 
 class Constants(NamedTuple):
@@ -67,7 +71,7 @@ class Constants(NamedTuple):
     rear: TyreCoefficients
 
 
-def make_constants(car: Car, settings: Settings, step: float) -> Constants:
+def make_constants(car: VehicleParameters, settings: Settings, step: float) -> Constants:
     """Parameters of a car with its settings, for integration with a time step [s]."""
     s = settings
     mass = car.mass * s["mass_factor"]
@@ -90,12 +94,12 @@ def make_constants(car: Car, settings: Settings, step: float) -> Constants:
         rear=make_tyre_coefficients(car.tyre_rear, s["rear_stiffness_factor"]))
 
 
-def make_tyre_coefficients(tyre: Tyre, stiffness_factor: float) -> TyreCoefficients:
+def make_tyre_coefficients(tyre: MagicFormula, stiffness_factor: float) -> TyreCoefficients:
     """Coefficients of one tyre with its cornering stiffness K scaled by a factor."""
     nominal = tyre.nominal_load
     stiffness = tyre.p_ky1 * nominal * tyre.lambda_ky * stiffness_factor
-    return (nominal, tyre.p_cy1, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4, tyre.p_dy1, tyre.p_dy2,
-            tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
+    return (nominal, tyre.p_cy1 * tyre.lambda_cy, stiffness, 1.0 / (tyre.p_ky2 * nominal), tyre.p_ky4,
+            tyre.p_dy1 * tyre.lambda_muy, tyre.p_dy2 * tyre.lambda_muy, tyre.p_ey1, tyre.p_ey2, tyre.p_ey3)
 
 
 def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_factor: float) -> tuple[float, float]:

@@ -18,8 +18,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import atan, atan2, cos, sin
 
+from st_core.vehicle import VehicleParameters
+
 from . import dynamics
-from .car import Car
 from .dynamics import A_X, A_Y, A_Y_RATE, MIN_SLIP_SPEED, RACK, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z, derivative
 from .environment import Environment
 from .settings import Settings
@@ -80,7 +81,7 @@ class Truth:
 class Plant:
     """State of one car, which `step` advances by one time step with constant steering-wheel angle and drive force."""
 
-    def __init__(self, car: Car, settings: Settings, seed: int = 0, step: float = STEP):
+    def __init__(self, car: VehicleParameters, settings: Settings, seed: int = 0, step: float = STEP):
         self.car, self.settings, self.time_step = car, settings, step
         self.environment = Environment(settings, step, seed)
         self.state: tuple[float, ...] = (0.0,) * STATES

@@ -11,8 +11,8 @@ from bisect import bisect_right
 from pathlib import Path
 
 import numpy as np
+from st_core.vehicle import VehicleParameters
 
-from .car import Car
 from .plant import DRIVE, Truth
 from .settings import SimulationError
 
@@ -22,7 +22,7 @@ COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "delta")
 class RecordedDrive:
     """A recorded drive for a Stream. Time 0 is the first row; after the end, the last row is repeated."""
 
-    def __init__(self, file: str | Path, car: Car):
+    def __init__(self, file: str | Path, car: VehicleParameters):
         """Raises SimulationError naming the file, and line or column."""
         table = _read_table(Path(file))
         self._car = car

@@ -16,14 +16,13 @@ from typing import NoReturn
 from canedge_bridge.decode import Decoder
 
 from .can_encoder import STEERING_MESSAGE, CanEncoder
-from .car import read_car
 from .driver import SimulatedCar
 from .files import LogFile, Mf4File, TruthFile, make_folder
 from .ncom_encoder import NcomEncoder, Origin
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
-from .settings import SETTINGS, SimulationError, find_overrides, resolve_settings
+from .settings import SETTINGS, SimulationError, find_overrides, read_vehicle, resolve_settings
 from .stream import LiveOutput, Output, Report, Source, Stream, send
 
 DEFAULT_DURATION, MAX_DURATION = 60.0, 1e6  # s
@@ -42,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for name, (_, meaning) in SCENARIOS.items():
                 print(f"{name:28} {meaning}")
             for s in SETTINGS.values():
-                print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], null {s.null:g}, {s.low:g} to {s.high:g}")
+                print(f"{s.name:28} {s.group}: {s.meaning} [{s.unit}], {s.low:g} to {s.high:g}; no effect: {s.null:g}")
         elif options.to_files:
             _write_files(options, stop_requested)
         else:
@@ -83,7 +82,7 @@ class _Run:
     def __init__(self, options: argparse.Namespace):
         if not options.vehicle:
             raise SimulationError("--vehicle is missing; the Leaf is config/vehicle/leaf.yaml")
-        self._options, self._car = options, read_car(options.vehicle)
+        self._options, self._car = options, read_vehicle(options.vehicle)
         self._codec = Decoder(*_find_can_tables(options))
         self.settings = _resolve_settings(options)
         if options.drive:
@@ -195,7 +194,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
             run.generate_outputs(start_ns), ncom.write,
             lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
             truth.write, stop_requested, Report())
-    _report(state="done", duration=round(last_due, 3), seconds=round(time.monotonic() - started, 3))
+    _report(state="done", duration=round(last_due, 3), computing_time=round(time.monotonic() - started, 3))
 
 
 def _report(**values: object) -> None:
@@ -227,17 +226,19 @@ def _make_parser() -> argparse.ArgumentParser:
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before lock")
-    parser.add_argument("--ncom-host", default="127.0.0.1", help="destination of the NCOM packets")
-    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000, help="its UDP port")
-    parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100, help="packets per second")
-    parser.add_argument("--can-interface", default="udp_multicast")
-    parser.add_argument("--can-channel", default="239.74.163.2")
+    parser.add_argument("--ncom-host", default="127.0.0.1", help="host to which the NCOM packets are sent")
+    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000, help="UDP port of that host")
+    parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100,
+                        help="NCOM packets, and epochs of the INS on CAN, per second; default 100")
+    parser.add_argument("--can-interface", default="udp_multicast", help="python-can interface")
+    parser.add_argument("--can-channel", default="239.74.163.2", help="channel of that interface")
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
-                        help="frames of the car; realistic: steering, wheel speeds and gear; full: 1750 per second")
+                        help="frames of the car: realistic (default): steering, wheel speeds and gear, 217 per second; "
+                             "full: also the other frames of a Leaf, in total 1750 per second")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for truth.mcap")
     parser.add_argument("--to-files", type=Path, metavar="DIR",
                         help="folder for run.ncom, run.log or run.mf4, and truth.mcap; nothing is sent")
-    parser.add_argument("--can-format", choices=("mf4", "log"), default="log")
+    parser.add_argument("--can-format", choices=("mf4", "log"), default="log", help="format of the CAN log")
     parser.add_argument("--list", action="store_true", help="print scenarios and settings")
     return parser
 

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from st_core.vehicle import VehicleParameters
 
-from .car import GRAVITY, Car
+from .dynamics import GRAVITY
 from .environment import make_normal_source
 from .plant import Truth
 from .settings import Settings
@@ -72,7 +73,7 @@ class _Noise:
 class Ins:
     """The INS and its errors. interval: between epochs [s]."""
 
-    def __init__(self, car: Car, settings: Settings, interval: float, seed: int):
+    def __init__(self, car: VehicleParameters, settings: Settings, interval: float, seed: int):
         self._settings = settings
         # The INS is fixed to the body, so a shift of the CG changes its lever arm.
         self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
@@ -145,7 +146,7 @@ def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> 
 class SteeringSensor:
     """Steering-wheel angle sensor: true angle plus the offset of the vehicle file and noise, left + [rad]."""
 
-    def __init__(self, car: Car, settings: Settings, seed: int):
+    def __init__(self, car: VehicleParameters, settings: Settings, seed: int):
         self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]
         self._draw = make_normal_source(np.random.default_rng([seed, 4]), 256)
 

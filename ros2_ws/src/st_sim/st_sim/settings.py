@@ -1,4 +1,4 @@
-"""Settings of the virtual car by name, each with a null value that disables its effect.
+"""Settings of the virtual car by name, each with a null value that disables its effect, and its vehicle file.
 
 In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """
@@ -12,6 +12,7 @@ from typing import Any
 
 from st_core import yaml_text
 from st_core.errors import ConfigurationError
+from st_core.vehicle import VehicleParameters
 
 Settings = Mapping[str, float]
 
@@ -27,6 +28,15 @@ def read_document(path: Path) -> Any:
     except OSError as error:
         raise SimulationError(f"{path}: cannot be read: {error.strerror}") from None
     except (ConfigurationError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: {error}") from None
+
+
+def read_vehicle(path: Path) -> VehicleParameters:
+    """The car of a vehicle file. Raises SimulationError naming file and key."""
+    document = read_document(path)
+    try:
+        return VehicleParameters.from_document(document)
+    except ConfigurationError as error:
         raise SimulationError(f"{path}: {error}") from None
 
 

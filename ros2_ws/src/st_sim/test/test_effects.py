@@ -5,16 +5,24 @@ from functools import cache
 
 import numpy as np
 import pytest
-from st_sim.car import GRAVITY, TRACK_WIDTH, read_car
 from st_sim.driver import SimulatedCar
-from st_sim.dynamics import make_tyre_coefficients, tyre_force
+from st_sim.dynamics import GRAVITY, TRACK_WIDTH, make_tyre_coefficients, tyre_force
 from st_sim.environment import Environment
 from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
 from st_sim.scenarios import load_plan
-from st_sim.settings import IDEAL, PRESETS, REALISTIC, SETTINGS, SimulationError, find_overrides, resolve_settings
+from st_sim.settings import (
+    IDEAL,
+    PRESETS,
+    REALISTIC,
+    SETTINGS,
+    SimulationError,
+    find_overrides,
+    read_vehicle,
+    resolve_settings,
+)
 from support import LEAF
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 PLANT_GROUPS = ("steering", "tyre", "body", "environment")
 
 # An effective value of each setting, and other settings that it requires.

@@ -9,13 +9,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from st_sim.car import GRAVITY, read_car
 from st_sim.driver import SimulatedCar
+from st_sim.dynamics import GRAVITY
 from st_sim.scenarios import load_plan
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from support import LEAF
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 RATE, STEP, STEPS = 100, 0.05, 100  # Hz, s, steps of the horizon
 
 

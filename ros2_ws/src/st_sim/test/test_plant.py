@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from st_sim.car import GRAVITY, read_car
+from st_sim.dynamics import GRAVITY
 from st_sim.plant import STEP, VX, VY, YAW, YAW_RATE, Plant, X, Y, Z
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from support import LEAF
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 RATIO = CAR.steering_ratio
 
 

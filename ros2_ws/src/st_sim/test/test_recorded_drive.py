@@ -7,14 +7,13 @@ import pytest
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim import run
-from st_sim.car import read_car
 from st_sim.ncom_encoder import UNDULATION
 from st_sim.recorded_drive import COLUMNS, RecordedDrive
-from st_sim.settings import SimulationError
+from st_sim.settings import SimulationError, read_vehicle
 from support import EXAMPLES, ROOT
 
 GENESIS = ROOT / "config/vehicle/hyundai_genesis.yaml"
-CAR = read_car(GENESIS)
+CAR = read_vehicle(GENESIS)
 HEADER = ",".join(COLUMNS)
 
 

@@ -5,14 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from st_sim.car import read_car
 from st_sim.driver import MAX_STEERING_WHEEL_RATE, SimulatedCar
 from st_sim.path import Path, SpeedProfile, lane_shift, straight, turn
 from st_sim.scenarios import SCENARIOS, load_plan
-from st_sim.settings import SimulationError, resolve_settings
+from st_sim.settings import SimulationError, read_vehicle, resolve_settings
 from support import LEAF, ROOT
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 RATE = 50
 COLUMNS = ("t", "x", "y", "yaw", "vx", "vy", "r", "ax", "ay", "steering_wheel", "force")
 

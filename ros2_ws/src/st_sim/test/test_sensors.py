@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from st_sim.car import GRAVITY, read_car
+from st_sim.dynamics import GRAVITY
 from st_sim.plant import Truth
 from st_sim.sensors import ACCURACY, Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds
-from st_sim.settings import SETTINGS, resolve_settings
+from st_sim.settings import SETTINGS, read_vehicle, resolve_settings
 from support import LEAF
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 
 
 def truth(**changes):

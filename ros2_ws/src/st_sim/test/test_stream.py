@@ -10,17 +10,16 @@ from oxts_bridge.channels import decode_channel
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim.can_encoder import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanEncoder, Frame
-from st_sim.car import read_car
 from st_sim.driver import SimulatedCar
 from st_sim.ncom_encoder import CYCLE_LENGTH, UNDULATION, NcomEncoder, Origin, from_ecef, make_schedule, to_ecef
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor
-from st_sim.settings import resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 from st_sim.stream import Stream
 from support import LEAF, ROOT
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 START_NS = 1_756_900_832_000_000_000  # 10 s before a full minute of GPS, so that a drive crosses it
 ORIGIN = Origin(51.448, 5.49, 65.0)
 FRAME = LocalFrame(math.radians(51.448), math.radians(5.49), 65.0)

@@ -4,11 +4,11 @@ import math
 from functools import partial
 
 import pytest
-from st_sim.car import GRAVITY, read_car
-from st_sim.dynamics import lateral_share, make_tyre_coefficients, tyre_force
+from st_sim.dynamics import GRAVITY, lateral_share, make_tyre_coefficients, tyre_force
+from st_sim.settings import read_vehicle
 from support import LEAF
 
-CAR = read_car(LEAF)
+CAR = read_vehicle(LEAF)
 STATIC_FRONT = CAR.mass * GRAVITY * CAR.cg_to_rear_axle / CAR.wheelbase / 2
 STATIC_REAR = CAR.mass * GRAVITY * CAR.cg_to_front_axle / CAR.wheelbase / 2
 
