@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import can
@@ -18,7 +17,7 @@ from st_recordings.runs.can_signals import (
     find_steering,
     load_signal_table,
 )
-from st_recordings.runs.cdr import load_typestore
+from st_recordings.runs.cdr import WHEEL_SPEEDS, load_typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import REMOTE, Frames, merge_by_time
 from st_recordings.runs.serialiser import Serialiser
@@ -210,8 +209,7 @@ def test_wheel_speeds_in_alternate_frames_keep_their_times() -> None:
         rows = np.arange(start, 4, 2)
         signals[name, "Wheels"] = Signal(name, "Wheels", rows * 10, rows * 1.0, np.ones(2, bool), rows)
     messages = Serialiser(load_typestore()).serialise_wheel_speeds("Wheels", CanSignals(signals, {}), np.asarray)
-    read = [load_typestore().deserialize_cdr(messages.data[start:end].tobytes(), messages.type_name)
-            for start, end in pairwise(messages.edges.tolist())]
-    assert messages.time_ns.tolist() == [0, 10, 20, 30]
+    read = [load_typestore().deserialize_cdr(data, WHEEL_SPEEDS) for _, _, data in messages]
+    assert [time_ns for time_ns, _, _ in messages] == [0, 10, 20, 30]
     np.testing.assert_array_equal([message.rear_left for message in read], [0.0, np.nan, 2.0, np.nan])
     np.testing.assert_array_equal([message.rear_right for message in read], [np.nan, 1.0, np.nan, 3.0])

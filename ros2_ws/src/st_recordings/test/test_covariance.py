@@ -36,12 +36,13 @@ def live_attitude(ins: NcomLog, row: int) -> Attitude:
 
 
 def test_orientation_and_velocity_equal_those_of_the_bridge(ins: NcomLog) -> None:
-    quaternions = np.stack(Attitude(ins.yaw, ins.pitch, ins.roll).to_quaternion(), axis=1)
+    quaternions = np.stack(ins.select_attitude(slice(None)).to_quaternion(), axis=1)
     for k, row in enumerate(ins.rows):
         attitude = live_attitude(ins, row)
         np.testing.assert_allclose(quaternions[k], attitude.to_quaternion(), atol=1e-12)
         north, east, down = ins.columns.velocity_ned[:, row]
-        np.testing.assert_allclose(ins.velocity[:, k], attitude.to_body((east, north, -down)), atol=1e-12)
+        velocity = [axis[k] for axis in ins.motion.body_velocity]
+        np.testing.assert_allclose(velocity, attitude.to_body((east, north, -down)), atol=1e-12)
 
 
 def test_covariances_equal_those_of_the_bridge(ins: NcomLog) -> None:

@@ -54,8 +54,8 @@ def test_table_without_positions_gives_an_ins_log_for_alignment() -> None:
     file = GOLDEN_DATA / "can/synthetic_rt_own_log.csv"
     ins = build_ins_log(read_table(file, Layout()), MOTION_SIGNALS)
     assert not ins.absolute
-    yaw_rate = np.gradient(np.unwrap(ins.yaw), ins.time_ns * 1e-9)
-    assert ins.rate[2].max() == pytest.approx(yaw_rate.max(), rel=0.01)
+    yaw_rate = np.gradient(np.unwrap(ins.values["yaw"]), ins.time_ns * 1e-9)
+    assert ins.values["yaw_rate"].max() == pytest.approx(yaw_rate.max(), rel=0.01)
     assert not has_drive_columns(file)
 
 

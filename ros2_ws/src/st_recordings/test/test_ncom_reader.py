@@ -39,13 +39,13 @@ def test_axes_agree_with_the_iso_values_of_the_vendor(which: str, case: str) -> 
         rows = list(csv.DictReader(stream))
     for k, name in enumerate(("IsoVoX", "IsoVoY", "IsoVoZ")):
         expected = np.array([float(row[name]) for row in rows])[log.rows]
-        np.testing.assert_allclose(log.velocity[k], expected, atol=1e-9)
+        np.testing.assert_allclose(log.motion.body_velocity[k], expected, atol=1e-9)
     # FRD -> FLU, and heading from north clockwise -> yaw from east counter-clockwise.
-    np.testing.assert_allclose(log.rate[2], [-np.radians(float(row["Wz"])) for row in rows], atol=1e-12)
-    np.testing.assert_allclose(log.acceleration[1], [-float(row["Ay"]) for row in rows], atol=1e-12)
+    np.testing.assert_allclose(log.values["yaw_rate"], [-np.radians(float(row["Wz"])) for row in rows], atol=1e-12)
+    np.testing.assert_allclose(log.values["acceleration_y"], [-float(row["Ay"]) for row in rows], atol=1e-12)
     heading = np.radians([float(row["Heading"]) for row in rows])
-    np.testing.assert_allclose(np.exp(1j * log.yaw), np.exp(1j * (np.pi / 2 - heading)), atol=1e-12)
-    assert np.abs(np.diff(log.yaw)).max() < 0.1
+    np.testing.assert_allclose(np.exp(1j * log.values["yaw"]), np.exp(1j * (np.pi / 2 - heading)), atol=1e-12)
+    assert np.abs(np.diff(log.values["yaw"])).max() < 0.1
 
 
 @drives
@@ -54,13 +54,14 @@ def test_positions_are_in_the_local_map_of_the_origin(which: str, case: str) -> 
     columns, last = log.columns, int(log.rows[-1])
     frame = LocalFrame(*log.origin)
     expected = frame.to_enu(columns.latitude[last], columns.longitude[last], columns.altitude[last])
-    np.testing.assert_allclose(log.position[:, -1], expected, atol=1e-6)
-    assert log.position[:, 0].tolist() == pytest.approx([0, 0, 0], abs=1e-6)
+    np.testing.assert_allclose([axis[-1] for axis in log.position], expected, atol=1e-6)
+    assert [axis[0] for axis in log.position] == pytest.approx([0, 0, 0], abs=1e-6)
     # Velocity is the derivative of position: body axes, yaw and map are consistent.
     time = (log.time_ns - log.time_ns[0]) * 1e-9
     east = np.gradient(log.position[0], time)
-    forward, left = log.velocity[:2]
-    np.testing.assert_allclose(east[5:-5], (forward * np.cos(log.yaw) - left * np.sin(log.yaw))[5:-5], atol=0.05)
+    forward, left = log.motion.body_velocity[:2]
+    yaw = log.values["yaw"]
+    np.testing.assert_allclose(east[5:-5], (forward * np.cos(yaw) - left * np.sin(yaw))[5:-5], atol=0.05)
 
 
 def test_packets_without_a_fix_are_left_out(tmp_path: Path) -> None:

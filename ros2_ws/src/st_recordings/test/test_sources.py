@@ -213,7 +213,7 @@ def test_alignment_uses_the_columns_of_the_run_file(tmp_path: Path) -> None:
     (file,) = touch(tmp_path, "a.run.yaml", content="csv: a.csv\ncan: [a.log]\ncolumns: {t: Takt, velocity_x: Tempo, "
                   "yaw_rate: Drehrate}\noffset: 0.5\n")
     pair = read_pair([file], ReadSettings())
-    assert pair.ins.velocity[0].tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
+    assert pair.ins.values["velocity_x"].tolist() == [5.0] * 50 and pair.alignment.offset_ns == 500_000_000
 
 
 def test_drives_with_the_same_name_get_the_name_of_their_folder_as_prefix(tmp_path: Path) -> None:

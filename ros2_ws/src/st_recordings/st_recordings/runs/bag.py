@@ -15,7 +15,7 @@ from ..bag_metadata import read_information
 from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_bag, storage_files
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_share
-from .ins_log import InsLog, build_planar_ins_log, select_usable_rows, yaw_from_quaternion
+from .ins_log import InsLog, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import SteeringField, make_drive_log
 
@@ -151,7 +151,7 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
     columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
     ins_ns, values, _, row_notes = _select_odometry(columns)
-    return build_planar_ins_log(path, ins_ns, values, tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
+    return InsLog(path, ins_ns, values, ins_ns, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],

@@ -74,12 +74,12 @@ def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, floa
     """
     speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
     pairs = []
-    for label, kind, name, values in (("forward velocity", "speed", "ins_velocity_x", ins.velocity[0]),
-                                      ("yaw rate", "rate", "ins_yaw_rate", ins.rate[2]),
-                                      ("yaw", "angle", "ins_yaw", ins.yaw)):
-        if np.isfinite(values).any() or name != "ins_yaw":  # an INS may have no yaw
-            pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, _mask_ins_standstill(ins, values),
-                                 signal, speed, latency) for signal in can.all_of(name)]
+    for label, kind, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
+                                 ("yaw", "angle", "yaw")):
+        if channel in ins.values:  # an INS may have no yaw
+            values = _mask_ins_standstill(ins, ins.values[channel])
+            pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, values, signal, speed, latency)
+                      for signal in can.all_of(f"ins_{channel}")]
     return pairs
 
 
@@ -88,7 +88,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 
     steering_sign: +1 if the decoded sensor is positive to the left. ([], "") if the log has neither speed nor steering.
     """
-    velocity_x, yaw_rate = ins.velocity[0], ins.rate[2]
+    velocity_x, yaw_rate = ins.values["velocity_x"], ins.values["yaw_rate"]
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
     right = can.first_of("wheel_speed_rear_right")
     if speed is not None and speed.name != "vehicle_speed" and right and np.array_equal(speed.time_ns, right.time_ns):
@@ -141,13 +141,10 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
                 PLAUSIBILITY_CHANNELS[signal.name], f"{signal.name} ({signal.message})", signal.time_ns, signal.values,
                 moving))
     can = CanSignals(masked, can.faults)
-    moving = _is_moving(ins.time_ns, ins.time_ns, ins.velocity[0])
-    velocity, rate, yaw = ins.velocity.copy(), ins.rate.copy(), ins.yaw
-    velocity[0] = mask("velocity_x", "velocity_x of the INS", ins.time_ns, velocity[0], moving)
-    rate[2] = mask("yaw_rate", "yaw_rate of the INS", ins.time_ns, rate[2], moving)
-    if np.isfinite(yaw).any():
-        yaw = mask("yaw", "yaw of the INS", ins.time_ns, yaw, moving)
-    return replace(ins, velocity=velocity, rate=rate, yaw=yaw), can, notes
+    moving = _is_moving(ins.time_ns, ins.time_ns, ins.values["velocity_x"])
+    values = {name: mask(name, f"{name} of the INS", ins.time_ns, ins.values[name], moving)
+              for name in ("velocity_x", "yaw_rate", "yaw") if name in ins.values}
+    return replace(ins, values={**ins.values, **values}), can, notes
 
 
 def _is_moving(time_ns: np.ndarray, speed_time_ns: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -208,4 +205,4 @@ def _make_pair(name: str, kind: str, time_ns: np.ndarray, values: np.ndarray, si
 
 
 def _mask_ins_standstill(ins: InsLog, values: np.ndarray) -> np.ndarray:
-    return mask_standstill(ins.time_ns, values, ins.time_ns, ins.velocity[0])
+    return mask_standstill(ins.time_ns, values, ins.time_ns, ins.values["velocity_x"])

@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous_steering, find_columns, find_rivals
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_share
-from .ins_log import SPEEDS, InsLog, build_planar_ins_log, compute_car_speed, is_mostly_known, yaw_from_quaternion
+from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_from_quaternion
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
 MOTION_SIGNALS = ("velocity_x", "yaw_rate")
@@ -130,10 +130,12 @@ def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS, yaw_scale: 
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     counted = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
     _count_missing(table, counted, (), notes)
-    values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS) if name in columns}
+    values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
+              if name in columns and np.isfinite(columns[name][rows]).any()}
     if "yaw" in values:
         values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
-    return build_planar_ins_log(table.file, table.time_ns[rows], values, tuple(notes), table.absolute, origin)
+    time_ns = table.time_ns[rows]
+    return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(notes), table.absolute)
 
 
 def has_drive_columns(file: Path) -> bool:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from st_core.checks import InsQuality, Series
-from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.timeseries import interpolate
 
 from .errors import format_share
@@ -23,37 +22,19 @@ MAX_END_STEP = 10.0  # 95th percentiles of the time steps; if the first or last 
 
 @dataclass(frozen=True)
 class InsLog:
-    """INS measurements with a fix. Body axes are forward, left, up. NaN where a channel was not recorded."""
+    """INS measurements with a fix.
+
+    values: by channel of DriveLog, for those that were recorded (at least one number); yaw is unwrapped.
+    """
 
     file: Path
     time_ns: np.ndarray  # measurement times, strictly increasing
-    position: np.ndarray  # (3, n) of the INS point relative to the origin, east, north, up [m]
-    yaw: np.ndarray  # from east, counter-clockwise, unwrapped [rad]
-    pitch: np.ndarray  # nose down positive [rad]
-    roll: np.ndarray  # right side down positive [rad]
-    velocity: np.ndarray  # (3, n) of the INS point, body axes [m/s]
-    rate: np.ndarray  # (3, n) body axes [rad/s]
-    acceleration: np.ndarray  # (3, n) specific force, body axes [m/s^2]
-    origin: tuple[float, float, float] | None  # latitude, longitude [rad], altitude [m]; None if unknown
+    values: Mapping[str, np.ndarray]
     stamps_ns: np.ndarray  # times of all samples, with or without a fix
-    quality: InsQuality | None  # as the unit reports it
+    origin: tuple[float, float, float] | None = None  # latitude, longitude [rad], altitude [m]; None if unknown
+    quality: InsQuality | None = None  # as the unit reports it
     warnings: tuple[str, ...] = ()
     absolute: bool = True  # whether the times are UTC
-
-
-def build_planar_ins_log(file: Path, time_ns: np.ndarray, values: Mapping[str, np.ndarray],
-                         warnings: tuple[str, ...] = (), absolute: bool = True,
-                         origin: tuple[float, float, float] | None = None) -> InsLog:
-    """Builds an INS log of plane motion: pitch, roll and vertical motion are zero.
-
-    values: any of x, y, yaw, velocity_x, velocity_y, yaw_rate, acceleration_x, acceleration_y.
-    """
-    zero, unknown = np.zeros(len(time_ns)), np.full(len(time_ns), np.nan)
-    x, y, yaw, velocity_x, velocity_y, yaw_rate, *acceleration = (values.get(name, unknown) for name in (
-        *INS_SIGNALS, *OPTIONAL_INS_SIGNALS[:2]))
-    return InsLog(file, time_ns, np.stack([x, y, zero]), yaw, zero, zero, np.stack([velocity_x, velocity_y, zero]),
-                  np.stack([zero, zero, yaw_rate]), np.stack([*acceleration, unknown]), origin, time_ns, None, warnings,
-                  absolute)
 
 
 def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:

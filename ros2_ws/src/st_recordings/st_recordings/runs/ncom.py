@@ -7,10 +7,11 @@ import numpy as np
 from oxts_bridge import file_decoder
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
-from oxts_bridge.geometry import LocalFrame
+from oxts_bridge.geometry import Attitude, LocalFrame, Vector
 from oxts_bridge.motion import Motion
 from oxts_bridge.ncom import BATCH_S, LATE, NEW, SAME, STATUS_RULES, NcomError
 from st_core.checks import InsQuality
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 
 from .errors import RunError, check_readable, format_share
 from .ins_log import MAX_LOST_SHARE, InsLog, select_usable_rows
@@ -24,6 +25,12 @@ ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc
 class NcomLog(InsLog):
     columns: Columns  # all packets of the file
     rows: np.ndarray  # indices of the packets that are samples of the log
+    motion: Motion  # of the samples
+    position: Vector  # of the samples relative to the origin, east, north, up [m]
+
+    def select_attitude(self, rows: slice) -> Attitude:
+        """Orientation of some of the samples."""
+        return Attitude(self.values["yaw"][rows], self.motion.attitude.pitch[rows], self.motion.attitude.roll[rows])
 
 
 def read_ncom(file: Path) -> NcomLog:
@@ -58,12 +65,15 @@ def read_ncom(file: Path) -> NcomLog:
     motion = Motion.from_packet(columns.take(rows))
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
     stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
+    position = motion.locate(LocalFrame(*origin))
+    channels = zip((*INS_SIGNALS, *OPTIONAL_INS_SIGNALS), (
+        *position[:2], np.unwrap(np.pi / 2 - columns.heading[rows]), *motion.body_velocity[:2],
+        motion.angular_velocity[2], *motion.acceleration[:2]), strict=True)
+    values = {name: column for name, column in channels if np.isfinite(column).any()}
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], position=np.stack(motion.locate(LocalFrame(*origin))),
-        yaw=np.unwrap(np.pi / 2 - columns.heading[rows]), pitch=motion.attitude.pitch, roll=motion.attitude.roll,
-        velocity=np.stack(motion.body_velocity), rate=np.stack(motion.angular_velocity),
-        acceleration=np.stack(motion.acceleration), origin=origin, stamps_ns=columns.utc_ns[stamped],
-        quality=collect_quality(columns, rows), columns=columns, rows=rows, warnings=tuple(warnings))
+        file=file, time_ns=columns.utc_ns[rows], values=values, origin=origin, stamps_ns=columns.utc_ns[stamped],
+        quality=collect_quality(columns, rows), columns=columns, rows=rows, motion=motion, position=position,
+        warnings=tuple(warnings))
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from st_core.checks import AuxiliaryData, Finding
 from st_core.checks.sampling import make_rejected_frames_finding
 from st_core.clock_types import Alignment, SharedSignal, Verdict
-from st_core.log import OPTIONAL_INS_SIGNALS
+from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from ..paths import config, json_ready
@@ -147,17 +147,14 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     is_usable = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
     wheel = settings.steering_sign * steering.values[is_usable]
-    accelerations = dict(zip(OPTIONAL_INS_SIGNALS, ins.acceleration, strict=False))
-    missing = {name: int(np.isnan(values).sum()) for name, values in accelerations.items()}
-    missing = {name: count for name, count in missing.items() if count < len(ins.time_ns)}  # recorded channels
+    missing = {name: int(np.isnan(ins.values[name]).sum()) for name in OPTIONAL_INS_SIGNALS if name in ins.values}
     warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
-                 f"it is {'unknown there' if is_mostly_known(accelerations[name]) else 'not used'}"
+                 f"it is {'unknown there' if is_mostly_known(ins.values[name]) else 'not used'}"
                  for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     log = make_drive_log(
-        source.where, source.name, ins_time_ns=ins.time_ns, x=ins.position[0], y=ins.position[1], yaw=ins.yaw,
-        velocity_x=ins.velocity[0], velocity_y=ins.velocity[1], yaw_rate=ins.rate[2],
-        **{name: values for name, values in accelerations.items() if is_mostly_known(values)},
+        source.where, source.name, ins_time_ns=ins.time_ns,
+        **{name: values for name, values in ins.values.items() if name in INS_SIGNALS or is_mostly_known(values)},
         steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),

@@ -1,7 +1,6 @@
 """Serialises the columns of a raw run as ROS messages of the suite."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ class Covariances:
         Variances of angular rates, and variances that the unit does not report, are UNKNOWN_VARIANCE.
         """
         packets = ins.rows[rows]
-        attitude = Attitude(ins.yaw[rows], ins.pitch[rows], ins.roll[rows])
+        attitude = ins.select_attitude(rows)
         pose, twist = np.zeros((len(packets), 6, 6)), np.zeros((len(packets), 6, 6))
         pose[:, :3, :3] = self._compute_block(3, packets, Attitude(0.0, 0.0, 0.0).rotate_covariance)
         pose[:, 3:, 3:] = self._compute_block(5, packets, attitude.rotate_orientation_covariance)
@@ -55,21 +54,8 @@ class Covariances:
         return np.where(is_known, np.stack(elements, axis=-1).reshape(-1, 3, 3), np.eye(3) * UNKNOWN_VARIANCE)
 
 
-@dataclass(frozen=True)
-class Messages:
-    """Serialised messages of one topic in order of time. Message k is data[edges[k] : edges[k + 1]]."""
-
-    topic: str
-    type_name: str
-    time_ns: np.ndarray  # log times
-    data: memoryview
-    edges: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    def select(self, rows: slice) -> "Messages":
-        return replace(self, time_ns=self.time_ns[rows], edges=self.edges[rows.start : rows.stop + 1])
+Message = tuple[int, str, bytes]
+"""(log time [ns], topic, serialised message)."""
 
 
 class Serialiser:
@@ -93,39 +79,38 @@ class Serialiser:
                 values[name] = np.zeros(count, base[0]) if node == Nodetype.ARRAY else []
         return self._store.types[type_name](**values)
 
-    def _serialise(self, topic: str, type_name: str, columns: Mapping[str, np.ndarray], **texts: str) -> Messages:
+    def _serialise(self, topic: str, type_name: str, columns: Mapping[str, np.ndarray], **texts: str) -> list[Message]:
         if type_name not in self._layouts:
             self._layouts[type_name] = CdrLayout(self._store, type_name, self._make_blank(type_name, **texts))
-        time_ns = columns["header.stamp"]
-        rows = self._layouts[type_name].rows(len(time_ns), columns)
-        edges = np.arange(len(rows) + 1, dtype=np.int64) * rows.shape[1]
-        return Messages(topic, type_name, time_ns, memoryview(rows.reshape(-1).data), edges)
+        times = columns["header.stamp"].tolist()
+        rows = self._layouts[type_name].rows(len(times), columns)
+        return [(time_ns, topic, row.tobytes()) for time_ns, row in zip(times, rows, strict=True)]
 
-    def serialise_odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> Messages:
+    def serialise_odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> list[Message]:
         """Odometry of the INS point: pose in the map (ENU), twist in body axes (FLU)."""
         pose_covariance, twist_covariance = covariances.compute(ins, rows)
         columns = {"header.stamp": ins.time_ns[rows], "pose.covariance": pose_covariance,
                    "twist.covariance": twist_covariance}
         for k, axis in enumerate("xyz"):
-            columns[f"pose.pose.position.{axis}"] = ins.position[k, rows]
-            columns[f"twist.twist.linear.{axis}"] = ins.velocity[k, rows]
-            columns[f"twist.twist.angular.{axis}"] = ins.rate[k, rows]
-        quaternion = Attitude(ins.yaw[rows], ins.pitch[rows], ins.roll[rows]).to_quaternion()
+            columns[f"pose.pose.position.{axis}"] = ins.position[k][rows]
+            columns[f"twist.twist.linear.{axis}"] = ins.motion.body_velocity[k][rows]
+            columns[f"twist.twist.angular.{axis}"] = ins.motion.angular_velocity[k][rows]
+        quaternion = ins.select_attitude(rows).to_quaternion()
         columns |= {f"pose.pose.orientation.{axis}": values for axis, values in zip("xyzw", quaternion, strict=True)}
         return self._serialise("/ins/odometry", ODOMETRY, columns, frame_id=MAP_FRAME, child_frame_id=INS_FRAME)
 
-    def serialise_ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> Messages:
+    def serialise_ncom(self, raw: np.ndarray, time_ns: np.ndarray) -> list[Message]:
         """Raw packets, given as (n, 72) uint8."""
         return self._serialise("/ins/ncom", NCOM, {"header.stamp": time_ns, "raw_packet": raw}, frame_id=INS_FRAME)
 
     def serialise_steering(self, time_ns: np.ndarray, wheel: np.ndarray, valid: np.ndarray,
-                           vehicle: VehicleParameters) -> Messages:
+                           vehicle: VehicleParameters) -> list[Message]:
         """Steering angles. wheel: steering wheel angle [rad], left positive, without offset correction."""
         return self._serialise("/vehicle/steering", STEERING, {
             "header.stamp": time_ns, "steering_wheel_angle": wheel, "road_wheel_angle": vehicle.road_wheel_angle(wheel),
             "valid": valid})
 
-    def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> Messages:
+    def serialise_wheel_speeds(self, message: str, signals: CanSignals, to_reference: Any) -> list[Message]:
         """Wheel speeds [m/s], one ROS message per frame of a CAN message; NaN for wheels that are not in the frame.
 
         to_reference: converts log times to the INS clock [ns].
@@ -141,7 +126,7 @@ class Serialiser:
         return self._serialise("/vehicle/wheel_speeds", WHEEL_SPEEDS, {
             "header.stamp": to_reference(log_ns), "valid": valid, **columns})
 
-    def serialise_can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> Messages:
+    def serialise_can_frames(self, frames: Frames, time_ns: np.ndarray, bus_name: str) -> list[Message]:
         """Frames of one bus, one message per CAN_PERIOD_NS. time_ns: ascending times of the frames.
 
         Each frame consists of a head (stamp, id, four flags, length of the data) and its data, padded to 4 bytes.
@@ -165,28 +150,13 @@ class Serialiser:
         cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
         ends = np.append(cuts[1:], n)
         head = bytearray(self._store.serialize_cdr(self._make_blank(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
-        data = bytearray()
-        edges = [0]
+        messages = []
         for first, last, start_ns in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
             head[4:8] = (start_ns // 1_000_000_000).to_bytes(4, "little")
             head[8:12] = (start_ns % 1_000_000_000).to_bytes(4, "little")
             head[-4:] = (last - first).to_bytes(4, "little")
-            data += head
             # CDR does not pad the last frame of a message.
             padding = int(padded[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
-            data += body[starts[first] : starts[last] - padding].tobytes()
-            edges.append(len(data))
-        return Messages("/can/frames", CAN_FRAMES, time_ns[cuts], memoryview(bytes(data)), np.array(edges, np.int64))
-
-
-def merge_in_time_order(parts: list[Messages]) -> Iterator[tuple[int, str, memoryview]]:
-    """Yields (log time [ns], topic, bytes) of all messages in order of time."""
-    if not parts:
-        return
-    time_ns = np.concatenate([p.time_ns for p in parts])
-    which = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
-    index = np.concatenate([np.arange(len(p)) for p in parts])
-    order = np.argsort(time_ns, kind="stable")
-    edges = [p.edges.tolist() for p in parts]
-    for time, part, k in zip(time_ns[order].tolist(), which[order].tolist(), index[order].tolist(), strict=True):
-        yield time, parts[part].topic, parts[part].data[edges[part][k] : edges[part][k + 1]]
+            data = bytes(head) + body[starts[first] : starts[last] - padding].tobytes()
+            messages.append((start_ns, "/can/frames", data))
+        return messages

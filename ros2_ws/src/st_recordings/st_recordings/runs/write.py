@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from .load import apply_run_file, check_coverage, hash_files
 from .ncom import NcomLog
 from .raw import RawRun, build_drive, move_to_ins_clock, read_raw, summarise_alignment
 from .run_types import LoadedRun, ReadSettings, RunSource
-from .serialiser import Covariances, Messages, Serialiser, merge_in_time_order
+from .serialiser import Covariances, Message, Serialiser
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
@@ -28,7 +29,7 @@ BLOCK_NS = 20 * 10**9
 """Duration [ns] of the part of a run that is serialised at once, to limit the use of memory."""
 TIME_MARGIN_NS = 60 * 10**9
 """A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
-Stream = tuple[np.ndarray, Callable[[slice], Messages]]
+Stream = tuple[np.ndarray, Callable[[slice], list[Message]]]
 """(times [ns] of the entries of a stream, function that serialises some of the entries)."""
 
 
@@ -71,10 +72,11 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     try:
         for block_ns in range(start_ns, start_ns + span_ns + 1, BLOCK_NS):
             edges = block_ns, block_ns + BLOCK_NS
-            parts = [serialise(rows) for times, serialise in streams
-                     if (rows := slice(*np.searchsorted(times, edges).tolist())).start < rows.stop]
-            for time_ns, topic, data in merge_in_time_order(parts):
-                writer.write(ids[topic], bytes(data), time_ns)
+            messages = [message for times, serialise in streams
+                        if (rows := slice(*np.searchsorted(times, edges).tolist())).start < rows.stop
+                        for message in serialise(rows)]
+            for time_ns, topic, data in sorted(messages, key=itemgetter(0)):
+                writer.write(ids[topic], data, time_ns)
                 counts[topic] += 1
             if progress is not None:
                 progress(min((block_ns + BLOCK_NS - start_ns) / (span_ns + 1), 1.0))
@@ -112,7 +114,7 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
         (packet_ns, lambda rows: serialiser.serialise_ncom(columns.raw[packets[rows]], packet_ns[rows])),
         (steering_ns, lambda rows: serialiser.serialise_steering(steering_ns[rows], angle[rows], steering.valid[rows],
                                                                  vehicle)),
-        *((messages.time_ns, messages.select) for messages in wheels),
+        *((np.array([time_ns for time_ns, _, _ in messages]), messages.__getitem__) for messages in wheels),
         *(_make_frame_stream(run.can.frames, frame_ns, np.flatnonzero(buses == bus), serialiser)
           for bus in np.unique(buses).tolist())]
 
