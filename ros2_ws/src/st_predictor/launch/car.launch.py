@@ -73,9 +73,9 @@ def steering_parameters(context):
                 steering |= yaml.safe_load(stream) or {}
     given = {"steering_sign": LaunchConfiguration("steering_sign").perform(context),
              "steering_latency": LaunchConfiguration("steering_latency").perform(context)}
-    steering |= {name: yaml.safe_load(value) for name, value in given.items() if value}
-    # The latency is a float parameter, for which ROS does not accept the integer 0.
+    steering |= {name: value for name, value in given.items() if value}
     if "steering_latency" in steering:
+        # The latency is a float parameter, for which ROS does not accept the integer 0.
         steering["steering_latency"] = float(steering["steering_latency"])
     return {name: str(value) for name, value in steering.items()}
 
@@ -122,20 +122,21 @@ def generate_launch_description():
         declare("vehicle", "vehicle file", CarFile("vehicle.yaml")),
         declare("parameters", "node parameters", [CONFIG, "/nodes.yaml"]),
         declare("dbc", "DBC of the car's bus", CarFile("can.dbc")),
-        declare("signals", "table from DBC signals to signal names", CarFile("signals.yaml")),
+        declare("signals", "table that maps DBC signals to canonical names, signs and units", CarFile("signals.yaml")),
         declare("steering_sign", "1: decoded angle left positive, -1: right; empty: from car.yaml or parameters", ""),
-        declare("steering_latency", "s, delay from wheel motion to the stamp of its frame; empty: see above", ""),
+        declare("steering_latency", "s, steering wheel motion to the stamp of its frame; empty: as above", ""),
         declare("can_interface", "python-can interface", "socketcan"),
         declare("can_channel", "channel of that interface", "can0"),
         declare("ncom_port", "UDP port the INS sends NCOM to", "3000"),
         declare("ncom_address", "local address to listen on", "0.0.0.0"),
         declare("bands", "bands.yaml of st calibrate; empty: bands without calibration", ""),
         declare("course", "course.yaml of st course build for this site; empty: none", ""),
-        declare("output", "folder of the recordings, must not exist", f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
+        declare("output", "folder of the recordings; bags in it are kept, and new ones are named NAME_2",
+                f"runs/{datetime.now(UTC):%Y%m%d-%H%M%S}"),
         declare("bridges", "false: another source publishes odometry and steering", "true"),
         declare("markers", "true: car, errors and names as markers for RViz and Foxglove", "true"),
         declare("identify", "true: identify steering and stiffness online (published, never applied)", "false"),
-        declare("respawn", "true: restart a node that ends; it records into NAME_2", "true"),
+        declare("respawn", "true: restart a node that ends; false: also stop if a bag exists in output", "true"),
         declare("use_sim_time", "true: follow /clock", "false"),
         suite_node("st_predictor", "recorder",
                    override_text("recorder", "output_directory", PathJoinSubstitution([OUTPUT, "bag"])),

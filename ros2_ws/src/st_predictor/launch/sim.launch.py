@@ -12,34 +12,28 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackagePrefix
 
-# There is no `car` argument: DBC, signal table and steering settings always belong to the virtual Leaf.
+# In addition to those of car.launch.py, or with another default.
 ARGUMENTS = {
     "config_dir": (None, "folder with nodes.yaml and car/ (config/ of the repository)"),
-    "vehicle": ([LaunchConfiguration("config_dir"), "/car/leaf/vehicle.yaml"], "vehicle file"),
     "scenario": ("S6", "manoeuvre: S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, lane_change, "
                  "slalom, weave, circle, there_and_back"),
     "duration": ("60", "seconds of driving"),
     "plant": ("realistic", "ideal, realistic, or a file with plant settings"),
     "seed": ("0", "seed of the simulated noise"),
-    "ncom_port": ("3000", "UDP port on the loopback interface"),
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
-    "identify": ("false", "true: identify steering and stiffness online"),
-    "bands": ("", "error bands, bands.yaml of st calibrate; empty: uncalibrated bands"),
-    "course": ("", "course.yaml of st course build for this site; empty: none"),
-    "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings, must not exist"),
+    "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings; bags in it are kept, and new "
+               "ones are named NAME_2"),
 }
 
 
 def generate_launch_description():
-    value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    value = {name: LaunchConfiguration(name) for name in (*ARGUMENTS, "vehicle", "ncom_port")}
     suite = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("car.launch.py"))),
-        launch_arguments={"config_dir": value["config_dir"], "vehicle": value["vehicle"], "output": value["output"],
-                          "identify": value["identify"], "bands": value["bands"], "course": value["course"],
-                          "ncom_port": value["ncom_port"], "ncom_address": "127.0.0.1",
-                          "can_interface": "udp_multicast", "can_channel": value["can_channel"]}.items(),
-    )
+        # No `car`: DBC, signal table and steering settings always belong to the virtual Leaf.
+        launch_arguments={"config_dir": value["config_dir"], "car": "", "ncom_address": "127.0.0.1",
+                          "can_interface": "udp_multicast"}.items())
     leaf = ExecuteProcess(
         cmd=[
             PathJoinSubstitution([FindPackagePrefix("st_sim"), "lib", "st_sim", "virtual_leaf"]),
@@ -50,10 +44,7 @@ def generate_launch_description():
             "--output", PathJoinSubstitution([value["output"], "truth"]),
         ],
         name="virtual_leaf", output="screen", prefix="setpriv --pdeathsig INT",
-        on_exit=Shutdown(reason="end of the drive"),
-    )
-    arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
+        on_exit=Shutdown(reason="end of the drive"))
+    arguments = [DeclareLaunchArgument(name, default_value=default, description=text)
+                 for name, (default, text) in ARGUMENTS.items()]
     return LaunchDescription([*arguments, suite, leaf])
