@@ -12,7 +12,7 @@ import numpy as np
 from st_core.leap_seconds import GPS_EPOCH_UNIX, leap_seconds_at_gps_times
 
 from . import ncom
-from .channels import FIELDS, UTC_CHANNEL, decode_event_time, decode_utc_offset
+from .channels import UTC_CHANNEL, decode_event_time, decode_utc_offset
 from .ncom import BATCH_S, PACKET_SIZE, STATUS_RULES, Counters, NcomError, Packet, find_next_packet, is_valid_position
 
 CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
@@ -35,12 +35,11 @@ _FIELDS = np.dtype({
 
 # ncom.STATUS_RULES as arrays, indexed by navigation status.
 _KIND = np.array([KINDS.index(rule.kind) for rule in STATUS_RULES], np.int8)
-_HAS_TIME, _HAS_STATUS, _IS_DEFINED = (
-    np.array([getattr(rule, part) for rule in STATUS_RULES]) for part in ("has_time", "has_status", "is_defined"))
+_HAS_TIME = np.array([rule.has_time for rule in STATUS_RULES])
+_HAS_STATUS = np.array([rule.has_status for rule in STATUS_RULES])
 _HAS_NAVIGATION = np.array([rule.navigation != "none" for rule in STATUS_RULES])
 _IS_APPROXIMATE = np.array([rule.navigation == "approximate" for rule in STATUS_RULES])
 _SETS_CLOCK = np.isin(np.arange(256), list(ncom.MINUTE_STATUSES))
-_IS_KNOWN_CHANNEL = np.isin(np.arange(256), list(FIELDS))
 _INVALID_UTC_OFFSET = 1  # s; UTC - GPS is never positive
 _UTC_OFFSET = np.array([  # indexed by byte 7 of channel 16
     _INVALID_UTC_OFFSET if offset is None else offset
@@ -64,8 +63,8 @@ class Columns(Packet):
     utc_ns: np.ndarray
     approximate: np.ndarray
     has_status: np.ndarray
-    counters: Counters
-    time_jumps: int
+    checksum_errors: int  # these two as in Counters
+    skipped_bytes: int
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -92,7 +91,7 @@ def decode_file(source: str | Path | bytes) -> Columns:
 
 
 def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
-    """Byte offsets of all packets; counts packets, checksum_errors and skipped_bytes."""
+    """Byte offsets of all packets; counts checksum_errors and skipped_bytes."""
     octets = np.frombuffer(data, np.uint8)
     offsets: list[np.ndarray] = []
     start, size, rows = 0, len(data), _FIRST_ROWS
@@ -108,9 +107,7 @@ def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
         if run < count:
             start, rows = find_next_packet(data, start, True, counters)[0], _FIRST_ROWS
     find_next_packet(data, start, True, counters)  # only to count the bytes after the last packet
-    offset = np.concatenate(offsets) if offsets else np.empty(0, np.int64)
-    counters.packets = len(offset)
-    return offset
+    return np.concatenate(offsets) if offsets else np.empty(0, np.int64)
 
 
 def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
@@ -119,7 +116,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     raw = np.ascontiguousarray(rows[offset[0] : offset[-1] + 1 : PACKET_SIZE] if is_contiguous else rows[offset])
     packets = raw.view(_FIELDS).ravel()
     status, channel = packets["status"].copy(), packets["channel"].copy()
-    kind, gps_ns, order, jumps = _compute_times(raw, packets)
+    kind, gps_ns, order = _compute_times(raw, packets)
     layout = ((ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
               (ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), (ncom.ANGLES_AT, ncom.ANGLE_UNIT))
     acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, *place) for place in layout)
@@ -132,8 +129,8 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         acceleration=acceleration, angular_rate=angular_rate, velocity_ned=velocity,
         latitude=packets["latitude"].copy(), longitude=packets["longitude"].copy(), altitude=altitude,
         heading=heading, pitch=pitch, roll=roll,
-        approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status], counters=counters, time_jumps=jumps)
-    _fill_counters(columns)
+        approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status],
+        checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes)
     _mask_invalid(columns)
     return columns
 
@@ -146,15 +143,15 @@ def _decode_vectors(raw: np.ndarray, first: int, unit: float) -> np.ndarray:
     return values
 
 
-def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """Kind, GPS time [ns] and order of every packet, and the number of time jumps."""
+def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kind, GPS time [ns] and order of every packet."""
     status, ms, minutes = packets["status"], packets["milliseconds"], packets["minute"]
     kind, gps_ns, order = _KIND[status], np.full(len(raw), UNKNOWN_TIME), np.zeros(len(raw), np.int8)
     timed = np.flatnonzero(_HAS_TIME[status] & (ms < ncom.MINUTE_MS))
     is_minute = (minutes >= ncom.FIRST_MINUTE) & (minutes <= ncom.LAST_MINUTE)
     sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & is_minute
     hints = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
-    gps_ms, timed_order, jumps = compute_packet_times(
+    gps_ms, timed_order = compute_packet_times(
         ms[timed].astype(np.int64), np.where(sets_minute[timed], minutes[timed], -1),
         list(zip(np.searchsorted(timed, hints).tolist(), minutes[hints].tolist(), strict=True)))
     same = np.flatnonzero(timed_order == ncom.SAME)
@@ -171,12 +168,12 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
         else:
             gps_ns[i], order[i] = event_ns, ncom.DUPLICATE if packet == previous else ncom.NEW
         previous = packet
-    return kind, gps_ns, order, jumps
+    return kind, gps_ns, order
 
 
 def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
-                         hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray, int]:
-    """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets, and the number of time jumps.
+                         hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
+    """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets.
 
     The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
     computed by counting minute rollovers up to the next late packet, or to the next transmitted minute that differs
@@ -187,7 +184,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     """
     step = np.diff(ms, prepend=ms[:1])
     ahead = step % ncom.MINUTE_MS
-    is_late, is_jump = ahead >= ncom.HALF_MINUTE_MS, ahead * 1_000_000 > ncom.LARGEST_STEP_NS
+    is_late = ahead >= ncom.HALF_MINUTE_MS
     wraps = np.cumsum((step < 0) & ~is_late)
     # Minute of each packet that has one, less the rollovers up to it: constant while the count is right.
     timed = np.flatnonzero(minutes >= 0)
@@ -204,7 +201,6 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
                 run = slice(start, stop)
                 times[run] = (wraps[run] + base) * ncom.MINUTE_MS + ms[run]
                 clock.minute, clock.milliseconds = divmod(int(times[stop - 1]), ncom.MINUTE_MS)
-                clock.jumps += int(np.count_nonzero(is_jump[run]))
             start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
             while waiting and waiting[0][0] <= i:
@@ -212,7 +208,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
             time, order[i] = clock.step(int(ms[i]), None if minutes[i] < 0 else int(minutes[i]))
             times[i] = -1 if time is None else time
             start = i + 1
-    return times, order, clock.jumps
+    return times, order
 
 
 def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray, gps_ns: np.ndarray) -> np.ndarray:
@@ -230,22 +226,6 @@ def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
     return np.where(is_timed, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
 
 
-def _fill_counters(columns: Columns) -> None:
-    counters, raw, status, order = columns.counters, columns.raw, columns.navigation_status, columns.order
-    first = np.add.reduce(raw[:, 1:ncom.CHECKSUM_1_AT], axis=1, dtype=np.uint8)
-    second = first + np.add.reduce(raw[:, ncom.CHECKSUM_1_AT:ncom.CHECKSUM_2_AT], axis=1, dtype=np.uint8)
-    wrong = (first != raw[:, ncom.CHECKSUM_1_AT]) | (second != raw[:, ncom.CHECKSUM_2_AT])
-    structure_b = status == ncom.STRUCTURE_B
-    counters.structure_b = int(structure_b.sum())
-    counters.inner_checksum_warnings = int((wrong & ~structure_b).sum())
-    counters.impossible_times = int((_HAS_TIME[status] & (columns.milliseconds >= ncom.MINUTE_MS)).sum())
-    counters.unknown_statuses = int((~_IS_DEFINED[status]).sum())
-    counters.unknown_channels = int((columns.has_status & ~_IS_KNOWN_CHANNEL[columns.channel]).sum())
-    counters.triggers = int((_KIND[status] == TRIGGER).sum())
-    counters.duplicates = int((order == ncom.DUPLICATE).sum())
-    counters.late = int((order == ncom.LATE).sum())
-
-
 def _mask_invalid(columns: Columns) -> None:
     """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
     columns.approximate &= columns.kind != EMPTY
@@ -253,7 +233,6 @@ def _mask_invalid(columns: Columns) -> None:
     no_navigation = no_imu | ~_HAS_NAVIGATION[columns.navigation_status]
     with np.errstate(invalid="ignore"):
         impossible = ~is_valid_position(columns.latitude, columns.longitude, columns.altitude)
-    columns.counters.impossible_positions = int((impossible & ~no_navigation).sum())
     for names, is_invalid in ((("acceleration", "angular_rate"), no_imu),
                               (("velocity_ned", "heading", "pitch", "roll"), no_navigation),
                               (("latitude", "longitude", "altitude"), no_navigation | impossible)):

@@ -152,7 +152,7 @@ def test_columns_agree_with_steps_for_a_clock_set_back_before_a_wrong_minute():
     minutes[0], minutes[-2] = 1_000_000, 999_281
     clock = GpsClock()
     one_by_one = [clock.step(int(a), None if b < 0 else int(b)) for a, b in zip(ms, minutes, strict=True)]
-    times, order, _ = compute_packet_times(ms, minutes, [])
+    times, order = compute_packet_times(ms, minutes, [])
     assert list(zip(times.tolist(), order.tolist(), strict=True)) == one_by_one
     assert order[-4:].tolist() == [LATE] * 4
 

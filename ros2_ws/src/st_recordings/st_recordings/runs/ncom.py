@@ -9,7 +9,7 @@ from oxts_bridge.channels import decode_channel
 from oxts_bridge.file_decoder import Columns
 from oxts_bridge.geometry import Attitude, LocalFrame, Vector
 from oxts_bridge.motion import Motion
-from oxts_bridge.ncom import BATCH_S, LATE, NEW, SAME, STATUS_RULES, NcomError
+from oxts_bridge.ncom import BATCH_S, DUPLICATE, LATE, NEW, SAME, STATUS_RULES, NcomError
 from st_core.checks import InsQuality
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 
@@ -77,16 +77,15 @@ def read_ncom(file: Path) -> NcomLog:
 
 
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
-    counters = columns.counters
     lost = []
     with file.open("rb") as stream:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # a capture has headers between the packets
-    if counters.skipped_bytes and not is_capture:
-        lost.append(f"{format_share(counters.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
-    if counters.checksum_errors:
-        lost.append(f"{counters.checksum_errors} packets have a wrong checksum")
-    if counters.duplicates:
-        lost.append(f"{counters.duplicates} packets are duplicates")
+    if columns.skipped_bytes and not is_capture:
+        lost.append(f"{format_share(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
+    if columns.checksum_errors:
+        lost.append(f"{columns.checksum_errors} packets have a wrong checksum")
+    if duplicates := np.count_nonzero(columns.order == DUPLICATE):
+        lost.append(f"{duplicates} packets are duplicates")
     notes = [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
     regular = columns.kind == file_decoder.REGULAR
     other = regular & np.isin(columns.order, (SAME, LATE))
