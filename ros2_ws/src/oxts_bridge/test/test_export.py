@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oxts_bridge.derived import filter_low_pass
-from oxts_bridge.export import write_csv
+from oxts_bridge.export import filter_low_pass, write_csv
 from oxts_bridge.ncom import NcomError
 
 START = 24_015_600 * 60_000 + 1_000  # GPS time [ms]

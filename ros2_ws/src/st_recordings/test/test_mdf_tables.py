@@ -11,10 +11,10 @@ from mdf_files import LogFrame, write_layout_2
 from raw_drives import write_drives
 from st_core.log import DriveLog
 from st_recordings.runs import ReadSettings, find_runs, read
+from st_recordings.runs.binary_table import is_signal_table, read_signals
 from st_recordings.runs.can_formats import is_can_log
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.mdf_table import is_signal_table, read_signals
 
 
 @pytest.fixture(scope="module")

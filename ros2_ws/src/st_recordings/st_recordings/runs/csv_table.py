@@ -12,10 +12,9 @@ import numpy as np
 from st_core.sideslip import derive_yaw_rate
 
 from . import columns as column_names
-from .binary_table import BINARY_EXTENSIONS, read_binary_table
+from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
 from .errors import RunError, check_readable, format_share, shorten
-from .mdf_table import is_signal_table, read_names, read_signals
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 ROWS_OF_TIMES = 500  # number of rows in which distinct times are counted, to find the finest time column
