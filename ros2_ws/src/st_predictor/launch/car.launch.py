@@ -124,7 +124,7 @@ def generate_launch_description():
         declare("dbc", "DBC of the car's bus", CarFile("can.dbc")),
         declare("signals", "table that maps DBC signals to canonical names, signs and units", CarFile("signals.yaml")),
         declare("steering_sign", "1: decoded angle left positive, -1: right; empty: from car.yaml or parameters", ""),
-        declare("steering_latency", "s, steering wheel motion to the stamp of its frame; empty: as above", ""),
+        declare("steering_latency", "s, delay of the stamp of a frame after the motion; empty: as above", ""),
         declare("can_interface", "python-can interface", "socketcan"),
         declare("can_channel", "channel of that interface", "can0"),
         declare("ncom_port", "UDP port the INS sends NCOM to", "3000"),

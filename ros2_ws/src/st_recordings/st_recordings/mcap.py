@@ -154,7 +154,7 @@ class BagWriter:
                 description = {"serialized_metadata": self._build_information().to_yaml()}
                 self._contents.append(self._file, Metadata("rosbag2", description))
                 self._finish(self.directory)
-                self._close_file()
+                self._close_file(self.message_count)
             except OSError as error:
                 self._stop(error)
         self.closed = True
@@ -186,7 +186,9 @@ class BagWriter:
         if folder is not None:
             self._build_information().save(folder)
 
-    def _close_file(self) -> None:
+    def _close_file(self, count: int) -> None:
+        """count: number of messages in the file; all others are lost."""
+        self.lost, self.message_count = self.lost + self.message_count - count, count
         if self.syncer:
             self.syncer.stop()
         os.close(self._file.descriptor)
@@ -197,13 +199,11 @@ class BagWriter:
         folder = current.parent if self._file.is_at(current) else None
         state = "deleted" if folder is None else f"renamed to {folder}"
         self.error = f"recording stopped: {self.directory} was {state}"
-        if folder is None:
-            self.lost += self.message_count
         with contextlib.suppress(OSError):  # `recover` writes a missing index
             if self._messages:
                 self._write_chunk()
             self._finish(folder)
-        self._close_file()
+        self._close_file(0 if folder is None else self._contents.counts().total())
 
     def _stop(self, error: OSError) -> None:
         """Closes the bag after its last complete chunk, and drops chunks until index and metadata.yaml fit."""
@@ -223,9 +223,7 @@ class BagWriter:
                         self._file.truncate(length)
                     break
                 length = dropped
-        count = self._contents.counts().total()
-        self.lost, self.message_count = self.lost + self.message_count - count, count
-        self._close_file()
+        self._close_file(self._contents.counts().total())
 
 
 class _LockedFile:

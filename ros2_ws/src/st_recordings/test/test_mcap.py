@@ -1,6 +1,8 @@
 """The bag writer: what independent readers find, what remains after a kill or with a full disk, and what is refused."""
 
+import errno
 import json
+import math
 import os
 import resource
 import shutil
@@ -224,6 +226,24 @@ def test_renamed_bag_is_detected_and_closed_under_its_new_name(tmp_path: Path, r
     bag.close()
     assert bag.lost == 1
     assert read_numbers(tmp_path / "renamed") == {"/a": [1, 2]}
+
+
+def test_messages_that_a_renamed_bag_cannot_hold_are_counted_as_lost(tmp_path: Path, monkeypatch) -> None:
+    bag, (topic,) = new_bag(tmp_path / "bag")
+    bag.write(topic, numbered(1), 1)
+    bag.flush()
+    (tmp_path / "bag").rename(tmp_path / "renamed")
+    bag.write(topic, numbered(2), 2)
+
+    def fail(data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(bag._file, "write", fail)
+    monkeypatch.setattr(bag, "_next_flush", math.inf)
+    time.sleep(FLUSH_PERIOD)
+    bag.flush_when_due()
+    bag.close()
+    assert bag.moved and (bag.message_count, bag.lost) == (1, 1)
 
 
 def test_deleted_bag_is_detected(tmp_path: Path) -> None:
