@@ -61,7 +61,7 @@ def test_suggested_drive_gives_the_predicted_precision(leaf):
     names = ("sweep", "lane_change", "slalom", "brake_in_turn")
     fits, (fit, other) = fit_relations(leaf, names)
     now = standard_deviation(fit)
-    drives = suggest_drives(fits, RELATION, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
+    drives = suggest_drives(fits, fit, {"other": other}, 2.0, AT, now, [(-4.2, -3.8), (-3.0, -1.0)])
     most_precise, (separating, rival) = drives.find_most_precise(now), drives.find_most_separating()
     assert most_precise.manoeuvre.name == separating.manoeuvre.name == "brake_in_turn" and rival == "other"
     assert separating.separation["other"] > drives.current_separation["other"]
@@ -73,7 +73,7 @@ def test_suggested_drive_gives_the_predicted_precision(leaf):
     assert most_precise.deviation.max() < 0.8 * now.max()
     assert after / before == pytest.approx(most_precise.deviation / now, rel=0.35)
     over_position = Candidate("side_force", "position_x", NEITHER, 0.0, 100.0)
-    assert suggest_drives(fits, over_position, fit, {}, 2.0, AT, now, []).options == ()
+    assert suggest_drives(fits, replace(fit, candidate=over_position), {}, 2.0, AT, now, []).options == ()
 
 
 @pytest.mark.slow

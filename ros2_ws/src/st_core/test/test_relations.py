@@ -12,7 +12,6 @@ from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings, discover
 from st_core.discovery.loss import Quadratic
-from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Measured
 from st_core.effects._relation import SPLINES, RelationEffect, evaluate_curve
 from st_core.errors import ConfigurationError
@@ -20,11 +19,12 @@ from st_core.integrate import rk4
 from st_core.models import MODELS
 from st_core.relations import Candidate, find_relation, relation_fit
 from st_core.relations.candidates import (
-    ADMISSIBLE,
     ALL_TERMS,
     FACTORS,
-    PAIRS,
+    MIN_RANGES,
     QUANTITIES,
+    RELATIONS,
+    SIGNED,
     TYPICAL_SIZES,
     compute_run_time,
     find_candidates,
@@ -45,9 +45,10 @@ DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
 
 
 def test_terms_and_quantities_are_complete_and_relations_are_not_library_effects():
-    assert set(ADMISSIBLE) == set(ALL_TERMS) == set(TYPICAL_SIZES)
-    assert {q for quantities in ADMISSIBLE.values() for q, _ in quantities} == set(QUANTITIES)
-    assert {(p, by) for p, _, by in PAIRS} <= {(p, by) for p in ALL_TERMS for by in FACTORS}
+    terms, quantities, factors = map(set, zip(*RELATIONS, strict=True))
+    assert terms == set(ALL_TERMS) == set(TYPICAL_SIZES)
+    assert set(SIGNED) < quantities == set(QUANTITIES) == set(MIN_RANGES)
+    assert factors == {"", *FACTORS}
     assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
         augment("nonlinear", ["lax"])
@@ -202,11 +203,11 @@ def test_relation_that_significantly_worsens_one_run_is_refused(fits):
     before = np.full(len(fits.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = fits.windows.run == 1
-    assert describe_deterioration(fits, "law", before, before - 0.1 + noise, Limits()) == ""
+    assert describe_deterioration(fits, "law", before, before - 0.1 + noise) == ""
     slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # 1 cm
-    assert describe_deterioration(fits, "law", before, slightly, Limits()) == ""
+    assert describe_deterioration(fits, "law", before, slightly) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
-    reasons = [describe_deterioration(fits, "law", before, after, Limits()) for after in (mixed, before + 0.1)]
+    reasons = [describe_deterioration(fits, "law", before, after) for after in (mixed, before + 0.1)]
     assert f"raises the held-out position error of {fits.windows.names[1]}" in reasons[0]
     assert "raises the held-out position error after 5 s from 0.500 to 0.6" in reasons[1]
 
@@ -220,7 +221,7 @@ def test_relation_on_the_vehicle_must_significantly_improve_the_predicted_path(f
     moment, gyroscope = (Candidate(term, "yaw_rate", -1.0, -0.5, 0.5) for term in ("yaw_moment", "sensor_yaw_rate"))
 
     def reason(candidate: Candidate, decrease: np.ndarray) -> str:
-        return describe_small_gain(fits, candidate, loss_decrease, decrease[fits.block], Limits())
+        return describe_small_gain(fits, candidate, loss_decrease, decrease[fits.block])
 
     assert reason(moment, 0.05 * share) == ""
     assert all("the gain in the predicted path is not" in reason(moment, decrease)
@@ -270,9 +271,9 @@ def test_run_time_starts_at_zero_in_every_run(leaf):
     windows = RunWindows(logs, leaf, DiscoverySettings(locate_errors=False))
     time = compute_run_time(windows, windows.starts_ns)
     assert time == pytest.approx(windows.seconds)
-    found = find_candidates(windows, leaf)
+    found = find_candidates(windows)
     assert {c.name for c in found} >= {"both_grip over run_time", "front_steer over steering_rate"}
-    assert {c.factor for c in found} == {"", *(by for *_, by in PAIRS)}
+    assert {c.factor for c in found} == {by for *_, by in RELATIONS}
 
 
 @pytest.mark.slow
@@ -311,9 +312,9 @@ def fit_with_curve(fits, candidate, coefficients):
 @pytest.mark.slow
 def test_curve_at_its_bound_is_refused(leaf, fits):
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
-    assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0)), leaf) == ""
+    assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0))) == ""
     at_bound = fit_with_curve(fits, c, np.eye(SPLINES)[2] * 100.0)
-    assert "side_force over speed reaches its bound" in describe_unusable_curve(fits, at_bound, leaf)
+    assert "side_force over speed reaches its bound" in describe_unusable_curve(fits, at_bound)
 
 
 @pytest.mark.slow
@@ -321,7 +322,7 @@ def test_curve_at_its_bound_is_refused(leaf, fits):
 def test_relation_that_makes_the_car_unstable_is_refused(leaf, fits, sign, text):
     c = Candidate("yaw_moment", "yaw_rate", -1.0, -0.15, 0.15)
     curve_fit = fit_with_curve(fits, c, fit_splines(c, lambda u: sign * 25.0 * u))
-    reason = describe_unusable_curve(fits, curve_fit, leaf)
+    reason = describe_unusable_curve(fits, curve_fit)
     assert text in reason and bool(text) == reason.startswith("with yaw_moment over yaw_rate the simulated car")
 
 

@@ -17,7 +17,7 @@ from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
 from st_core.relations import Candidate, Formula, Relation, RelationSearch, needs_search
-from st_core.relations.candidates import ADMISSIBLE, NEITHER, PAIRS
+from st_core.relations.candidates import ALL_TERMS, NEITHER, ODD, RELATIONS, SIGNED
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
@@ -35,10 +35,8 @@ CAR = VehicleParameters.from_yaml(LEAF.read_text())
 RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
          "speed": 20.0, "yaw_rate": 0.6, "steering_rate": 0.5, "lagging_steering": 0.3, "lean": 6.0, "north": 1.0,
          "east": 1.0, "position_x": 50.0, "position_y": 50.0, "run_time": 60.0}
-CANDIDATES = [
-    *((place, quantity, parity, "") for place, quantities in ADMISSIBLE.items() for quantity, parity in quantities
-      if quantity != "run_time"),
-    *((place, quantity, NEITHER, by) for place, quantity, by in PAIRS)]
+CANDIDATES = [(place, quantity, ODD if quantity in SIGNED else NEITHER, by) for place, quantity, by in RELATIONS
+              if quantity != "run_time"]
 
 
 def make_relation(place: str, quantity: str, parity: float, by: str = "") -> Relation:
@@ -98,7 +96,7 @@ def test_effect_file_meets_the_requirements_on_an_effect(tmp_path, registry, pla
 
 
 def test_curve_is_drawn_in_engineering_units():
-    assert set(quantities.TERM_NAMES) == set(ADMISSIBLE)
+    assert set(quantities.TERM_NAMES) == set(ALL_TERMS)
     assert [curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert curve_unit("1")[0] == 100.0 and curve_unit("rad")[0] == pytest.approx(57.2958)

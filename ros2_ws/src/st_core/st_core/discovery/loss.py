@@ -52,6 +52,14 @@ class Quadratic:
         member = (group == np.arange(count)[:, None]).astype(float)
         return Quadratic(*(np.tensordot(member, values, 1) for values in (self.cost, self.gradient, self.hessian)))
 
+    def rise(self, step: np.ndarray) -> np.ndarray:
+        """(n,) increase of the loss of each window by a step (p,) of the parameters."""
+        return np.einsum("i,bij,j->b", step, self.hessian, step) - 2.0 * self.gradient @ step
+
+    def after(self, step: np.ndarray) -> "Quadratic":
+        """The approximation about the parameters after a step (p,)."""
+        return Quadratic(self.cost + self.rise(step), self.gradient - self.hessian @ step, self.hessian)
+
     def only(self, indices: np.ndarray) -> "Quadratic":
         """The approximation in the parameters `indices`, with the others fixed."""
         return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])

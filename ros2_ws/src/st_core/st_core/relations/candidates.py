@@ -1,6 +1,5 @@
 """Candidate relations: the model term that a curve is added to, and the quantity it depends on."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +8,6 @@ from ..discovery.partitions import find_sites
 from ..discovery.windows import Windows
 from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
-from ..vehicle import VehicleParameters
 
 ODD, NEITHER = -1.0, 0.0  # parity of a curve
 TAIL_SHARE = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
@@ -24,6 +22,9 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
 """Minimum range of a quantity or factor in the drives; smaller ranges are mostly noise and road unevenness."""
+SIGNED = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_rate", "steering_rate", "lagging_steering",
+          "lean")
+"""Quantities that change sign in a mirrored drive; curves over them are odd."""
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
             "lean": ("acceleration_y", "lagging", 0.15)}
 """Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
@@ -38,28 +39,57 @@ TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02,
 SMOOTHING_NS = 400_000_000  # ns, smoothing of the forward speed before differentiation, because of INS noise
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
 """Quantities that a curve may be multiplied by, with their typical magnitudes."""
-ADMISSIBLE: Mapping[str, tuple[tuple[str, float], ...]] = {
-    "front_steer": (("steering", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
-                    ("steering_rate", ODD), ("lagging_steering", ODD), ("lean", ODD), ("run_time", NEITHER)),
-    "rear_steer": (("acceleration_y", ODD), ("steering", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER),
-                   ("lagging_steering", ODD), ("lean", ODD)),
-    "front_force": (("slip_front", ODD),),
-    "rear_force": (("slip_rear", ODD),),
-    "front_grip": (("speed", NEITHER), ("acceleration_x", NEITHER)),
-    "rear_grip": (("speed", NEITHER), ("acceleration_x", NEITHER)),
-    "both_grip": (("run_time", NEITHER), ("position_x", NEITHER), ("position_y", NEITHER)),
-    "yaw_moment": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER)),
-    "side_force": (("acceleration_y", ODD), ("speed", NEITHER), ("acceleration_x", NEITHER), ("north", NEITHER),
-                   ("east", NEITHER), ("position_x", NEITHER), ("position_y", NEITHER)),
-    "sensor_yaw_rate": (("acceleration_y", ODD), ("yaw_rate", ODD), ("speed", NEITHER)),
-    "sensor_acceleration_y": (("acceleration_y", ODD), ("speed", NEITHER)),
-    "sensor_velocity_y": (("yaw_rate", ODD), ("acceleration_y", ODD), ("speed", NEITHER)),
-    "sensor_heading": (("acceleration_y", ODD), ("speed", NEITHER)),
+RELATIONS = {
+    ("front_steer", "steering", ""): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
+    ("front_steer", "acceleration_y", ""): "roll steer or compliance of the front suspension",
+    ("front_steer", "speed", ""): "toe that changes with speed; a steering offset under load",
+    ("front_steer", "acceleration_x", ""): "brake or drive steer of the front axle, torque steer",
+    ("front_steer", "steering_rate", ""): "a damper or play in the steering, a delayed or advanced angle signal",
+    ("front_steer", "lagging_steering", ""): "a steering map with a lag, compliance of the column",
+    ("front_steer", "lean", ""): "roll steer of the front suspension",
+    ("front_steer", "run_time", ""): "an angle sensor that drifts, a linkage that settles",
+    ("rear_steer", "acceleration_y", ""): "roll steer or compliance of the rear suspension",
+    ("rear_steer", "steering", ""): "rear-wheel steering, or a twist of the car under steering",
+    ("rear_steer", "speed", ""): "lift that raises the rear and changes its toe",
+    ("rear_steer", "acceleration_x", ""): "brake or drive steer of the rear axle",
+    ("rear_steer", "lagging_steering", ""): "rear-wheel steering with a lag, torsional compliance of the body",
+    ("rear_steer", "lean", ""): "roll steer of the rear suspension",
+    ("front_force", "slip_front", ""): "a different curve of the front tyres, camber thrust",
+    ("rear_force", "slip_rear", ""): "a different curve of the rear tyres, camber thrust",
+    ("front_grip", "speed", ""): "lift or downforce at the front axle (with v^2), tyres that change with speed",
+    ("front_grip", "acceleration_x", ""): "load transfer, combined slip of a driven or braked front axle",
+    ("rear_grip", "speed", ""): "lift or downforce at the rear axle (with v^2), tyres that change with speed",
+    ("rear_grip", "acceleration_x", ""): "load transfer, combined slip of a driven or braked rear axle",
+    ("both_grip", "run_time", ""): "tyres that warm up or wear, a road that dries",
+    ("both_grip", "position_x", ""): "a road with friction that changes from place to place",
+    ("both_grip", "position_y", ""): "a road with friction that changes from place to place",
+    ("yaw_moment", "yaw_rate", ""): "yaw damping, scrub of twin wheels, a locked differential",
+    ("yaw_moment", "acceleration_y", ""): "load transfer on steered or driven wheels, a differential",
+    ("yaw_moment", "speed", ""): "aerodynamic yaw moment (with v^2), unequal drag of the wheels",
+    ("yaw_moment", "acceleration_x", ""): "torque steer, unequal brakes, a differential",
+    ("side_force", "acceleration_y", ""): "camber thrust of both axles, roll of the body",
+    ("side_force", "speed", ""): "aerodynamic side force (with v^2), wind, banked road",
+    ("side_force", "acceleration_x", ""): "drive or brake force with a lateral component",
+    ("side_force", "north", ""): "wind or a slope, by the course",
+    ("side_force", "east", ""): "wind or a slope, by the course",
+    ("side_force", "position_x", ""): "a banked road or wind at a place",
+    ("side_force", "position_y", ""): "a banked road or wind at a place",
+    ("sensor_yaw_rate", "acceleration_y", ""): "g-sensitivity of the gyroscope",
+    ("sensor_yaw_rate", "yaw_rate", ""): "a gyroscope with a varying scale factor",
+    ("sensor_yaw_rate", "speed", ""): "",
+    ("sensor_acceleration_y", "acceleration_y", ""): "an accelerometer that rolls with the body",
+    ("sensor_acceleration_y", "speed", ""): "",
+    ("sensor_velocity_y", "yaw_rate", ""): "a lever arm of the unit along the car",
+    ("sensor_velocity_y", "acceleration_y", ""): "a velocity at another point, or axes rotated by roll",
+    ("sensor_velocity_y", "speed", ""): "a misaligned unit",
+    ("sensor_heading", "acceleration_y", ""): "a heading affected by body roll",
+    ("sensor_heading", "speed", ""): "a heading that depends on speed: a misaligned antenna baseline",
+    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (negative: later)",
+    ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
+    ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
+    ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
 }
-"""Quantities that a relation of each term may depend on, with the symmetry of the curve."""
-PAIRS = (("front_steer", "speed", "steering_rate"), ("front_steer", "speed", "steering"),
-         ("rear_steer", "speed", "acceleration_y"), ("yaw_moment", "acceleration_x", "steering"))
-"""(term, quantity of the curve, factor): relations of two quantities."""
+"""Textbook causes of every relation that is searched, by (term, quantity of the curve, factor or "")."""
 
 
 @dataclass(frozen=True)
@@ -139,10 +169,10 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
     return (time_ns - begins[order][run]) * NANOSECOND
 
 
-def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str, np.ndarray]:
+def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
     A moving average over twice the lag replaces a lag; it has a similar range."""
-    log = windows.joined
+    log, vehicle = windows.joined, windows.vehicle
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
     time = stamps.astype(float)
@@ -161,19 +191,18 @@ def compute_quantities(windows: Windows, vehicle: VehicleParameters) -> dict[str
     return {name: values[moving] for name, values in quantities.items()}
 
 
-def find_candidates(windows: Windows, vehicle: VehicleParameters) -> list[Candidate]:
+def find_candidates(windows: Windows) -> list[Candidate]:
     """Candidates that these drives excite: quantities and factors with a range above MIN_RANGES, sensor terms of
     measured channels, positions only at a single site, because the maps of several sites may have different origins."""
-    values, candidates = compute_quantities(windows, vehicle), []
+    values, candidates = compute_quantities(windows), []
     one_site = int(find_sites(windows).max()) == 0
-    forms = [(term, quantity, parity, "") for term, quantities in ADMISSIBLE.items() for quantity, parity in quantities]
-    forms += [(term, quantity, NEITHER, factor) for term, quantity, factor in PAIRS]
-    for term, quantity, parity, factor in forms:
+    for term, quantity, factor in RELATIONS:
         channel = term.removeprefix("sensor_")
         if term.startswith("sensor_") and channel != "heading" and channel not in windows.columns:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
+        parity = ODD if quantity in SIGNED else NEITHER
         low, high = _find_range(values[quantity])
         if parity == ODD:
             high = _find_range(np.abs(values[quantity]))[1]

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from ..discovery.loss import Quadratic
 from ..regression import add_ridge
-from .candidates import NEITHER, Candidate
+from .candidates import NEITHER, RELATIONS, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; points in the range of a curve
@@ -69,54 +69,6 @@ ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
 }
 """Shapes of a curve without odd symmetry."""
 
-CAUSES: Mapping[tuple[str, ...], str] = {
-    ("front_steer", "acceleration_y"): "roll steer or compliance of the front suspension",
-    ("rear_steer", "acceleration_y"): "roll steer or compliance of the rear suspension",
-    ("front_steer", "steering"): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
-    ("rear_steer", "steering"): "rear-wheel steering, or a twist of the car under steering",
-    ("front_steer", "speed"): "toe that changes with speed; a steering offset under load",
-    ("front_steer", "acceleration_x"): "brake or drive steer of the front axle, torque steer",
-    ("rear_steer", "acceleration_x"): "brake or drive steer of the rear axle",
-    ("rear_steer", "speed"): "lift that raises the rear and changes its toe",
-    ("front_force", "slip_front"): "a different curve of the front tyres, camber thrust",
-    ("rear_force", "slip_rear"): "a different curve of the rear tyres, camber thrust",
-    ("front_grip", "speed"): "lift or downforce at the front axle (with v^2), tyres that change with speed",
-    ("rear_grip", "speed"): "lift or downforce at the rear axle (with v^2), tyres that change with speed",
-    ("front_grip", "acceleration_x"): "load transfer, combined slip of a driven or braked front axle",
-    ("rear_grip", "acceleration_x"): "load transfer, combined slip of a driven or braked rear axle",
-    ("yaw_moment", "acceleration_x"): "torque steer, unequal brakes, a differential",
-    ("yaw_moment", "speed"): "aerodynamic yaw moment (with v^2), unequal drag of the wheels",
-    ("yaw_moment", "yaw_rate"): "yaw damping, scrub of twin wheels, a locked differential",
-    ("yaw_moment", "acceleration_y"): "load transfer on steered or driven wheels, a differential",
-    ("side_force", "speed"): "aerodynamic side force (with v^2), wind, banked road",
-    ("side_force", "acceleration_x"): "drive or brake force with a lateral component",
-    ("side_force", "acceleration_y"): "camber thrust of both axles, roll of the body",
-    ("sensor_yaw_rate", "acceleration_y"): "g-sensitivity of the gyroscope",
-    ("sensor_yaw_rate", "yaw_rate"): "a gyroscope with a varying scale factor",
-    ("sensor_acceleration_y", "acceleration_y"): "an accelerometer that rolls with the body",
-    ("sensor_velocity_y", "acceleration_y"): "a velocity at another point, or axes rotated by roll",
-    ("sensor_velocity_y", "yaw_rate"): "a lever arm of the unit along the car",
-    ("sensor_velocity_y", "speed"): "a misaligned unit",
-    ("sensor_heading", "speed"): "a heading that depends on speed: a misaligned antenna baseline",
-    ("sensor_heading", "acceleration_y"): "a heading affected by body roll",
-    ("front_steer", "steering_rate"): "a damper or play in the steering, a delayed or advanced angle signal",
-    ("front_steer", "lagging_steering"): "a steering map with a lag, compliance of the column",
-    ("front_steer", "lean"): "roll steer of the front suspension",
-    ("front_steer", "run_time"): "an angle sensor that drifts, a linkage that settles",
-    ("rear_steer", "lagging_steering"): "rear-wheel steering with a lag, torsional compliance of the body",
-    ("rear_steer", "lean"): "roll steer of the rear suspension",
-    ("both_grip", "run_time"): "tyres that warm up or wear, a road that dries",
-    ("both_grip", "position_x"): "a road with friction that changes from place to place",
-    ("both_grip", "position_y"): "a road with friction that changes from place to place",
-    ("side_force", "north"): "wind or a slope, by the course", ("side_force", "east"): "wind or a slope, by the course",
-    ("side_force", "position_x"): "a banked road or wind at a place",
-    ("side_force", "position_y"): "a banked road or wind at a place",
-    # Relations of two quantities.
-    ("front_steer", "speed", "steering_rate"): "a delay of the steering that changes with speed (negative: later)",
-    ("front_steer", "speed", "steering"): "a steering ratio that changes with speed, power steering, an active rack",
-    ("rear_steer", "speed", "acceleration_y"): "roll steer or compliance of the rear that changes with speed",
-    ("yaw_moment", "acceleration_x", "steering"): "torque steer of turned wheels, a differential",
-}
 CONSTANT_CAUSES = {
     "front_steer": "a steering offset, toe", "rear_steer": "a misaligned rear axle",
     "yaw_moment": "unequal drag or brakes", "side_force": "steady wind, a banked road",
@@ -140,11 +92,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     splines = candidate.compute_splines(points)
     to_splines, value = np.linalg.pinv(splines.T, rcond=1e-6), coefficients @ splines
 
-    def compute_rise(distance: np.ndarray) -> np.ndarray:
-        """(b,) increase of the loss above that of the curve, at a `distance` from its coefficients."""
-        return np.einsum("i,bij,j->b", distance, profile.hessian, distance) - 2.0 * profile.gradient @ distance
-
-    total = float(compute_rise(-coefficients).sum())
+    total = float(profile.rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
     shapes = []
@@ -163,12 +111,12 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
         best = fit_parameters(np.ones(len(fold), bool))
         if shape == "dead zone":
             best[1] = abs(best[1])
-        explained = min(1.0 - float(compute_rise(compute_distance(best)).sum()) / total, 1.0)
+        explained = min(1.0 - float(profile.rise(compute_distance(best)).sum()) / total, 1.0)
         if explained >= MIN_EXPLAINED:
             by_fold = {int(k): fit_parameters(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():
-                held_out[fold == k] = compute_rise(compute_distance(others))[fold == k]
+                held_out[fold == k] = profile.rise(compute_distance(others))[fold == k]
             shapes.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
     return _sort_shapes(shapes)
 
@@ -203,7 +151,6 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     assert fit.candidate is not None
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
     formulas = []
-    key = (candidate.term, candidate.quantity, *((candidate.factor,) if candidate.factor else ()))
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NEITHER and shape.name != "constant" else (False,)
         for with_offset in offsets:
@@ -212,7 +159,8 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
                 text = shape.text.format(*shape.parameters).replace("+ -", "- ")
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
                 is_constant = shape.name == "constant" and not candidate.factor
-                causes = CONSTANT_CAUSES.get(candidate.term, "") if is_constant else CAUSES.get(key, "")
+                causes = CONSTANT_CAUSES.get(candidate.term, "") if is_constant else RELATIONS[
+                    candidate.term, candidate.quantity, candidate.factor]
                 formulas.append(Formula(shape.name, text, shape_gain / gain, causes))
                 break
     return tuple(formulas)

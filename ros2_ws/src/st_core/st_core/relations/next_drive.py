@@ -11,7 +11,7 @@ from ..discovery.windows import Windows
 from ..effects._relation import SPLINES
 from ..manoeuvres import Manoeuvre
 from ..regression import add_ridge
-from .candidates import ODD, Candidate, compute_quantities
+from .candidates import ODD, compute_quantities
 from .relation_fit import RIDGE, RelationFit, RelationFits
 
 MIN_IMPROVEMENT = 1.3  # factor of separation or precision; a manoeuvre with a smaller factor is not suggested
@@ -73,11 +73,12 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
             for first, last in ends.reshape(-1, 2)]
 
 
-def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, rivals: Mapping[str, RelationFit],
-                   design_effect: float, points: np.ndarray, deviation: np.ndarray,
-                   sparse: Sequence[Range]) -> NextDrives:
+def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
+                   points: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: see
     `ScreenedCandidate`. points: (k,). deviation: (k,) standard deviation of the curve. sparse: `find_sparse_ranges`."""
+    candidate = fit.candidate
+    assert candidate is not None
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
         return NextDrives(sparse)
     splines = candidate.compute_splines(points)
@@ -90,19 +91,17 @@ def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, r
     variance = _compute_variance(curvature + fit.penalty, splines)
     options = []
     for manoeuvre, windows in simulate_manoeuvres(fits.windows, fits.model.base):
-        loss = _make_loss(fits, windows, candidate, fit)
+        loss = _make_loss(fits, windows, fit)
         residuals = np.zeros_like(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)
         added = REPETITIONS * loss.quadratic(residuals, sensitivities).hessian.sum(axis=0)
         ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
-            assert other.candidate is not None
-            rival_loss = _make_loss(fits, windows, other.candidate, other)
-            added_joint = REPETITIONS * _compute_joint_curvature(
-                loss, residuals, sensitivities, rival_loss.sensitivities(other.vector, fits.relation_indices), fit)
+            of_rival = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
+            added_joint = REPETITIONS * _compute_joint_curvature(loss, residuals, sensitivities, of_rival, fit)
             separation[name] = _compute_separation(recorded[name] + added_joint, fit, other, design_effect)
-        u = compute_quantities(windows, windows.vehicle)[candidate.quantity]
+        u = compute_quantities(windows)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
@@ -110,9 +109,10 @@ def suggest_drives(fits: RelationFits, candidate: Candidate, fit: RelationFit, r
     return NextDrives(sparse, current, options)
 
 
-def _make_loss(fits: RelationFits, windows: Windows, candidate: Candidate, fit: RelationFit) -> Loss:
+def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
     """Loss of other windows, with the residual scale of the runs."""
-    loss = Loss(Errors(windows, fits.make_space(candidate), fits.threads), fit.vector)
+    assert fit.candidate is not None
+    loss = Loss(Errors(windows, fits.make_space(fit.candidate), fits.threads), fit.vector)
     loss.scale = fits.loss.scale
     return loss
 

@@ -60,6 +60,13 @@ class RelationFit:
         return (inverse @ scatter @ inverse)[-SPLINES:, -SPLINES:]
 
 
+def profile_coefficients(h: np.ndarray) -> np.ndarray:
+    """(a, SPLINES) change of all parameters per change of each coefficient, with the others optimised. h: (a, a)
+    curvature, the coefficients last."""
+    others = -np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
+    return np.concatenate([others, np.eye(SPLINES)])
+
+
 class RunWindows(Windows):
     """Windows with the time in the run (`compute_run_time`) as a signal."""
 
@@ -78,7 +85,8 @@ class RelationFits:
 
     def __init__(self, windows: Windows, model: AugmentedModel, gain: float, names: Sequence[str],
                  settings: DiscoverySettings, threads: int = 1):
-        self.windows, self.threads, self.model, self.settings = windows, threads, model, settings
+        self.windows, self.threads, self.model = windows, threads, model
+        self.settings, self.limits = settings, settings.limits
         self.space = Space(model, settings, (RELATION,))
         self._spaces = {RELATION: self.space}
         self.relation_indices = self.space.indices(RELATION)
@@ -138,17 +146,13 @@ class RelationFits:
         for k in np.unique(self.fold):
             in_fold = self.fold == k
             d = np.linalg.solve(h - q.hessian[in_fold].sum(axis=0), g - q.gradient[in_fold].sum(axis=0)) - common
-            steps[int(k)] = d
-            curvature = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d)
-            held_out[in_fold] = q.cost[in_fold] - 2.0 * q.gradient[in_fold] @ d + curvature
+            steps[int(k)], held_out[in_fold] = d, (q.cost + q.rise(d))[in_fold]
         return steps, held_out
 
     def predict_held_out_loss(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block for the optimum of the quadratic."""
         step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
-        cost = q.cost - 2.0 * q.gradient @ step + np.einsum("i,bij,j->b", step, q.hessian, step)
-        optimum = Quadratic(cost, q.gradient - q.hessian @ step, q.hessian)
-        return self.find_left_out_steps(optimum, penalty, distance + step)[1]
+        return self.find_left_out_steps(q.after(step), penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
         """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
@@ -172,24 +176,21 @@ class RelationFits:
         loss = self.make_loss(fit.candidate)
         car = loss.sensitivities(fit.vector, self.vehicle_indices)
         q = self.sum_quadratic(loss, fit.residuals, np.concatenate([car, fit.sensitivities]))
-        whole = q.hessian.sum(axis=0)
-        others = whole[:-SPLINES, :-SPLINES]
-        projection = np.concatenate([-np.linalg.solve(add_ridge(others), whole[:-SPLINES, -SPLINES:]), np.eye(SPLINES)])
-        hessian = np.einsum("ik,bij,jl->bkl", projection, q.hessian, projection)
-        return Quadratic(q.cost, q.gradient @ projection, hessian)
+        projection = profile_coefficients(q.hessian.sum(axis=0))
+        return Quadratic(q.cost, q.gradient @ projection, projection.T @ q.hessian @ projection)
 
-    def fit_without_effect(self, candidate: Candidate, fit: RelationFit, name: str) -> RelationFit:
+    def fit_without_effect(self, fit: RelationFit, name: str) -> RelationFit:
         """The relation with an effect of the discovered model removed, and effects and relation refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
         null = {p.name: p.null for p in get_effect(name).parameters}
         vector[removed] = [null[self.space.free[i].parameter] for i in removed]
-        loss, indices = self.make_loss(candidate), np.concatenate([others, self.relation_indices])
-        return self._fit(candidate, loss, indices, fit.smoothing, loss.sensitivities(vector, indices), vector)
+        assert fit.candidate is not None
+        loss, indices = self.make_loss(fit.candidate), np.concatenate([others, self.relation_indices])
+        return self._fit(fit.candidate, loss, indices, fit.smoothing, loss.sensitivities(vector, indices), vector)
 
     def _fit(self, candidate: Candidate | None, loss: Loss, indices: np.ndarray, smoothing: float,
              sensitivities: np.ndarray, vector: np.ndarray) -> RelationFit:
-        vector, scale = vector.copy(), self.space.scale
         for iteration in range(ITERATIONS):
             if candidate:
                 to_relation = loss.sensitivities(vector, self.relation_indices)
@@ -198,23 +199,22 @@ class RelationFits:
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
                 penalty = self.make_penalty(candidate, h, smoothing)
-            distance = ((vector - self.start) / scale)[indices]
+            distance = self.problem.distance(vector)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
             for share in STEP_SHARES:
-                trial = vector.copy()
-                trial[indices] += share * step * scale[indices]
-                trial = loss.space.clip_to_bounds(trial)
-                distance = ((trial - self.start) / scale)[indices]
+                trial = self.problem.take_step(vector, indices, share * step)
+                distance = self.problem.distance(trial)[indices]
                 gained = cost - (loss.total(trial) + distance @ penalty @ distance)
                 if gained > 0.0:
                     reduction = loss.errors.at(vector) - loss.errors.at(trial)
-                    sensitivities = Sensitivities(vector, indices, sensitivities).update(trial, scale, reduction).values
+                    sensitivities = Sensitivities(vector, indices, sensitivities).update(
+                        trial, self.space.scale, reduction).values
                     vector = trial
                     break
             if gained < MIN_LOSS_REDUCTION * loss.residual_count:
                 break
         residuals = loss.errors.at(vector)
         q = self.sum_quadratic(loss, residuals, sensitivities)
-        steps, held_out = self.find_left_out_steps(q, penalty, ((vector - self.start) / scale)[indices])
+        steps, held_out = self.find_left_out_steps(q, penalty, self.problem.distance(vector)[indices])
         return RelationFit(candidate, smoothing, vector, residuals, indices, sensitivities, penalty, q, held_out, steps)

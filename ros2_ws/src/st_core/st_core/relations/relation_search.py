@@ -8,7 +8,7 @@ import numpy as np
 from ..augmented import AugmentedModel
 from ..discovery.evidence import Agreement
 from ..discovery.result import Discovery
-from ..discovery.settings import DiscoverySettings, Limits
+from ..discovery.settings import DiscoverySettings
 from ..log import DriveLog
 from ..vehicle import VehicleParameters
 from . import selection
@@ -124,18 +124,17 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     fits = RelationFits(windows, model, discovery.acceleration_gain, names, settings, threads)
     tick()
     without = fits.fit_without_relation()
-    screened = selection.screen(fits, without, vehicle, settings.seed, tick)
+    screened = selection.screen(fits, without, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds", {})
-    return _select(screened, fits, without, vehicle, settings, [e.name for e in discovery.effects], reported, tick)
+    return _select(screened, fits, without, [e.name for e in discovery.effects], reported, tick)
 
 
-def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, vehicle: VehicleParameters,
-            settings: DiscoverySettings, named: Sequence[str], reported: Collection[tuple[str, str]],
-            tick: Callable[[], None]) -> RelationSearch:
+def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, named: Sequence[str],
+            reported: Collection[tuple[str, str]], tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason why none is reported. named: effects of the result."""
-    limits, number = settings.limits, fits.loss.residual_count
+    limits, number = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(screened, fits.blocks)
     tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
@@ -150,7 +149,7 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: 
                               f"p < {limits.false_alarm:g} is required", tried, detection_limits)
     imitated = {trial: fault for trial in significant if (fault := _find_imitated_fault(trial.candidate, reported))}
     remaining = [s for s in significant if s not in imitated]
-    fitted, accepted, rejections = _fit_candidates(remaining, fits, without, vehicle, limits, tick)
+    fitted, accepted, rejections = _fit_candidates(remaining, fits, without, tick)
     rejections |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
                           f"{fault}. Correct it first and search again" for trial, fault in imitated.items()}
     if not accepted:
@@ -159,12 +158,11 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: 
     # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * number if s.candidate.factor else 0.0))
-    relation, gain_text = _make_relation(best, fitted, without, fits, p_values, settings, vehicle, named)
+    relation, gain_text = _make_relation(best, fitted, without, fits, p_values[best.candidate.name], named)
     return RelationSearch(relation, gain_text, tried, detection_limits)
 
 
 def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
-                    vehicle: VehicleParameters, limits: Limits,
                     tick: Callable[[], None]) -> tuple[FitByCandidate, FitByCandidate, dict[ScreenedCandidate, str]]:
     """Fit candidates by simulation: (fits with a usable curve, the accepted ones, reasons to reject the others)."""
     fitted: FitByCandidate = {}
@@ -177,12 +175,12 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
         tick()
         fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)
-        if rejected := selection.describe_unusable_curve(fits, fit, vehicle):
+        if rejected := selection.describe_unusable_curve(fits, fit):
             rejections[trial] = rejected
             continue
         fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
-        reason = selection.describe_deterioration(fits, name, before, after, limits) or selection.describe_small_gain(
-            fits, trial.candidate, without.held_out - fit.held_out, before - after, limits)
+        reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
+            fits, trial.candidate, without.held_out - fit.held_out, before - after)
         if reason:
             rejections[trial] = reason
         else:
@@ -198,17 +196,16 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
 
 
 def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: RelationFit, fits: RelationFits,
-                   p_values: Mapping[str, float], settings: DiscoverySettings, vehicle: VehicleParameters,
-                   named: Sequence[str]) -> tuple[Relation, str]:
+                   p_value: float, named: Sequence[str]) -> tuple[Relation, str]:
     """The relation with its statistics, and a sentence on its gain."""
-    fit, limits, c = fitted[best], settings.limits, best.candidate
+    fit, c = fitted[best], best.candidate
     gains = without.held_out - fit.held_out
     before, after = (selection.compute_position_errors(fits, f) for f in (without, fit))
     rivals = [trial for trial in fitted if trial is not best]
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
-    as_good = selection.find_equally_good(excess, limits.undecided_p, settings.seed)
+    as_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
     equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
-    u = compute_quantities(fits.windows, vehicle)[c.quantity]
+    u = compute_quantities(fits.windows)[c.quantity]
     at = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.compute_splines(at)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines), 0.0))
@@ -221,11 +218,10 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
     library_part = full.select_effects(e for e in full.effects if e.name != c.effect)
     relation = Relation(
         c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
-        float(gains.sum()) / fits.loss.residual_count, p_values[c.name],
+        float(gains.sum()) / fits.loss.residual_count, p_value,
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
         {name: selection.compute_cosine(fits, fit, other) for name, other in equal.items()},
         simulate_formulas(fits, fit, without), selection.compare_runs(fits, fit),
-        selection.find_redundant_effects(fits, c, fit, without, named, limits),
-        suggest_drives(fits, c, fit, equal, best.design_effect, at, deviation,
-                       find_sparse_ranges(at, density, c.parity)))
-    return relation, f"it {selection.describe_gain(fits, gains, before - after, limits)}"
+        selection.find_redundant_effects(fits, fit, without, named),
+        suggest_drives(fits, fit, equal, best.design_effect, at, deviation, find_sparse_ranges(at, density, c.parity)))
+    return relation, f"it {selection.describe_gain(fits, gains, before - after)}"

@@ -8,14 +8,11 @@ from scipy import stats
 
 from ..contract import describe_instability
 from ..discovery.evidence import Agreement, describe_position_reduction, pool_ratios
-from ..discovery.settings import Limits
 from ..effects import get_effect
 from ..effects._relation import MAX_COEFFICIENT, SPLINES
 from ..models import get_model
-from ..regression import add_ridge
-from ..vehicle import VehicleParameters
 from .candidates import Candidate, find_candidates
-from .relation_fit import PENALTIES, RelationFit, RelationFits
+from .relation_fit import PENALTIES, RelationFit, RelationFits, profile_coefficients
 
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
@@ -51,16 +48,15 @@ class ScreenedCandidate:
         return float(np.sqrt(required / max(float(line @ self.information @ line), 1e-30)))
 
 
-def screen(fits: RelationFits, without: RelationFit, vehicle: VehicleParameters, seed: int,
-           tick: Callable[[], None]) -> list[ScreenedCandidate]:
+def screen(fits: RelationFits, without: RelationFit, tick: Callable[[], None]) -> list[ScreenedCandidate]:
     """Statistics of every candidate that the drives excite and that changes a prediction. without: fit without a
     relation."""
-    distance = ((without.vector - fits.start) / fits.space.scale)[without.indices]
+    distance = fits.problem.distance(without.vector)[without.indices]
     base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
     to_vehicle = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
+    signs = np.random.default_rng(fits.settings.seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     screened = []
-    for candidate in find_candidates(fits.windows, vehicle):
+    for candidate in find_candidates(fits.windows):
         tick()
         if trial := _screen_candidate(fits, without, base, to_vehicle, candidate, signs):
             screened.append(trial)
@@ -96,21 +92,19 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
         return None
     to_all = np.concatenate([without.sensitivities, to_vehicle, sensitivities])
     q_all = fits.sum_quadratic(loss, without.residuals, to_all)
-    distance = np.concatenate([((without.vector - fits.start) / fits.space.scale)[without.indices], np.zeros(SPLINES)])
+    distance = fits.problem.distance(without.vector)[np.concatenate([without.indices, fits.relation_indices])]
     penalties = {smoothing: fits.make_penalty(candidate, h, smoothing) for smoothing in PENALTIES}
     losses = {smoothing: fits.predict_held_out_loss(q, penalty, distance) for smoothing, penalty in penalties.items()}
     smoothing = min(losses, key=lambda level: float(losses[level].sum()))
     h = q_all.hessian.sum(axis=0)
-    cross = np.linalg.solve(add_ridge(h[:-SPLINES, :-SPLINES]), h[:-SPLINES, -SPLINES:])
-    gradient = q_all.gradient[:, -SPLINES:] - q_all.gradient[:, :-SPLINES] @ cross
-    information = h[-SPLINES:, -SPLINES:] - h[-SPLINES:, :-SPLINES] @ cross
+    projection = profile_coefficients(h)
+    gradient, information = q_all.gradient @ projection, h[-SPLINES:] @ projection
     inverse = np.linalg.pinv(information + penalties[smoothing][-SPLINES:, -SPLINES:])
     drawn = np.einsum("di,ij,dj->d", signs @ gradient, inverse, signs @ gradient)
     mean = max(float(drawn.mean()), 1e-30)
     total = gradient.sum(axis=0)
     step, degrees_of_freedom = inverse @ total, max(float(np.trace(inverse @ information)), 1.0)
-    residual_gradient = q_all.gradient - q_all.hessian @ np.concatenate([-cross @ step, step])
-    after = residual_gradient[:, -SPLINES:] - residual_gradient[:, :-SPLINES] @ cross
+    after = q_all.after(projection @ step).gradient @ projection
     design_effect = max(2.0 * float(np.einsum("bi,ij,bj->", after, inverse, after)) / degrees_of_freedom, 1.0)
     return ScreenedCandidate(candidate, float(total @ inverse @ total) / mean, drawn / mean, degrees_of_freedom,
                              design_effect, float((base - losses[smoothing]).sum()), information)
@@ -130,10 +124,10 @@ def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
         return np.bincount(fits.block[known], values[known], fits.blocks) / np.where(count, count, np.nan)
 
 
-def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: VehicleParameters) -> str:
+def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
     """Reason to reject a curve whatever its gain, or "": it is at its bound, or it makes the car unstable."""
     assert fit.candidate is not None
-    name = fit.candidate.name
+    name, vehicle = fit.candidate.name, fits.windows.vehicle
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
         return (f"the curve of {name} reaches its bound of {MAX_COEFFICIENT * fit.candidate.typical_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
@@ -144,9 +138,9 @@ def describe_unusable_curve(fits: RelationFits, fit: RelationFit, vehicle: Vehic
     return f"with {name} the simulated car is unstable and cannot predict: {problem}" if problem else ""
 
 
-def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray, limits: Limits) -> str:
+def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, after: np.ndarray) -> str:
     """Reason to reject a relation that increases the mean held-out position error after 5 s, or increases it in one run
-    significantly and by at least `limits.relevant_position`; "" if there is none. Runs with fewer than
+    significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than
     three blocks are not tested. before, after: (n,) [m]."""
     rise = after - before
     if not np.isfinite(rise).any():
@@ -158,36 +152,36 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
     for k in np.unique(run):
         of_run = blocks[(run == k) & np.isfinite(blocks)]
         windows = fits.windows.run == k
-        if len(of_run) <= 2 or np.nanmean(rise[windows]) < limits.relevant_position:
+        if len(of_run) <= 2 or np.nanmean(rise[windows]) < fits.limits.relevant_position:
             continue
-        if compute_lower_bound(of_run, limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
+        if compute_lower_bound(of_run, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
             return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
     return ""
 
 
-def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray, limits: Limits) -> str:
+def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray) -> str:
     """Describe the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
-                 for total in (gains.sum(), compute_lower_bound(gains, limits.undecided_p)))
+                 for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
             f"and {describe_position_reduction(average_finite(position_gain))}")
 
 
-def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray,
-                        limits: Limits) -> str:
+def describe_small_gain(fits: RelationFits, candidate: Candidate, gains: np.ndarray, position_gain: np.ndarray) -> str:
     """Reason to reject a relation with a small effect, or "": a held-out gain that is below the thresholds or not
     significant, or a predicted path that does not improve significantly. The path is not tested for sensor errors, nor
     with fewer than two blocks with a position."""
+    limits = fits.limits
     small = (gains.sum() < limits.relevant * fits.loss.residual_count
              and average_finite(position_gain) < limits.relevant_position)
     if small or compute_lower_bound(gains, limits.undecided_p) <= 0.0:
-        return f"{candidate.name} is significant, but {describe_gain(fits, gains, position_gain, limits)}"
+        return f"{candidate.name} is significant, but {describe_gain(fits, gains, position_gain)}"
     blocks = average_by_block(fits, position_gain)
     blocks = blocks[np.isfinite(blocks)]
     if not candidate.is_sensor_error and len(blocks) > 1 and compute_lower_bound(blocks, limits.false_alarm) <= 0.0:
         return (f"{candidate.name} is significant, but the gain in the predicted path is not: it "
-                f"{describe_gain(fits, gains, position_gain, limits)}")
+                f"{describe_gain(fits, gains, position_gain)}")
     return ""
 
 
@@ -215,10 +209,7 @@ def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
 def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     """Size of the relation in each run relative to the overall one, from the quadratic approximation, with all other
     parameters profiled out; empty with fewer than two informative runs."""
-    h = fit.quadratic.hessian.sum(axis=0)
-    others, coefficients = h[:-SPLINES, :-SPLINES], fit.coefficients
-    direction = np.concatenate([-np.linalg.solve(add_ridge(others), h[:-SPLINES, -SPLINES:] @ coefficients),
-                                coefficients])
+    direction = profile_coefficients(fit.quadratic.hessian.sum(axis=0)) @ fit.coefficients
     gradient = fit.quadratic.gradient @ direction
     curvature = np.einsum("i,bij,j->b", direction, fit.quadratic.hessian, direction)
     run = fits.problem.run_of_block
@@ -257,16 +248,16 @@ def compute_cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -
     return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))
 
 
-def find_redundant_effects(fits: RelationFits, candidate: Candidate, fit: RelationFit, without: RelationFit,
-                           names: Sequence[str], limits: Limits) -> dict[str, float]:
+def find_redundant_effects(fits: RelationFits, fit: RelationFit, without: RelationFit,
+                           names: Sequence[str]) -> dict[str, float]:
     """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
     effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
     relation without it explains significantly more than the result without the relation."""
-    redundant = {}
+    redundant, limits = {}, fits.limits
     with_both = compute_position_errors(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
-        alone = fits.fit_without_effect(candidate, fit, name)
+        alone = fits.fit_without_effect(fit, name)
         gains = alone.held_out - fit.held_out
         position = float(np.nanmean(compute_position_errors(fits, alone) - with_both))
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
