@@ -27,8 +27,8 @@ def identify(
     from rich.table import Table
     from st_live.configuration import load_model
     from st_live.suite import SuiteError
-    from st_offline.identification.experiment import Setup
-    from st_offline.identification.identify_command import EXPERIMENTS, IdentificationJob, run_command
+    from st_offline.identification.experiment import IdentificationJob
+    from st_offline.identification.identify_command import EXPERIMENTS, run_command
     from st_recordings.paths import new_folder
 
     if what is None:
@@ -45,8 +45,8 @@ def identify(
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)
         base = load_model(model, effects, parameters, str(file))
-        setup = Setup(parameters, read_settings, force, base)
-        job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), setup, str(file), folder)
+        job = IdentificationJob(EXPERIMENTS[what], tuple(files or ()), parameters, str(file), folder, read_settings,
+                                force, base)
         status = run_command(job, shared.console)
     shared.report_default_car("identify", vehicle, file)
     raise typer.Exit(status)

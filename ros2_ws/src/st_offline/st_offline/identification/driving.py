@@ -2,13 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import chi2
-from st_core.checks import Finding
 from st_core.errors import ConfigurationError
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_fit import QUANTITIES
@@ -20,12 +18,12 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.vehicle import VehicleParameters
-from st_recordings.runs import find_runs, read
+from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
-from ..checking.gate import RUN_ERRORS, check_log, describe_problem, refuse_errors
+from ..discovery.drives import read_drives
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
-from .experiment import Experiment, Setup, format_rounded
+from .experiment import Experiment, IdentificationJob, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
 PAPER_COLOUR, FIT_COLOUR = MODEL_COLOUR["linear"], MODEL_COLOUR["augmented"]
@@ -213,28 +211,19 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
                           predicts: bool = False) -> Experiment:
     """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `predicts`, with the model as
     keyword argument `base`."""
-    def identify(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-        if not predicts and setup.model is not MODELS["nonlinear"]:
+    def identify(job: IdentificationJob) -> tuple[Identification, ...]:
+        if not predicts and job.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
-        logs: list[DriveLog] = []
-        failed: dict[str, str] = {}
-        warnings: dict[str, None] = {}  # a dict keeps each warning once, in order
-        findings: dict[str, tuple[Finding, ...]] = {}
-        for source in find_runs(files):
-            try:
-                run = read(source, setup.vehicle, setup.read)
-                findings[source.name] = check_log(run.log, setup.vehicle, run.auxiliary).findings
-                refuse_errors(source.where, findings[source.name], setup.force)
-            except RUN_ERRORS as error:
-                failed[source.name] = describe_problem(error, source)
-                continue
-            logs.append(run.log)
-            warnings |= dict.fromkeys(run.warnings)
-        if not logs:
+        drives = read_drives(find_runs(job.files), job.vehicle, job.read, 1, lambda: None, job.force)
+        failed = {d.name: d.problem for d in drives if d.log is None}
+        used = [d for d in drives if d.log is not None]
+        if not used:
             raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
-        outcome = compute(logs, setup.vehicle, **({"base": setup.model} if predicts else {}))
+        outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if predicts else {}))
+        warnings = dict.fromkeys(warning for d in used for warning in d.about["warnings"])  # each once, in order
         return (replace(outcome, experiment=name, rejected=(*failed.items(), *outcome.rejected),
-                        warnings=(*outcome.warnings, *warnings), findings=findings),)
+                        warnings=(*outcome.warnings, *warnings),
+                        findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
     return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
 

@@ -3,12 +3,12 @@
 import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from st_core.identification.result import Identification
-from st_core.models import MODELS, Model
+from st_core.models import Model
 from st_core.vehicle import VehicleParameters, find_quantity, value_of
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.errors import RunError, check_readable
@@ -20,14 +20,19 @@ SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Inputs of every experiment in addition to its files. read: options for reading recordings. force: whether to use
-    drives in which the checks find errors. model: base model of fits by prediction."""
+class IdentificationJob:
+    """Options of `st identify`. vehicle_file: file of `vehicle`. folder: folder of the results. read: options for
+    reading recordings. force: whether to use drives in which the checks find errors. model: base model of fits by
+    prediction."""
 
+    experiment: "Experiment"
+    files: tuple[Path, ...]
     vehicle: VehicleParameters
-    read: ReadSettings = field(default_factory=ReadSettings)
-    force: bool = False
-    model: Model = MODELS["nonlinear"]
+    vehicle_file: str
+    folder: Path
+    read: ReadSettings
+    force: bool
+    model: Model
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Experiment:
     name: str
     description: str
     files: str
-    identify: Callable[[Sequence[Path], Setup], tuple[Identification, ...]]
+    identify: Callable[[IdentificationJob], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
     files_needed: bool = True
     drives: bool = False

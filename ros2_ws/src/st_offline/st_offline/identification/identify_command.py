@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import load_template
 from ..terminal import list_files, make_table, print_line
 from .driving import DRIVING
-from .experiment import COLUMN_NAMES, Experiment, Setup, estimate_rows
+from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, estimate_rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -34,17 +34,6 @@ FORMATS = ("png", "pdf")
 STATUS_STYLE = {"identified": "green", "doubtful": "yellow", "unidentifiable": "red"}
 
 
-@dataclass(frozen=True)
-class IdentificationJob:
-    """Options of `st identify`. vehicle_file: file of `setup.vehicle`. folder: folder of the results."""
-
-    experiment: Experiment
-    files: tuple[Path, ...]
-    setup: Setup
-    vehicle_file: str
-    folder: Path
-
-
 def run_command(job: IdentificationJob, console: Console) -> int:
     """Run the command; returns the exit status: 0 if any parameter is identified or doubtful, else 1.
     Raises StCoreError, RunError, OutputError."""
@@ -52,21 +41,21 @@ def run_command(job: IdentificationJob, console: Console) -> int:
         if job.experiment.files_needed and not job.files:
             raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
         try:
-            outcomes = job.experiment.identify(job.files, job.setup)
+            outcomes = job.experiment.identify(job)
         except result.IdentificationError as error:
             named = ", ".join(map(str, job.files[:3]))
             raise result.IdentificationError(f"{named}: {error}" if named else str(error)) from None
         outcomes = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
-            result.compare_with_file(job.setup.vehicle, estimate) for estimate in outcome.estimates))))
+            result.compare_with_file(job.vehicle, estimate) for estimate in outcome.estimates))))
                       for outcome in outcomes)
     now = datetime.now(UTC)
-    car = result.apply_to_vehicle(job.setup.vehicle, outcomes, f"{now:%Y-%m-%d}")
-    warnings = (*outcomes[0].warnings, *find_implausible_values(car, job.setup.vehicle))
+    car = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
+    warnings = (*outcomes[0].warnings, *find_implausible_values(car, job.vehicle))
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
-    stale = result.describe_stale_scales(job.setup.vehicle, outcomes)
+    stale = result.describe_stale_scales(job.vehicle, outcomes)
     with console.status("writing"):
         files = write_results(job, outcomes, car, make_provenance(job, now))
-    print_results(outcomes, job.setup.vehicle, stale, console)
+    print_results(outcomes, job.vehicle, stale, console)
     list_files({files["identification.json"]: "values, uncertainties, verdicts",
                 files["vehicle.yaml"]: "vehicle file with the identified values",
                 files["report.html"]: "figures, correlations, data used and left out"}, console)
@@ -104,7 +93,7 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)
                 if os.access(file, os.R_OK)]
     return {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
-            "vehicle": {"name": job.setup.vehicle.name, "file": job.vehicle_file, "hash": job.setup.vehicle.hash},
+            "vehicle": {"name": job.vehicle.name, "file": job.vehicle_file, "hash": job.vehicle.hash},
             "files": hash_files(data), "versions": collect_versions()}
 
 
@@ -119,7 +108,7 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
                                           for name, entry in outcome.to_document().items()}),
         "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
         "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, outcomes),
-        "report.html": render_page(outcomes, figures, job.setup.vehicle, provenance),
+        "report.html": render_page(outcomes, figures, job.vehicle, provenance),
     }
     for name, text in texts.items():
         (job.folder / name).write_text(text, encoding="utf-8")

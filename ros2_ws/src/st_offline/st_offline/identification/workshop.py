@@ -16,7 +16,7 @@ from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
 from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
-from .experiment import Experiment, MeasurementTable, Setup, read_columns
+from .experiment import Experiment, IdentificationJob, MeasurementTable, read_columns
 
 NOTES = ("weighing", "driver", "payload")  # optional columns with text
 ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
@@ -28,10 +28,10 @@ TYRE_COLUMNS = {"load": ("n", "kn"), "slip_angle": ("deg", "rad"), "lateral_forc
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
 
 
-def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify mass and CG position; each row of the files is one weighing."""
     readings, names, loads, scales = [], [], [], set()
-    for file in files:
+    for file in job.files:
         table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)}, NOTES)
         readings.append(np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1))
         labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
@@ -40,9 +40,10 @@ def identify_scales(files: Sequence[Path], setup: Setup) -> tuple[Identification
         loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
         scales |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
     if len(scales) > 1:
-        raise RunError(files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}", "use one set of scales")
+        raise RunError(job.files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}",
+                       "use one set of scales")
     weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
-    return (mass_and_cg.identify_mass_and_cg(weighings, setup.vehicle),)
+    return (mass_and_cg.identify_mass_and_cg(weighings, job.vehicle),)
 
 
 @apply_style()
@@ -77,10 +78,10 @@ SCALES = Experiment("scales", "mass and CG position from four wheel scales",
                     identify_scales, draw_scales)
 
 
-def identify_ratio(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+def identify_ratio(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify the steering ratio; each file has one or more sweeps, named in the column `series`."""
     columns, names = [], []
-    for file in files:
+    for file in job.files:
         table = read_columns(file, ANGLES, texts=("series",))
         names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
         columns.append([table.numbers[name] for name in ANGLES])
@@ -126,11 +127,11 @@ STEERING_RATIO = Experiment("steering-ratio", "steering ratio from turntables",
                             identify_ratio, draw_ratio)
 
 
-def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
+def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify the CG height; each file has one or more lifts, named in the column `series`."""
-    vehicle = setup.vehicle
+    vehicle = job.vehicle
     parts, names, masses = [], [], set()
-    for file in files:
+    for file in job.files:
         table = read_columns(file, LOADS, {**RADII, **OTHER_COLUMNS}, ("series",))
         series = table.texts.get("series") or ("1",) * len(table)
         names += [f"{file.name}:{name}" for name in series]
@@ -140,7 +141,8 @@ def identify_height(files: Sequence[Path], setup: Setup) -> tuple[Identification
         parts.append((_read_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
                       *(columns.get(name, empty) for name in RADII)))
     if len(masses) > 1:
-        raise RunError(files[0], f"car_mass_kg has several values: {sorted(masses)}", "give measurements of one car")
+        raise RunError(job.files[0], f"car_mass_kg has several values: {sorted(masses)}",
+                       "give measurements of one car")
     pitch, load, front, rear = (np.concatenate(column) for column in zip(*parts, strict=True))
     rows = LiftRows(pitch, load, tuple(names), front, rear)
     return (identify_cg_height(rows, vehicle, masses.pop() if masses else None),)
@@ -191,15 +193,15 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
                        identify_height, draw_height)
 
 
-def identify_lambda(files: Sequence[Path], setup: Setup) -> tuple[Identification, ...]:
-    """Identify the stiffness scale lambda_ky. files: flat-plank tables for the tyre uncertainty, or none."""
+def identify_lambda(job: IdentificationJob) -> tuple[Identification, ...]:
+    """Identify the stiffness scale lambda_ky. Files: flat-plank tables for the tyre uncertainty, or none."""
     uncertainties = {}
-    for table in read_tyre_tables(files) if files else ():
+    for table in read_tyre_tables(job.files) if job.files else ():
         axle = table.tyre.removeprefix("tyre_")
-        fit = fit_tyre(table, getattr(setup.vehicle, table.tyre))
-        stiffness, uncertainty = fit.compute_stiffness(getattr(setup.vehicle, f"static_tyre_load_{axle}"))
+        fit = fit_tyre(table, getattr(job.vehicle, table.tyre))
+        stiffness, uncertainty = fit.compute_stiffness(getattr(job.vehicle, f"static_tyre_load_{axle}"))
         uncertainties[table.tyre] = uncertainty / abs(stiffness), table.name
-    return (identify_lambda_ky(setup.vehicle, uncertainties),)
+    return (identify_lambda_ky(job.vehicle, uncertainties),)
 
 
 def read_tyre_tables(files: Sequence[Path]) -> list[FlatPlank]:
@@ -246,8 +248,8 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
-                  lambda files, setup: tuple(identify_magic_formula(table, getattr(setup.vehicle, table.tyre))
-                                             for table in read_tyre_tables(files)), draw_tyre)
+                  lambda job: tuple(identify_magic_formula(table, getattr(job.vehicle, table.tyre))
+                                    for table in read_tyre_tables(job.files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
                     "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)
