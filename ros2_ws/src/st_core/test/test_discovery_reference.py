@@ -33,7 +33,7 @@ def test_two_runs_are_too_few_for_a_gain_between_runs():
 @pytest.mark.slow
 def test_second_start_of_the_fit_is_at_the_theoretical_values():
     space = Space("nonlinear", DiscoverySettings())
-    changed = {(space.free[i].effect, space.free[i].parameter): theoretical_values(space)[i]
+    changed = {(space.free[i][0], space.free[i][1].name): theoretical_values(space)[i]
              for i in np.flatnonzero(theoretical_values(space) != space.null)}
     assert changed == {("combined_slip", "share"): 1.0}
 

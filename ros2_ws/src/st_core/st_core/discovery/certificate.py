@@ -31,10 +31,11 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
         information = efficient_score(q, problem, names, effect)[1]
         indices = problem.space.indices(effect)
         best = int(np.argmax(information))
-        free = problem.space.free[indices[best]]
+        index = indices[best]
+        parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
         for size in SIZES:
-            powers.append(Power(effect, free.parameter, free.unit, size * free.scale,
-                                _power(problem, fit, indices[best], size, information[best], scores, limits), 0))
+            power = _power(problem, fit, index, size, information[best], scores, limits)
+            powers.append(Power(effect, parameter.name, parameter.unit, size * scale, power, 0))
     return Certificate(tuple(powers), 0, 0, measured=False)
 
 
@@ -85,7 +86,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
     for effect in problem.space.hypotheses:
         indices = problem.space.indices(effect)
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
-        free = problem.space.free[index]
+        parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
         for size in SIZES:
             moved = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(moved))
@@ -93,7 +94,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
             required = _required_gain(problem, rows, reduction, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
                              for _ in range(DRAWS))
-            powers.append(Power(effect, free.parameter, free.unit, size * free.scale, detections / DRAWS, DRAWS))
+            powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRAWS, DRAWS))
         tick()
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
                  for _ in range(FALSE_ALARM_DRAWS))

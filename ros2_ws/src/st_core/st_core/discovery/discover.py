@@ -27,7 +27,7 @@ from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
 from .reference import fit_healthy_car
 from .search import Search, SearchState
 from .settings import DiscoverySettings
-from .space import FreeParameter, Space, find_file_quantities
+from .space import Space, find_file_quantities
 from .varying import VaryingFit, collect_varying_evidence, find_varying_effects
 from .windows import MARGIN_NS, MIN_SPEED, Windows
 
@@ -363,8 +363,7 @@ class _Analysis:
         for v in find_varying_effects(self.problem, state.fit, parts) if varying is None else ():
             evidence = collect_varying_evidence(self.problem, state.fit, v, parts)
             if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
-                free = next(f for f in self.space.free if (f.effect, f.parameter) == (v.name, v.parameter))
-                varying = describe_varying(v, free, evidence.position)
+                varying = describe_varying(v, self.space, evidence.position)
                 break
         if varying is None:
             return (), None
@@ -504,14 +503,15 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
     return replace(delay, interval=(low, high), effects=tuple(names))
 
 
-def describe_varying(v: VaryingFit, free: FreeParameter, position_reduction: float) -> result.VaryingEffect:
-    """The effect with the values of its parameter `free` in the parts, relative to the one furthest from null."""
-    value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - free.null))
-    change = value - free.null or free.scale
-    ratios = tuple(result.LocalEstimate(part, (x - free.null) / change, s / abs(change))
+def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> result.VaryingEffect:
+    """The effect with the values of its parameter in the parts, relative to the one furthest from null."""
+    parameter, null = space.free[v.index][1], float(space.null[v.index])
+    value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - null))
+    change = value - null or float(space.scale[v.index])
+    ratios = tuple(result.LocalEstimate(part, (x - null) / change, s / abs(change))
                    for part, (x, s) in v.values.items())
-    fitted = result.FittedParameter(value, free.unit, (value - 1.96 * deviation, value + 1.96 * deviation), free.null)
-    return result.VaryingEffect(v.name, v.varies_with, {v.parameter: fitted}, ratios, position_reduction)
+    fitted = result.FittedParameter(value, parameter.unit, (value - 1.96 * deviation, value + 1.96 * deviation), null)
+    return result.VaryingEffect(v.name, v.varies_with, {parameter.name: fitted}, ratios, position_reduction)
 
 
 def find_parameter_across_bound(effect: result.FoundEffect) -> str:

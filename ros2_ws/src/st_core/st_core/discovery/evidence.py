@@ -261,9 +261,9 @@ def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tupl
 
 def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
     """Smallest distance of a value of the effect to one of its `Parameter.hard_bounds` [parameter scales]."""
-    space, hard = problem.space, {p.name: p.hard_bounds for p in get_effect(effect).parameters}
+    space = problem.space
     return min((float(abs(fit.vector[i] - edge) / space.scale[i]) for i in space.indices(effect)
-                for edge in hard[space.free[i].parameter]), default=np.inf)
+                for edge in space.free[i][1].hard_bounds), default=np.inf)
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
@@ -289,13 +289,13 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -
 
 def sensors_null_p_value(space: Space, effect: str, sensors: Sensors) -> float | None:
     """p-value of the null value, given redundant sensors; None if not measured."""
-    return min((_two_sided_p_value(space.free[i].null - value, deviation)
+    return min((_two_sided_p_value(space.null[i] - value, deviation)
                 for i, value, deviation in _sensor_estimates(space, effect, sensors)), default=None)
 
 
 def _sensor_estimates(space: Space, effect: str, sensors: Sensors) -> list[tuple[int, float, float]]:
     """(index, value, standard deviation) of the parameters that redundant sensors measure."""
-    keys = {i: f"{effect}.{space.free[i].parameter}" for i in space.indices(effect)}
+    keys = {i: f"{effect}.{space.free[i][1].name}" for i in space.indices(effect)}
     measured = [(i, *sensors[key]) for i, key in keys.items() if key in sensors]
     return [(i, value, (high - low) / (2.0 * Z95)) for i, value, low, high in measured]
 

@@ -104,9 +104,9 @@ def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.nd
 def theoretical_values(space: Space) -> np.ndarray:
     """(p,) theoretical values where known, else the null. Effects that convert the base model keep their null."""
     vector = space.null.copy()
-    for i, free in enumerate(space.free):
-        if free.theory is not None and not get_effect(free.effect).converts:
-            vector[i] = free.theory
+    for i, (effect, parameter) in enumerate(space.free):
+        if parameter.theory is not None and not get_effect(effect).converts:
+            vector[i] = parameter.theory
     return vector
 
 

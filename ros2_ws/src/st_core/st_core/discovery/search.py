@@ -122,7 +122,7 @@ class Search:
                 deficit = float(difference.sum()) / p.residual_count
                 rivals = [Rival(other, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
                                 p.space.values(other, fit.vector), shared=True)
-                          for name in sorted({p.space.free[i].effect for i in nearer})]
+                          for name in sorted({p.space.free[i][0] for i in nearer})]
                 if rivals and is_alternative(rivals[0], self.limits):
                     for rival in rivals:
                         others = state.rivals.get(rival.replaces, ())

@@ -22,29 +22,16 @@ ACCELEROMETER_GAIN = "acceleration_gain"
 TYPICAL_GAIN, GAIN_BOUNDS = 0.05, (-0.3, 0.5)  # typical: roll gradient of 5 mrad/(m/s^2), times g
 
 
-@dataclass(frozen=True)
-class FreeParameter:
-    """One parameter of the vector. scale: parameter scale > 0, its typical deviation from the null, and the unit of
-    steps and distances. sign: sign of initial - null."""
-
-    effect: str
-    parameter: str
-    unit: str
-    null: float
-    scale: float
-    bounds: tuple[float, float]
-    sign: float
-    theory: float | None
-
-
 class Space:
     """Parameters of all effects that apply to a base model. not_searched: further effects of the model. library: names
     of the effects to choose from, by default all that apply.
 
     hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
-    drive has. null: (p,) vector of the base model. scale, low, high: (p,) parameter
-    scales and bounds. additions: names of the effects that add something to the measured car, such as a load.
-    deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all other parameters.
+    drive has. free: (effect name, parameter) of all parameters but the last. null: (p,) vector of the base model.
+    scale: (p,) parameter scales > 0, typical deviations from the null, and units of steps and distances. sign: (p,)
+    sign of initial - null. low, high: (p,) bounds. additions: names of the effects that add something to the measured
+    car, such as a load. deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all
+    other parameters.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
@@ -58,19 +45,15 @@ class Space:
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
-        self.free = tuple(FreeParameter(e, p.name, p.unit, float(null), typical_size(e, p.unit), p.bounds,
-                                        1.0 if p.initial > p.null else -1.0, p.theory)
-                          for (e, p), null in zip(self.model.free, self.null[:-1], strict=True))
-        deviations = (p.deviation / f.scale for (_, p), f in zip(self.model.free, self.free, strict=True))
-        self.deviation = np.array([*deviations, np.inf])
+        self.free = self.model.free
+        self.scale = np.array([*(typical_size(e, p.unit) for e, p in self.free), TYPICAL_GAIN])
+        self.sign = np.array([*(1.0 if p.initial > p.null else -1.0 for _, p in self.free), 1.0])
+        self.low, self.high = np.array([*(p.bounds for _, p in self.free), GAIN_BOUNDS]).T
+        self.deviation = np.array([*(p.deviation for _, p in self.free), np.inf]) / self.scale
         self.additions = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
-        self.effect_of = np.array([f.effect for f in self.free] + [ACCELEROMETER_GAIN])
+        self.effect_of = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
         self._indices = {name: np.flatnonzero(self.effect_of == name).tolist() for name in {*self.effect_of}}
-        self.scale = np.array([f.scale for f in self.free] + [TYPICAL_GAIN])
-        self.sign = np.array([f.sign for f in self.free] + [1.0])
-        self.low = np.array([f.bounds[0] for f in self.free] + [GAIN_BOUNDS[0]])
-        self.high = np.array([f.bounds[1] for f in self.free] + [GAIN_BOUNDS[1]])
 
     def __len__(self) -> int:
         return len(self.scale)
@@ -88,7 +71,7 @@ class Space:
 
     def values(self, name: str, vector: np.ndarray) -> dict[str, float]:
         """Values of an effect in a vector, by parameter."""
-        return {self.free[i].parameter: float(vector[i]) for i in self.indices(name)}
+        return {self.free[i][1].name: float(vector[i]) for i in self.indices(name)}
 
     def overlaps(self, name: str, names: Sequence[str]) -> bool:
         """Whether an effect is one of `names`, a member of one, or has one as a member."""
@@ -160,21 +143,20 @@ def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
     """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most, by
     difference quotients."""
-    free = space.free[i]
-    effect = get_effect(free.effect)
-    parameter = next(p for p in effect.parameters if p.name == free.parameter)
+    (name, parameter), at_null = space.free[i], float(space.null[i])
+    effect = get_effect(name)
     if parameter.quantity:
         # Equations that do not contain the quantity treat it as 0.
         without_effect = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
         return _file_quantity(vehicle, parameter.quantity, 1.0, without_effect)
     if effect.fold is None or parameter.deviation < math.inf:
         return None
-    null = {p.name: p.null for p in effect.parameters} | space.values(free.effect, space.null)
-    step = DIFFERENCE_STEP * free.scale * free.sign
+    null = {p.name: p.null for p in effect.parameters} | space.values(name, space.null)
+    step = float(DIFFERENCE_STEP * space.scale[i] * space.sign[i])
     for change in (step, -step):
         try:
-            before, after = (effect.fold(vehicle, effect.Theta(**null | {free.parameter: value}, constants=()))
-                             for value in (free.null, free.null + change))
+            before, after = (effect.fold(vehicle, effect.Theta(**null | {parameter.name: value}, constants=()))
+                             for value in (at_null, at_null + change))
         except ConfigurationError:  # outside the limits of a vehicle file
             continue
         sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change

@@ -21,14 +21,15 @@ from .partitions import Partition
 class VaryingFit:
     """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
     of the loss per residual compared with one common value. p_value [1]: of the hypothesis that the value is the same
-    in all parts, corrected for all effects and partitions. parameter: with the most information. values: (value,
-    standard deviation) of this parameter by part. steps: by part, (p,) step of all parameters [parameter scales]."""
+    in all parts, corrected for all effects and partitions. index: of the parameter with the most information. values:
+    (value, standard deviation) of this parameter by part. steps: by part, (p,) step of all parameters [parameter
+    scales]."""
 
     name: str
     varies_with: str
     gain: float
     p_value: float
-    parameter: str
+    index: int
     values: Mapping[str, tuple[float, float]]
     steps: Mapping[int, np.ndarray]
 
@@ -86,7 +87,7 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     values = {names[k]: (value + scale * float((inverse(hk) @ gk)[best]),
                          scale * float(np.sqrt(0.5 * design_effect * inverse(hk)[best, best]))) for k, gk, hk in parts}
     steps = {int(k): projection @ (inverse(hk) @ gk) for k, gk, hk in parts}
-    return VaryingFit(effect, name, gain / problem.residual_count, p_value, space.free[index].parameter, values, steps)
+    return VaryingFit(effect, name, gain / problem.residual_count, p_value, index, values, steps)
 
 
 def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,

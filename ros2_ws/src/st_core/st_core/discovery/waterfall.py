@@ -108,11 +108,11 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
     others -= fit.vector[indices]
     for i, half_width, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
-        free, value = space.free[i], float(fit.vector[i])
+        parameter, null, value = space.free[i][1], float(space.null[i]), float(fit.vector[i])
         # With a reference, the reported value is the change since the reference drives.
-        value = free.null + value - float(problem.start[i]) if problem.prior is not None else value
+        value = null + value - float(problem.start[i]) if problem.prior is not None else value
         interval = value + float(below - half_width), value + float(above + half_width)
-        result[free.parameter] = FittedParameter(value, free.unit, interval, free.null)
+        result[parameter.name] = FittedParameter(value, parameter.unit, interval, null)
     return result
 
 

@@ -183,8 +183,7 @@ class RelationFits:
         """The relation with an effect of the discovered model removed, and effects and relation refitted."""
         removed = self.space.indices(name)
         vector, others = fit.vector.copy(), np.setdiff1d(fit.indices[:-SPLINES], removed)
-        null = {p.name: p.null for p in get_effect(name).parameters}
-        vector[removed] = [null[self.space.free[i].parameter] for i in removed]
+        vector[removed] = [self.space.free[i][1].null for i in removed]
         assert fit.candidate is not None
         loss, indices = self.make_loss(fit.candidate), np.concatenate([others, self.relation_indices])
         return self._fit(fit.candidate, loss, indices, fit.smoothing, loss.sensitivities(vector, indices), vector)
