@@ -23,9 +23,7 @@ from st_core.discovery.decision import (
     PARTITION_NAMES,
     SENSORS,
     VARIES,
-    NamingChecks,
     Rival,
-    SearchResult,
     decide,
     judge,
     judge_alternative,
@@ -34,8 +32,9 @@ from st_core.discovery.decision import (
     varying_partition,
 )
 from st_core.discovery.discover import complete_delay, replace_interval
-from st_core.discovery.evidence import Agreement, Evidence, FileComparison
+from st_core.discovery.evidence import Agreement, Evidence
 from st_core.discovery.result import Combination, FittedParameter, FoundEffect, unseparated_combinations
+from st_core.discovery.space import FileQuantity
 from st_core.errors import ConfigurationError
 
 LIMITS = Limits()
@@ -47,7 +46,8 @@ SMALL_EFFECT = replace(GOOD, gain=0.02, position=0.01, position_in_condition=0.0
 NULL_POSSIBLE = replace(GOOD, null_p_value=0.2)
 SENSORS_DISAGREE, AT_BOUND = replace(GOOD, sensors_p_value=0.01), replace(GOOD, bound_distance=0.0)
 NO_POSITION_GAIN = replace(GOOD, position=0.01, position_in_condition=0.0)
-FILE_DISAGREES = replace(GOOD, file_comparison=FileComparison("mass", "kg", 2000.0, 1580.0, 47.4, 8.9))
+MASS = FileQuantity("mass", "kg", 1600.0, 40.0, slope=1600.0, stated=True, without_effect=1600.0)
+FILE_DISAGREES = replace(GOOD, file_comparison=(MASS, 0.25))
 VARYING = replace(GOOD, agreement={"run": AGREEING, "place": DISAGREEING})
 EQUAL_RIVAL = Rival("rear_stiffness", "mass", share=0.9, p_no_worse=0.4, deficit=0.02,
               evidence=replace(GOOD, name="rear_stiffness"))
@@ -57,7 +57,7 @@ CONFIRMED = replace(GOOD, sensors_p_value=0.6, sensors_null_p_value=0.001)
 SMALL_GAIN = replace(GOOD, gain=0.02, p_value=1e-4)
 WORSE_RIVAL = replace(EQUAL_RIVAL, p_no_worse=0.01)
 CLOSE_RIVAL = replace(WORSE_RIVAL, evidence=replace(WORSE_RIVAL.evidence, noise_ratio=5.0))
-NOTHING = SearchResult([], {}, [], noise_ratio=1.0, detectable_share=0.9)
+NOTHING = {"named": [], "rivals": {}, "refused": [], "noise_ratio": 1.0, "detectable_share": 0.9}
 
 
 @pytest.mark.parametrize(("evidence", "rule", "figures"), [
@@ -80,8 +80,8 @@ NOTHING = SearchResult([], {}, [], noise_ratio=1.0, detectable_share=0.9)
      {}),  # zero agrees with the sensors too
     (SENSORS_DISAGREE, SENSORS, {"sensors_p_value": 0.01, "undecided_p": 0.05}),
     (replace(GOOD, sensors_p_value=0.3), ACCEPTED, {}),
-    (FILE_DISAGREES, FILE, {"z_score": 8.9, "max_file_deviation": 3.0}),
-    (replace(GOOD, file_comparison=replace(FILE_DISAGREES.file_comparison, z_score=2.9)), ACCEPTED, {}),
+    (FILE_DISAGREES, FILE, {"z_score": 10.0, "max_file_deviation": 3.0}),
+    (replace(GOOD, file_comparison=(MASS, 0.0725)), ACCEPTED, {}),
     (AT_BOUND, BOUND, {"bound_distance": 0.0, "at_bound": LIMITS.at_bound}),
     (VARYING, VARIES, {"p_equal": 1e-4, "p_absent": 0.2}),
     (replace(GOOD, agreement={"run": Agreement({}, 1e-4, 0.01)}), ACCEPTED, {}),  # differs, but present everywhere
@@ -95,7 +95,7 @@ def test_verdict_of_one_effect(evidence, rule, figures):
 
 
 def test_combination_that_differs_from_the_file_makes_the_outcome_ambiguous():
-    outcome, why = decide(replace(NOTHING, combinations=["front cornering stiffness over mass"]), LIMITS)
+    outcome, why = decide(LIMITS, **(NOTHING | dict(combinations=["front cornering stiffness over mass"])))
     assert outcome == "ambiguous" and "front cornering stiffness over mass: different from the vehicle file" in why.text
 
 
@@ -163,15 +163,15 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
 
 
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
-    (GOOD, NamingChecks(), NAMED), (GOOD, NamingChecks(excludes_null=False), MINOR),
-    (CONFIRMED, NamingChecks(excludes_null=False), NAMED),
-    (GOOD, NamingChecks(crossing="factor"), MINOR), (GOOD, NamingChecks(peak_force_share=0.5), MINOR),
-    (GOOD, NamingChecks(worse_axle="rear"), FORCES), (GOOD, NamingChecks(summed=("steering_lag",)), MINOR),
-    (CONFIRMED, NamingChecks(violation="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
-    (replace(GOOD, position=-0.03), NamingChecks(), MINOR),  # adding it raises the held-out position error
-    (replace(CONFIRMED, position=-0.03), NamingChecks(), NAMED)])  # but the sensors confirm it
+    (GOOD, {}, NAMED), (GOOD, dict(excludes_null=False), MINOR),
+    (CONFIRMED, dict(excludes_null=False), NAMED),
+    (GOOD, dict(crossing="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
+    (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summed=("steering_lag",)), MINOR),
+    (CONFIRMED, dict(violation="yaw_inertia: k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
+    (replace(GOOD, position=-0.03), {}, MINOR),  # adding it raises the held-out position error
+    (replace(CONFIRMED, position=-0.03), {}, NAMED)])  # but the sensors confirm it
 def test_intervals_and_axle_forces_decide_the_naming(evidence, checks, rule):
-    verdict = judge_naming(evidence, LIMITS, checks)
+    verdict = judge_naming(evidence, LIMITS, **checks)
     assert verdict.rule == rule and verdict.text
 
 
@@ -196,7 +196,7 @@ def test_varying_effect_is_relevant_by_its_gain(gain, p_value, healthy_gain, rel
 def test_varying_effect_without_effect_on_the_position_is_not_relevant():
     assert not varies_relevantly(replace(GOOD, position=0.01, position_in_condition=0.01), LIMITS)
     small = replace(AT_BOUND, position=0.01, position_in_condition=0.01)
-    assert decide(replace(NOTHING, refused=[small]), LIMITS)[0] == "none"
+    assert decide(LIMITS, **(NOTHING | dict(refused=[small])))[0] == "none"
 
 
 @pytest.mark.parametrize(("interval", "known", "expected"), [
@@ -245,43 +245,43 @@ def test_text_of_an_alternative_names_the_effect_it_replaces():
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [
-    (replace(NOTHING, named=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL_RIVAL]}), "several",
+    (NOTHING | dict(named=[GOOD, replace(GOOD, name="friction")], rivals={"mass": [EQUAL_RIVAL]}), "several",
      {"effects": 2}),
-    (replace(NOTHING, named=[GOOD]), "named", {}),
-    (replace(NOTHING, named=[GOOD], rivals={"mass": [replace(EQUAL_RIVAL, share=0.1)]}), "named", {}),
-    (replace(NOTHING, named=[GOOD], rivals={"friction": [EQUAL_RIVAL]}), "named", {}),  # a rival of another effect
-    (replace(NOTHING, named=[GOOD], rivals={"mass": [EQUAL_RIVAL]}), "ambiguous", {"names": 2}),
-    (replace(NOTHING, named=[GOOD], refused=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
-    (replace(NOTHING, refused=[AT_BOUND, VARYING], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
-    (replace(NOTHING, refused=[AT_BOUND], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
-    (replace(NOTHING, named=[GOOD], varying_effects=1), "named", {}),
-    (replace(NOTHING, refused=[AT_BOUND], detectable_share=0.1), "unknown", {}),
-    (replace(NOTHING, refused=[SENSORS_DISAGREE], detectable_share=0.1), "unknown", {}),
-    (replace(NOTHING, refused=[NEGLIGIBLE_GAIN, INSIGNIFICANT, SMALL_EFFECT]), "none", {"noise_ratio": 1.0}),
-    (replace(NOTHING, detectable_share=0.7), "not_testable", {"detectable_share": 0.7, "detection_power": 0.8}),
-    (replace(NOTHING, detectable_share=0.7, noise_ratio=9.0), "unknown",
+    (NOTHING | dict(named=[GOOD]), "named", {}),
+    (NOTHING | dict(named=[GOOD], rivals={"mass": [replace(EQUAL_RIVAL, share=0.1)]}), "named", {}),
+    (NOTHING | dict(named=[GOOD], rivals={"friction": [EQUAL_RIVAL]}), "named", {}),  # a rival of another effect
+    (NOTHING | dict(named=[GOOD], rivals={"mass": [EQUAL_RIVAL]}), "ambiguous", {"names": 2}),
+    (NOTHING | dict(named=[GOOD], refused=[VARYING], noise_ratio=9.0, detectable_share=0.1), "named", {}),
+    (NOTHING | dict(refused=[AT_BOUND, VARYING], noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (NOTHING | dict(refused=[AT_BOUND], varying_effects=1, noise_ratio=9.0, detectable_share=0.1), "varying", {}),
+    (NOTHING | dict(named=[GOOD], varying_effects=1), "named", {}),
+    (NOTHING | dict(refused=[AT_BOUND], detectable_share=0.1), "unknown", {}),
+    (NOTHING | dict(refused=[SENSORS_DISAGREE], detectable_share=0.1), "unknown", {}),
+    (NOTHING | dict(refused=[NEGLIGIBLE_GAIN, INSIGNIFICANT, SMALL_EFFECT]), "none", {"noise_ratio": 1.0}),
+    (NOTHING | dict(detectable_share=0.7), "not_testable", {"detectable_share": 0.7, "detection_power": 0.8}),
+    (NOTHING | dict(detectable_share=0.7, noise_ratio=9.0), "unknown",
      {"noise_ratio": 9.0}),  # an unexplained residual takes precedence
-    (replace(NOTHING, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5, "max_noise_ratio": 2.0}),
+    (NOTHING | dict(noise_ratio=2.5), "unknown", {"noise_ratio": 2.5, "max_noise_ratio": 2.0}),
     (NOTHING, "none", {"noise_ratio": 1.0, "max_noise_ratio": 2.0}),
-    (replace(NOTHING, effects=3, base_noise_ratio=15.0, detectable_share=0.7), "ambiguous",
+    (NOTHING | dict(effects=3, base_noise_ratio=15.0, detectable_share=0.7), "ambiguous",
      {"effects": 3, "base_noise_ratio": 15.0, "max_noise_ratio": 2.0}),
-    (replace(NOTHING, effects=3, base_noise_ratio=15.0, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5}),
-    (replace(NOTHING, effects=3, base_noise_ratio=1.9), "none", {}),
-    (replace(NOTHING, base_noise_ratio=15.0), "none", {}),  # nothing reduces it significantly
+    (NOTHING | dict(effects=3, base_noise_ratio=15.0, noise_ratio=2.5), "unknown", {"noise_ratio": 2.5}),
+    (NOTHING | dict(effects=3, base_noise_ratio=1.9), "none", {}),
+    (NOTHING | dict(base_noise_ratio=15.0), "none", {}),  # nothing reduces it significantly
 ])
 def test_outcome_of_a_search_result(answer, outcome, figures):
-    decided, why = decide(answer, LIMITS)
+    decided, why = decide(LIMITS, **answer)
     assert decided == outcome and decided in OUTCOMES
     assert (why.rule, why.subject) == (outcome, "outcome")
     assert {k: why.figures[k] for k in figures} == figures
 
 
 def judge_low_peak_force(evidence, limits):
-    return judge_naming(evidence, limits, NamingChecks(peak_force_share=0.5))
+    return judge_naming(evidence, limits, peak_force_share=0.5)
 
 
 def decide_outcome(result, limits):
-    return decide(result, limits)[1]
+    return decide(limits, **result)[1]
 
 
 LIMIT_CASES = [
@@ -307,11 +307,11 @@ LIMIT_CASES = [
     ("at_bound", 1e-9, judge, replace(AT_BOUND, bound_distance=0.001), BOUND, ACCEPTED),
     ("unexplained_share", 1e-9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
     ("unexplained_share", 1e-9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
-    ("max_noise_ratio", 1e9, decide_outcome, replace(NOTHING, noise_ratio=9.0), "unknown", "none"),
+    ("max_noise_ratio", 1e9, decide_outcome, NOTHING | dict(noise_ratio=9.0), "unknown", "none"),
     ("max_noise_ratio", 1e9, judge_naming, replace(LOW_GAIN, noise_ratio=5.0), MINOR, NAMED),
     ("max_noise_ratio", 1e9, judge_naming, replace(NO_POSITION_GAIN, shares={"yaw": (0.1, 5.0)}), NAMED, MINOR),
     ("max_noise_ratio", 1e9, judge_alternative, CLOSE_RIVAL, ALTERNATIVE, EXPLAINS_LESS),
-    ("detection_power", 1e-9, decide_outcome, replace(NOTHING, detectable_share=0.1), "not_testable", "none"),
+    ("detection_power", 1e-9, decide_outcome, NOTHING | dict(detectable_share=0.1), "not_testable", "none"),
 ]
 """(limit, its inactive value, decision, subject, answer with the default limits, answer with the inactive limit)."""
 TESTED_ELSEWHERE = {"max_effects"}

@@ -18,23 +18,6 @@ PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run",
 
 
 @dataclass(frozen=True)
-class NamingChecks:
-    """Checks of an effect that need intervals and axle curves. excludes_null: whether an interval excludes the null.
-    crossing: parameter with an interval that crosses a bound, or "". peak_force_share [1]: force reached in the drives
-    divided by the peak force, larger of both axles; 1 for an effect that does not act on the peak. worse_axle: an axle
-    on which the effect acts and where the measured forces agree better with the vehicle file than with the final model,
-    or "". summed: other effects of the model; only their sum with this effect is identifiable. violation: range
-    that the car with this effect would violate (see `handling.find_violations`), or ""."""
-
-    excludes_null: bool = True
-    crossing: str = ""
-    peak_force_share: float = 1.0
-    worse_axle: str = ""
-    summed: Sequence[str] = ()
-    violation: str = ""
-
-
-@dataclass(frozen=True)
 class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
@@ -54,25 +37,6 @@ class Rival:
     added: float = 0.0
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """Input of `decide`. noise_ratio [1]: ratio of the residual to the noise. detectable_share [1]: fraction of the
-    library's effects that are detectable in these drives at a size of one parameter scale. varying_effects: number of
-    effects that vary between parts of the drives. combinations: names of the parameter combinations that differ from
-    the vehicle file and that no named effect changes. effects: number of effects in the model. base_noise_ratio [1]:
-    ratio of the error without them to the noise."""
-
-    named: Sequence[Evidence]
-    rivals: Mapping[str, Sequence[Rival]]
-    refused: Sequence[Evidence]
-    noise_ratio: float
-    detectable_share: float
-    varying_effects: int = 0
-    combinations: Sequence[str] = ()
-    effects: int = 0
-    base_noise_ratio: float = 1.0
-
-
 def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set. The same test applies to adding, keeping and exchanging it."""
     if not is_confirmed(e, limits):
@@ -86,14 +50,14 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
-    known = e.file_comparison
-    if known is not None and known.z_score > limits.max_file_deviation:
-        return Reason(FILE, e.name, {"value": known.value, "file": known.file,
-                                     "standard_deviation": known.standard_deviation, "z_score": known.z_score,
+    known, change = e.file_comparison or (None, 0.0)
+    if known is not None and (z_score := known.z_score(change)) > limits.max_file_deviation:
+        return Reason(FILE, e.name, {"value": known.at(change), "file": known.value,
+                                     "standard_deviation": known.deviation, "z_score": z_score,
                                      "max_file_deviation": limits.max_file_deviation},
-                      f"the best fit has {known.key} {_format_with_unit(known.value, known.unit)}, the vehicle file "
-                      f"{known.file:g} ± {_format_with_unit(known.standard_deviation, known.unit)}: check the file; if "
-                      "it is correct, another cause has the same effect")
+                      f"the best fit has {known.key} {_format_with_unit(known.at(change), known.unit)}, the vehicle "
+                      f"file {known.value:g} ± {_format_with_unit(known.deviation, known.unit)}: check the file; if it "
+                      "is correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
@@ -184,25 +148,35 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
             "relevant_position": limits.relevant_position}
 
 
-def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None) -> Reason:
-    """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values."""
+def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, crossing: str = "",
+                 peak_force_share: float = 1.0, worse_axle: str = "", summed: Sequence[str] = (),
+                 violation: str = "") -> Reason:
+    """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
+
+    excludes_null: whether an interval excludes the null. crossing: parameter with an interval that crosses a bound, or
+    "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles; 1 for an
+    effect that does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
+    agree better with the vehicle file than with the final model, or "". summed: other effects of the model; only their
+    sum with this effect is identifiable. violation: range that the car with this effect would violate (see
+    `handling.find_implausible_values`), or "".
+    """
     def minor(text: str, **figures: float) -> Reason:
         return Reason(MINOR, e.name, figures or {"gain": e.gain}, f"{text}: it stays in the model, but is not named")
 
-    confirmed_by_sensors, checks = is_confirmed(e, limits), checks or NamingChecks()
-    if checks.worse_axle:
-        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {checks.worse_axle} axle agree "
+    confirmed_by_sensors = is_confirmed(e, limits)
+    if worse_axle:
+        return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {worse_axle} axle agree "
                       "less well with it than with the vehicle file: it improves predictions, but is not named")
-    if checks.violation:
-        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {checks.violation}; "
+    if violation:
+        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {violation}; "
                       "it improves predictions, but is not named")
-    if checks.summed:
-        return minor(f"only the sum of it and {' and '.join(checks.summed).replace('_', ' ')} is identifiable")
-    if checks.crossing:
-        return minor(f"the interval of its {checks.crossing.replace('_', ' ')} extends beyond the physical range")
-    if checks.peak_force_share < limits.min_peak_force:
-        return minor(f"the drives reach only {checks.peak_force_share:.1%} of the peak force",
-                     peak_force_share=checks.peak_force_share, min_peak_force=limits.min_peak_force)
+    if summed:
+        return minor(f"only the sum of it and {' and '.join(summed).replace('_', ' ')} is identifiable")
+    if crossing:
+        return minor(f"the interval of its {crossing.replace('_', ' ')} extends beyond the physical range")
+    if peak_force_share < limits.min_peak_force:
+        return minor(f"the drives reach only {peak_force_share:.1%} of the peak force",
+                     peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)
     if e.position < -limits.relevant_position and not confirmed_by_sensors:
         return minor(f"without it the held-out position error is {-100 * e.position:.1f} cm smaller",
                      position=e.position, relevant_position=limits.relevant_position)
@@ -211,7 +185,7 @@ def judge_naming(e: Evidence, limits: Limits, checks: NamingChecks | None = None
                      f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
                      "required, as a smaller one may have an unmodelled cause", gain=e.gain, noise_ratio=e.noise_ratio,
                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
-    if not checks.excludes_null and not confirmed_by_sensors:
+    if not excludes_null and not confirmed_by_sensors:
         return minor("it reduces the errors, but the interval of its value contains the value without influence")
     size, figures = _describe_effect_size(e, limits), _relevance_values(e, limits)
     if is_relevant(e, limits):
@@ -266,25 +240,31 @@ def is_alternative(rival: Rival, limits: Limits) -> bool:
     return judge_alternative(rival, limits).rule == ALTERNATIVE
 
 
-def decide(search: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
-    """The outcome and its reason."""
+def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Sequence[Rival]],
+           refused: Sequence[Evidence], noise_ratio: float, detectable_share: float, varying_effects: int = 0,
+           combinations: Sequence[str] = (), effects: int = 0,
+           base_noise_ratio: float = 1.0) -> tuple[Outcome, Reason]:
+    """The outcome and its reason. noise_ratio [1]: ratio of the residual to the noise. detectable_share [1]: fraction
+    of the library's effects that are detectable in these drives at a size of one parameter scale. varying_effects:
+    number of effects that vary between parts of the drives. combinations: names of the parameter combinations that
+    differ from the vehicle file and that no named effect changes. effects: number of effects in the model.
+    base_noise_ratio [1]: ratio of the error without them to the noise."""
     def conclude(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 
-    noise_ratio, base_noise_ratio = search.noise_ratio, search.base_noise_ratio
-    if len(search.named) > 1:
-        return conclude("several", f"{len(search.named)} effects are significant, relevant and do not vary "
-                       "significantly", effects=len(search.named))
-    if search.named:
-        names = 1 + sum(is_alternative(r, limits) for r in search.rivals.get(search.named[0].name, ()))
+    if len(named) > 1:
+        return conclude("several", f"{len(named)} effects are significant, relevant and do not vary "
+                       "significantly", effects=len(named))
+    if named:
+        names = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
         if names > 1:
             return conclude("ambiguous", f"{names} effects explain the errors equally well", names=names)
         return conclude("named", "one effect is significant, relevant and does not vary significantly")
-    if search.combinations:
-        return conclude("ambiguous", f"{' and '.join(search.combinations)}: different from the vehicle file, but the "
-                       "effects behind this difference cannot be separated", combinations=len(search.combinations))
-    verdicts = [judge(e, limits) for e in search.refused if is_relevant(e, limits)]
-    if search.varying_effects or any(v.rule == VARIES for v in verdicts):
+    if combinations:
+        return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
+                       "effects behind this difference cannot be separated", combinations=len(combinations))
+    verdicts = [judge(e, limits) for e in refused if is_relevant(e, limits)]
+    if varying_effects or any(v.rule == VARIES for v in verdicts):
         return conclude("varying", "a significant effect varies between parts of the drives")
     if any(v.rule in (BOUND, SENSORS, FILE) for v in verdicts):
         return conclude("unknown", "a significant effect is rejected, because its value is at a bound or contradicts "
@@ -293,14 +273,14 @@ def decide(search: SearchResult, limits: Limits) -> tuple[Outcome, Reason]:
         return conclude("unknown", f"the position error is {noise_ratio:.1f} times the noise, and no further effect "
                        "of the library reduces it significantly", noise_ratio=noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
-    if search.effects and base_noise_ratio > limits.max_noise_ratio:
+    if effects and base_noise_ratio > limits.max_noise_ratio:
         return conclude("ambiguous", f"the model reduces the position error from {base_noise_ratio:.1f} to "
                        f"{noise_ratio:.1f} times the noise, but none of its effects is certain enough to be named",
-                       effects=search.effects, base_noise_ratio=base_noise_ratio,
+                       effects=effects, base_noise_ratio=base_noise_ratio,
                        max_noise_ratio=limits.max_noise_ratio)
-    if search.detectable_share < limits.detection_power:
-        return conclude("not_testable", f"only {search.detectable_share:.0%} of the library's effects would be "
-                       "detectable in these drives at their typical size", detectable_share=search.detectable_share,
+    if detectable_share < limits.detection_power:
+        return conclude("not_testable", f"only {detectable_share:.0%} of the library's effects would be "
+                       "detectable in these drives at their typical size", detectable_share=detectable_share,
                        detection_power=limits.detection_power)
     return conclude("none", f"the position error is {noise_ratio:.1f} times the noise", noise_ratio=noise_ratio,
                    max_noise_ratio=limits.max_noise_ratio)

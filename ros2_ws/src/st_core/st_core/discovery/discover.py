@@ -195,11 +195,11 @@ class _Analysis:
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
         refused = [evidence for evidence, *_ in state.refused.values()]
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
-        return decision.decide(decision.SearchResult(
-            named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals, refused=refused,
+        return decision.decide(
+            self.limits, named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals, refused=refused,
             noise_ratio=noise_ratios[1], detectable_share=detectable, varying_effects=varying_effects,
             combinations=[c.name for c in combinations], effects=len(state.fit.names),
-            base_noise_ratio=noise_ratios[0]), self.limits)
+            base_noise_ratio=noise_ratios[0])
 
     def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
@@ -331,12 +331,12 @@ class _Analysis:
                 violations[name] = next(iter(found), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
-        return {e.name: decision.judge_naming(state.evidence[e.name], self.limits, decision.NamingChecks(
-            excludes_null=bool(self.reference) or excludes_null(e),
+        return {e.name: decision.judge_naming(
+            state.evidence[e.name], self.limits, excludes_null=bool(self.reference) or excludes_null(e),
             crossing="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
-            summed=tuple(n for n in delays if n != e.name) if e.name in delays else ())) for e in effects}
+            summed=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effective corrections: the effects of `fit` that are not in `state.fit`."""

@@ -14,7 +14,7 @@ from ..regression import random_effects
 from .fit import Fit, Problem, Sensitivities, minimise_bounded
 from .loss import Quadratic
 from .partitions import Partition
-from .space import Space
+from .space import FileQuantity, Space
 
 SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-value of 0.01
 Z95 = float(stats.norm.ppf(0.975))
@@ -37,19 +37,6 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class FileComparison:
-    """A quantity of the vehicle file that an effect changes. value: with the effect [unit]. file, standard_deviation:
-    from the vehicle file [unit]. z_score [1]: magnitude of value - file, divided by the standard deviation."""
-
-    key: str
-    unit: str
-    value: float
-    file: float
-    standard_deviation: float
-    z_score: float
-
-
-@dataclass(frozen=True)
 class Evidence:
     """Statistics of one effect in a set.
 
@@ -61,8 +48,7 @@ class Evidence:
     bound is largest. noise_ratio [1]: error with the effect divided by the noise, see `residual_over_noise`.
     bound_distance, size: distances to the nearest bound and from the null [parameter scales]. sensors_p_value,
     sensors_null_p_value [1]: p-values of the fitted value and the null, given redundant sensors, or None.
-    file_comparison: the quantity that the effect moves furthest from the vehicle file, or None. agreement: consistency
-    between parts, by partition."""
+    file_comparison: see `compare_with_file`. agreement: consistency between parts, by partition."""
 
     name: str
     gain: float
@@ -77,7 +63,7 @@ class Evidence:
     size: float = 0.0
     sensors_p_value: float | None = None
     sensors_null_p_value: float | None = None
-    file_comparison: FileComparison | None = None
+    file_comparison: tuple[FileQuantity, float] | None = None
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
     @property
@@ -266,15 +252,12 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
                 for edge in space.free[i][1].hard_bounds), default=np.inf)
 
 
-def compare_with_file(problem: Problem, fit: Fit, effect: str) -> FileComparison | None:
-    """Quantity that an effect moves furthest from the file, in standard deviations; None if none, or with reference."""
-    moved = []
-    for i in problem.space.indices(effect) if problem.prior is None else ():
-        quantity, change = problem.quantities[i], float(fit.vector[i] - problem.space.null[i])
-        if quantity is not None:
-            moved.append(FileComparison(quantity.key, quantity.unit, quantity.at(change), quantity.value,
-                                        quantity.deviation, quantity.z_score(change)))
-    return max(moved, key=lambda a: a.z_score, default=None)
+def compare_with_file(problem: Problem, fit: Fit, effect: str) -> tuple[FileQuantity, float] | None:
+    """(quantity that an effect moves furthest from the file, in standard deviations; change of its parameter from the
+    null); None without such a quantity, and with reference drives."""
+    moved = [(quantity, float(fit.vector[i] - problem.space.null[i])) for i in problem.space.indices(effect)
+             if problem.prior is None and (quantity := problem.quantities[i]) is not None]
+    return max(moved, key=lambda pair: pair[0].z_score(pair[1]), default=None)
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -> tuple[float | None, float | None]:

@@ -143,7 +143,7 @@ class VaryingEffect:
 @dataclass(frozen=True)
 class Reason:
     """A decision and its reason. rule: the rule of `decision` that applied. subject: an effect, or "outcome". figures:
-    numbers that were compared; a key is the name of a field of a dataclass in `settings`, `evidence` or `decision`."""
+    numbers that were compared; a key is the name of a quantity in `settings`, `evidence` or `decision`."""
 
     rule: str
     subject: str
