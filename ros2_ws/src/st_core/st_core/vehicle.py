@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, get_origin, get_type_hints
 
 from .errors import ConfigurationError
 from .types import Number
@@ -18,15 +18,16 @@ from .yaml_text import check_keys, format_number, load, quote
 class Quantity:
     """One key of a vehicle file."""
 
-    units: Mapping[str, float]  # permitted units with their factor to SI, the SI unit first
+    si_unit: str
     minimum: float  # limit in SI, inclusive
     maximum: float  # limit in SI, inclusive
     required: bool = True  # whether every vehicle file must contain the key
-    default: float = math.nan  # in SI; NaN for a quantity without default
+    other_units: Mapping[str, float] = field(default_factory=dict)  # further permitted units with their factor to SI
 
     @property
-    def si_unit(self) -> str:
-        return next(iter(self.units))
+    def units(self) -> dict[str, float]:
+        """Permitted units with their factor to SI."""
+        return {self.si_unit: 1.0, **self.other_units}
 
     @property
     def limits(self) -> str:
@@ -36,52 +37,21 @@ class Quantity:
         return min(max(value, self.minimum), self.maximum)
 
 
-def _quantity(unit: str, minimum: float, maximum: float, required: bool = True, default: float = math.nan) -> Quantity:
-    return Quantity({unit: 1.0}, minimum, maximum, required and math.isnan(default), default)
-
-
-# The limits are wide, from a model car of scale 1:16 to a loaded truck. `_check_scale` detects a wrong unit.
-OPTIONAL_QUANTITIES = {
-    "track_width": _quantity("m", 0.03, 4.0, default=1.54),
-    "drive_front": _quantity("1", 0.0, 1.0, default=1.0),
-    "brake_front": _quantity("1", 0.0, 1.0, default=0.65),
-    "load_transfer_front": _quantity("1", 0.0, 1.0, default=0.55),
-    "side_area": _quantity("m^2", 1.0e-3, 60.0, default=2.5),
-    "side_force_arm": _quantity("m", -5.0, 5.0, default=0.25),
-}
-"""Quantities that only some effects need. The defaults describe a front-wheel-drive passenger car."""
-VEHICLE_QUANTITIES = {
-    "mass": _quantity("kg", 1.0, 60000.0),
-    "yaw_inertia": _quantity("kg m^2", 1.0e-3, 1.0e6),
-    "wheelbase": _quantity("m", 0.1, 15.0),
-    "cg_to_front_axle": _quantity("m", 0.02, 14.0),
-    "cg_height": _quantity("m", 0.0, 4.0),
-    "cg_to_ins_x": _quantity("m", -15.0, 15.0),
-    "cg_to_ins_y": _quantity("m", -3.0, 3.0),
-    "steering_ratio": _quantity("1", 1.0, 60.0),
-    "steering_wheel_offset": Quantity({"rad": 1.0, "deg": math.pi / 180.0}, -math.pi, math.pi),
-    "cornering_stiffness_front": _quantity("N/rad", 1.0, 5.0e6),
-    "cornering_stiffness_rear": _quantity("N/rad", 1.0, 5.0e6),
-    "minimum_slip_speed": _quantity("m/s", 0.1, 20.0),
-    "length": _quantity("m", 0.1, 30.0),
-    "width": _quantity("m", 0.03, 4.0),
-    **OPTIONAL_QUANTITIES,
-}
 STIFFNESS_LIMITS = 0.05, 500.0  # cornering stiffness of an axle, divided by the weight of the car [1/rad]
 TYRE_QUANTITIES = {
-    "nominal_load": _quantity("N", 1.0, 1.0e5),
-    "p_cy1": _quantity("1", 0.5, 3.0),
-    "p_dy1": _quantity("1", 0.05, 3.0),
-    "p_dy2": _quantity("1", -1.0, 1.0),
-    "p_ey1": _quantity("1", -20.0, 1.0),
-    "p_ey2": _quantity("1", -20.0, 20.0),
-    "p_ey3": _quantity("1", -5.0, 5.0),
-    "p_ky1": _quantity("1", -200.0, -1.0),  # negative, as in SAE axes
-    "p_ky2": _quantity("1", 0.1, 20.0),
-    "p_ky4": _quantity("1", 0.1, 4.0),
-    "lambda_ky": _quantity("1", 0.01, 10.0, required=False),
-    "lambda_cy": _quantity("1", 0.1, 10.0, required=False),
-    "lambda_muy": _quantity("1", 0.01, 10.0, required=False),
+    "nominal_load": Quantity("N", 1.0, 1.0e5),
+    "p_cy1": Quantity("1", 0.5, 3.0),
+    "p_dy1": Quantity("1", 0.05, 3.0),
+    "p_dy2": Quantity("1", -1.0, 1.0),
+    "p_ey1": Quantity("1", -20.0, 1.0),
+    "p_ey2": Quantity("1", -20.0, 20.0),
+    "p_ey3": Quantity("1", -5.0, 5.0),
+    "p_ky1": Quantity("1", -200.0, -1.0),  # negative, as in SAE axes
+    "p_ky2": Quantity("1", 0.1, 20.0),
+    "p_ky4": Quantity("1", 0.1, 4.0),
+    "lambda_ky": Quantity("1", 0.01, 10.0, required=False),
+    "lambda_cy": Quantity("1", 0.1, 10.0, required=False),
+    "lambda_muy": Quantity("1", 0.01, 10.0, required=False),
 }
 TYRES = ("tyre_front", "tyre_rear")
 PROVENANCE_TEXTS = ("method", "data", "date")
@@ -144,6 +114,8 @@ def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number
 class VehicleParameters:
     """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
+    The limits are wide, from a model car of scale 1:16 to a loaded truck; `_check_scale` detects a wrong unit. Only some
+    effects need the optional quantities; their defaults describe a front-wheel-drive passenger car.
     Optional quantities: track_width of both axles [m]; drive_front, brake_front, load_transfer_front: fraction of the
     drive force, brake force and lateral load transfer on the front axle [1] (rear-wheel drive: drive_front 0);
     side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm: distance of the side force
@@ -151,28 +123,30 @@ class VehicleParameters:
     """
 
     name: str
-    mass: float  # kg
-    yaw_inertia: float  # kg m^2, about the CG
-    wheelbase: float  # m
-    cg_to_front_axle: float  # m
-    cg_height: float  # m
-    cg_to_ins_x: float  # m; INS point ahead of the CG, behind it < 0
-    cg_to_ins_y: float  # m; INS point to the left of the CG
-    steering_ratio: float  # 1
-    steering_wheel_offset: float  # rad; reading of the steering wheel sensor when driving straight, left +
-    cornering_stiffness_front: float  # N/rad per axle, > 0
-    cornering_stiffness_rear: float  # N/rad per axle, > 0
-    minimum_slip_speed: float  # m/s; v_eps, lower limit of the speed in the denominator of the slip angle
-    length: float  # m, of the body, for drawing
-    width: float  # m, of the body, for drawing
+    mass: Annotated[float, Quantity("kg", 1.0, 60000.0)]
+    yaw_inertia: Annotated[float, Quantity("kg m^2", 1.0e-3, 1.0e6)]  # about the CG
+    wheelbase: Annotated[float, Quantity("m", 0.1, 15.0)]
+    cg_to_front_axle: Annotated[float, Quantity("m", 0.02, 14.0)]
+    cg_height: Annotated[float, Quantity("m", 0.0, 4.0)]
+    cg_to_ins_x: Annotated[float, Quantity("m", -15.0, 15.0)]  # INS point ahead of the CG, behind it < 0
+    cg_to_ins_y: Annotated[float, Quantity("m", -3.0, 3.0)]  # INS point to the left of the CG
+    steering_ratio: Annotated[float, Quantity("1", 1.0, 60.0)]
+    # Reading of the steering wheel sensor when driving straight, left +.
+    steering_wheel_offset: Annotated[float, Quantity("rad", -math.pi, math.pi, other_units={"deg": math.pi / 180.0})]
+    cornering_stiffness_front: Annotated[float, Quantity("N/rad", 1.0, 5.0e6)]  # per axle
+    cornering_stiffness_rear: Annotated[float, Quantity("N/rad", 1.0, 5.0e6)]  # per axle
+    # v_eps, lower limit of the speed in the denominator of the slip angle.
+    minimum_slip_speed: Annotated[float, Quantity("m/s", 0.1, 20.0)]
+    length: Annotated[float, Quantity("m", 0.1, 30.0)]  # of the body, for drawing
+    width: Annotated[float, Quantity("m", 0.03, 4.0)]  # of the body, for drawing
     tyre_front: MagicFormula  # one tyre, lambda_ky filled in
     tyre_rear: MagicFormula  # one tyre, lambda_ky filled in
-    track_width: float = OPTIONAL_QUANTITIES["track_width"].default
-    drive_front: float = OPTIONAL_QUANTITIES["drive_front"].default
-    brake_front: float = OPTIONAL_QUANTITIES["brake_front"].default
-    load_transfer_front: float = OPTIONAL_QUANTITIES["load_transfer_front"].default
-    side_area: float = OPTIONAL_QUANTITIES["side_area"].default
-    side_force_arm: float = OPTIONAL_QUANTITIES["side_force_arm"].default
+    track_width: Annotated[float, Quantity("m", 0.03, 4.0, required=False)] = 1.54
+    drive_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 1.0
+    brake_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.65
+    load_transfer_front: Annotated[float, Quantity("1", 0.0, 1.0, required=False)] = 0.55
+    side_area: Annotated[float, Quantity("m^2", 1.0e-3, 60.0, required=False)] = 2.5
+    side_force_arm: Annotated[float, Quantity("m", -5.0, 5.0, required=False)] = 0.25
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
     provenance: Mapping[str, Provenance] = field(default_factory=dict, compare=False, repr=False)
 
@@ -316,11 +290,17 @@ class VehicleParameters:
     @cached_property
     def hash(self) -> str:
         """sha256 (hex) of all values in SI, without name, sources, provenance, and optional quantities at defaults."""
-        values = {key: getattr(self, key) for key, quantity in VEHICLE_QUANTITIES.items()
-                  if getattr(self, key) != quantity.default}
+        values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES
+                  if getattr(self, key) != getattr(VehicleParameters, key, None)}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
         text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+VEHICLE_QUANTITIES: dict[str, Quantity] = {
+    key: hint.__metadata__[0] for key, hint in get_type_hints(VehicleParameters, include_extras=True).items()
+    if get_origin(hint) is Annotated}
+OPTIONAL_QUANTITIES = tuple(key for key, quantity in VEHICLE_QUANTITIES.items() if not quantity.required)
 
 
 def find_quantity(key: str) -> Quantity | None:
