@@ -115,10 +115,11 @@ class VehicleParameters:
     """One car, in SI units. Raises ConfigurationError, naming the key and the limit, for impossible values.
 
     The limits are wide, from a model car of scale 1:16 to a loaded truck; `_check_scale` detects a wrong unit.
-    Optional quantities, which only some effects need, with the values of a front-wheel-drive car: track_width of both axles [m]; drive_front, brake_front, load_transfer_front: fraction of the
-    drive force, brake force and lateral load transfer on the front axle [1] (rear-wheel drive: drive_front 0);
-    side_area: side force coefficient times its reference area, C_y A [m^2]; side_force_arm: distance of the side force
-    ahead of the CG [m]. sources and provenance are by key, such as "tyre_front.p_cy1".
+    Optional, needed only by some effects, by default those of a front-wheel-drive car: track_width of both axles [m];
+    drive_front, brake_front, load_transfer_front: fraction of the drive force, brake force and lateral load transfer on
+    the front axle [1] (rear-wheel drive: drive_front 0); side_area: side force coefficient times its reference area,
+    C_y A [m^2]; side_force_arm: distance of the side force ahead of the CG [m]. sources and provenance are by key, such
+    as "tyre_front.p_cy1".
     """
 
     name: str
