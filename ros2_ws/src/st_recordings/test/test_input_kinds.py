@@ -133,6 +133,21 @@ class Table(NamedTuple):
     encoding: str = "utf-8"
 
 
+def with_times_of_two_groups(log: DriveLog) -> str:
+    """INS and steering with columns Time of their own; a row of the INS is missing."""
+    cells = rows(log)
+    ins = [*cells[:5], *cells[6:], [""] * 7]
+    return csv([[*ins[k][:7], *row[::7]] for k, row in enumerate(cells)], ",".join(("Time", *NAMES[1:7], "Time", NAMES[7])))
+
+
+def navgraph(log: DriveLog) -> str:
+    """Names, quotes and the delimiter at the end of rows as an export of OxTS NAVgraph has them."""
+    return csv([["2015-12-18", clock(NOON + k * 0.01)[:12], f"{k * 0.01:.2f}", *row[1:], ""] for k, row in enumerate(
+        rows(log))], '"Date (UTC+1,00)","Time (UTC+1,00)",TimeFromStart (s),' + ",".join((
+            "PosLocalX (m)", "PosLocalY (m)", "yaw (rad)", "VelForward (m/s)", "VelLateral (m/s)", "AngleRateZ (rad/s)",
+            NAMES[7])))
+
+
 TABLES = [
     Table("plain.csv", lambda log: csv(rows(log))),
     # Encodings, delimiters, quotes, lines around the table.
@@ -203,6 +218,11 @@ TABLES = [
     Table("complete_stamps.csv", lambda log: csv(
         [[f"{float(row[0]):.3f}", f"{float(row[0]) * 1e9:.0f}", *row[1:]] for row in rows(log)],
         ",".join(("stamp_sec", "stamp_nsec", *NAMES[1:])))),
+    Table("comma_before_fraction.csv", lambda log: with_times(
+        log, lambda s: f'"2026-05-04 {clock(NOON + s)[:12].replace(".", ",")}"')),
+    Table("groups_with_times.csv", with_times_of_two_groups,
+          "column Time occurs 2 times; each is the time of the columns after it"),
+    Table("navgraph.csv", navgraph),
     Table("end_of_week.csv", lambda log: with_times(log, lambda s: f"{(604790 + s) % 604800:.6f}")),
     Table("compact_date.csv", lambda log: with_times(log, lambda s: f"20260504_{clock(NOON + s).replace(':', '')}")),
     Table("clock_format.csv", lambda log: with_times(log, lambda s: clock(NOON + s)).replace(

@@ -160,3 +160,22 @@ def test_advice_for_many_drives_names_the_extension_of_the_file(drive, tmp_path)
     file = write_signals(tmp_path / "drive.mf4", drive, yaw="Kurs")
     with pytest.raises(RunError, match=r"`csv: drive\.mf4` and .*`each: '\*\.mf4'`"):
         read(find_runs([file])[0], CAR)
+
+
+def test_latitude_and_longitude_in_messages_of_their_own(drive: DriveLog, tmp_path: Path) -> None:
+    """As decoded frames of a VBOX are, at different rates."""
+    time = (drive.ins_time_ns - drive.ins_time_ns[0]) * 1e-9
+    latitude, longitude = to_degrees(drive)
+    wheel = np.interp(drive.ins_time_ns, drive.steering_time_ns, drive.steering_wheel_angle)
+    signals = {"Latitude": (latitude, "deg"), "Longitude": (longitude, "deg"), "yaw": (drive.yaw, "rad"),
+               "vx": (drive.velocity_x, "m/s"), "vy": (drive.velocity_y, "m/s"), "yaw_rate": (drive.yaw_rate, "rad/s"),
+               "steering_wheel_angle": (wheel, "rad")}
+    with MDF(version="4.10") as mdf:
+        for name, (samples, unit) in signals.items():
+            stamps = time[::2] - 1e-3 if name == "Longitude" else time
+            mdf.append([Signal(np.interp(stamps, time, samples), stamps, name=name, unit=unit)])
+        file = Path(mdf.save(tmp_path / "separate.mf4", overwrite=True))
+    (source,) = find_runs([file])
+    run = read(source, CAR)
+    assert_same(run.log, drive, 3, steering=1e-3, rotated=True)
+    assert all(count <= 3 for count in run.auxiliary.missing.values()), run.warnings

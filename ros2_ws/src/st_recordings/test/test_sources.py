@@ -150,6 +150,25 @@ def test_each_describes_all_drives_without_a_run_file(tmp_path: Path) -> None:
             read(runs["e"], CAR)
 
 
+def test_drive_that_is_named_alone_is_read_as_its_run_file_says(tmp_path: Path) -> None:
+    (drive, _) = touch(tmp_path, "a.csv", "b.csv", content=DRIVE)
+    (file,) = touch(tmp_path, "a.run.yaml", content="csv: a.csv\nleave_out: [[0.1, 0.2]]\n")
+    for given in ([drive], [drive, file], [tmp_path / "b.csv", drive]):
+        (run,) = [run for run in find_runs(given) if drive in run.files]
+        assert run.run_file == file and run.settings["leave_out"]
+    touch(tmp_path, "a.run.yaml", content="csv: [a.csv, b.csv]\n")
+    (run,) = find_runs([drive])
+    assert run.run_file is None and run.files == (drive,)
+    touch(tmp_path, "a.run.yaml", content="csvv: a.csv\n")
+    (run,) = find_runs([drive])
+    assert "unknown key csvv" in str(run.problem)
+
+
+def test_log_that_is_no_can_log_is_not_called_one(tmp_path: Path) -> None:
+    (run,) = find_runs(touch(tmp_path, "a.log", content="$GPGGA,101112.00,5200.00,N\n"))
+    assert "a.log: this is not a CAN log; export a recording of this kind as .csv" in str(run.problem)
+
+
 def test_each_excludes_drives_with_a_run_file(tmp_path: Path) -> None:
     touch(tmp_path, "a.csv", "b.csv", "c.csv", "sub/drive.csv", content=DRIVE)
     touch(tmp_path, "a.log", content="notes of the driver\n")

@@ -41,7 +41,7 @@ UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
 _SPELLINGS = str.maketrans({
     **dict.fromkeys("º˚⁰", "°"), **dict.fromkeys("µμ", "u"), **dict.fromkeys("äÄ", "ae"), **dict.fromkeys("öÖ", "oe"),
     **dict.fromkeys("üÜ", "ue"), "ψ": "psi", "δ": "delta", "ω": "omega", "\u0307": "dot"})
-_CLOCK = re.compile(r"(?i)\b(gps|utc|gmt|local|unix|since|start|boot|epoch|of|day|week|time|in)\b"
+_CLOCK = re.compile(r"(?i)\b(gps|(utc|gmt)( ?[+-]\d[\d.,:]*)?|local|unix|since|start|boot|epoch|of|day|week|time|in)\b"
                     r"|[ymdt./ -]*h+:?m+:?s+[.:sfx\d]*")  # clocks, and formats such as HH:MM:SS.SS
 
 
@@ -88,8 +88,8 @@ def _words(text: str) -> tuple[str, ...]:
 COLUMNS: Mapping[str, Channel] = {
     "t": Channel("time", "time", _words(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
-        "unix_time utc_time gps_time gps_tow tow gps_seconds time_of_week itow datetime epoch epoch_time zeit "
-        "zeitstempel datum_zeit x_value")),
+        "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
+        "epoch_time time_from_start zeit uhrzeit zeitstempel datum_zeit x_value")),
     **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _words(
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "

@@ -328,8 +328,10 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
     Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
     in the other channels, are not filled.
     """
-    names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north")
-             if name in columns]
+    fixes = [np.isfinite(columns[name]) for name in ("latitude", "longitude") if name in columns]
+    separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in messages of their own
+    names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north",
+                               *(("latitude", "longitude") if separate else ())) if name in columns]
     sample_rows = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
     filled = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # number of channels with a number, by row
     longest = max(map(len, sample_rows.values()), default=0)
@@ -506,11 +508,12 @@ def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
     known_rows = np.flatnonzero(np.isfinite(column))
     row_steps = np.diff(known_rows)
     row_step = int(np.median(row_steps)) if len(known_rows) >= 3 else 1
-    if row_step > 1:
-        if np.mean(row_steps % row_step == 0) > MIN_REGULAR_SHARE:
-            return round((known_rows[-1] - known_rows[0]) / row_step) + 1 - len(known_rows)
+    if row_step > 1 and np.mean(row_steps % row_step == 0) > MIN_REGULAR_SHARE:
+        return round((known_rows[-1] - known_rows[0]) / row_step) + 1 - len(known_rows)
+    if row_step > 1 or 3 <= len(known_rows) < MIN_SIMILAR_RATE * len(column):
         steps = np.diff(time_ns[known_rows])
         step = np.median(steps)
         if np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_SHARE:
-            return max(round(float(steps.sum() / step)) + 1 - len(known_rows), 0)
+            span = steps.sum() if row_step > 1 else time_ns[-1] - time_ns[0]
+            return max(round(float(span / step)) + 1 - len(known_rows), 0)
     return len(column) - len(known_rows)

@@ -163,8 +163,11 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         if first_time:
             body, first_time = read_stamps(file, body, delimiter, time.column, first_time, warnings)
     rows = _parse_numbers(file, body, delimiter, len(names), warnings)
-    warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; the first is used"
+    joined = rows if time is None else _join_groups(rows, names, time.column)
+    warnings += [f"{file}: column {source.name} occurs {names.count(source.name)} times; " + (
+        "each is the time of the columns after it" if source is time and joined is not rows else "the first is used")
                  for source in sources.values() if source.name and names.count(source.name) > 1]
+    rows = joined
     with np.errstate(over="ignore"):
         columns = {channel: rows[:, source.column] * source.factor
                    for channel, source in sources.items() if channel != "t"}
@@ -179,6 +182,23 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
     return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
+
+
+def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
+    """One row for each time of a table in which groups of columns have times of their own, in a column of the same name
+    before each group; NaN where a group has no row with this time. The rows, if the times do not differ or decrease."""
+    starts = [number for number in range(time, len(names)) if names[number] == names[time]]
+    known = [np.isfinite(rows[:, start]) for start in starts]
+    if any(not rows_known.any() or (np.diff(rows[rows_known, start]) <= 0).any()
+           for start, rows_known in zip(starts, known, strict=True)) or all(
+               np.array_equal(rows[:, start], rows[:, time], equal_nan=True) for start in starts):
+        return rows
+    times = np.unique(np.concatenate([rows[rows_known, start] for start, rows_known in zip(starts, known, strict=True)]))
+    joined = np.full((len(times), len(names)), np.nan)
+    for rows_known, (start, end) in zip(known, pairwise([*starts, len(names)]), strict=True):
+        joined[np.searchsorted(times, rows[rows_known, start]), start:end] = rows[rows_known, start:end]
+    joined[:, time] = times
+    return joined
 
 
 def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
@@ -379,7 +399,8 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
         decimal, separator = ",", ""
     return "\n".join(
         delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMERIC.fullmatch(cell)
-                       else cell.replace(delimiter, " ") for cell in row) for row in table)
+                       else cell.replace(delimiter, "." if parse_stamp(cell.strip()) else " ") for cell in row)
+        for row in table)
 
 
 def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[str]]:

@@ -36,9 +36,14 @@ def read_run_file(path: Path) -> list[RunSource]:
     return _parse_each(path, content) if "each" in content else [_parse_single_run(path, content)]
 
 
-def find_run_of_each(file: Path) -> RunSource | None:
-    """Finds the run of a recording that a run.yaml with `each` in the same folder describes; None if there is none.
-    Raises RunError."""
+def find_described_run(file: Path) -> RunSource | None:
+    """Finds the run of a recording that its own run.yaml describes, or one with `each` in the same folder; None if there
+    is none. Raises RunError."""
+    own = _read_own_run_file(file.parent, file)
+    if own and own.problem:
+        raise own.problem
+    if own and own.files == (file,):
+        return own
     paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
              and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
     return next((run for path in paths for run in read_run_file(path) if file in run.files), None)

@@ -16,7 +16,7 @@ from .can_formats import is_can_log
 from .errors import RunError
 from .mf4 import MF4_EXTENSIONS, parse_session
 from .readers import READERS, Reader, find_reader
-from .run_file import RUN_FILE, RUN_SUFFIX, find_logs, find_run_of_each, is_run_file, read_run_file
+from .run_file import RUN_FILE, RUN_SUFFIX, find_described_run, find_logs, is_run_file, read_run_file
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
@@ -68,12 +68,13 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     undescribed = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
     if any(f.suffix.lower() in CAN_EXTENSIONS for f in undescribed):  # CAN logs that `each` does not describe
         described, undescribed = [], loose
+    described = [run for run in described if run not in runs]  # its run.yaml is listed, too
     return _assign_distinct_names([*runs, *described, *_group_files(undescribed, given=True)])
 
 
 def _find_described_run(path: Path) -> RunSource | None:
     try:
-        return find_run_of_each(path) if find_reader(path) is not None else None
+        return find_described_run(path) if find_reader(path) is not None else None
     except RunError as error:
         return RunSource(path.name, "", (path,), problem=error)
 
@@ -175,7 +176,7 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 
 def _reject_unknown_file(file: Path) -> RunSource:
     extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
-    usable = f"give files with {', '.join(extensions)}, bag folders, or run.yaml"
+    usable = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
     return _make_unusable(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
                           UNKNOWN_ADVICE.get(file.suffix.lower(), usable))
 
@@ -206,7 +207,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
-        yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice)
+        yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
+            is_can_log(file)) else _make_unusable(file, "this is not a CAN log", "export a recording of this kind as .csv")
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
