@@ -137,7 +137,8 @@ def with_times_of_two_groups(log: DriveLog) -> str:
     """INS and steering with columns Time of their own; a row of the INS is missing."""
     cells = rows(log)
     ins = [*cells[:5], *cells[6:], [""] * 7]
-    return csv([[*ins[k][:7], *row[::7]] for k, row in enumerate(cells)], ",".join(("Time", *NAMES[1:7], "Time", NAMES[7])))
+    names = ("Time", *NAMES[1:7], "Time", NAMES[7])
+    return csv([[*ins[k][:7], *row[::7]] for k, row in enumerate(cells)], ",".join(names))
 
 
 def navgraph(log: DriveLog) -> str:

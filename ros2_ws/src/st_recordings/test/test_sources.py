@@ -166,7 +166,7 @@ def test_drive_that_is_named_alone_is_read_as_its_run_file_says(tmp_path: Path) 
 
 def test_log_that_is_no_can_log_is_not_called_one(tmp_path: Path) -> None:
     (run,) = find_runs(touch(tmp_path, "a.log", content="$GPGGA,101112.00,5200.00,N\n"))
-    assert "a.log: this is not a CAN log; export a recording of this kind as .csv" in str(run.problem)
+    assert "a.log: this is not a CAN log; export other recordings as .csv" in str(run.problem)
 
 
 def test_each_excludes_drives_with_a_run_file(tmp_path: Path) -> None:

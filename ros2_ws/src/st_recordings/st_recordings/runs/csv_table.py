@@ -188,16 +188,16 @@ def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
     """One row for each time of a table in which groups of columns have times of their own, in a column of the same name
     before each group; NaN where a group has no row with this time. The rows, if the times do not differ or decrease."""
     starts = [number for number in range(time, len(names)) if names[number] == names[time]]
-    known = [np.isfinite(rows[:, start]) for start in starts]
-    if any(not rows_known.any() or (np.diff(rows[rows_known, start]) <= 0).any()
-           for start, rows_known in zip(starts, known, strict=True)) or all(
-               np.array_equal(rows[:, start], rows[:, time], equal_nan=True) for start in starts):
+    groups = [rows[np.isfinite(rows[:, start])] for start in starts]
+    group_times = [group[:, start] for group, start in zip(groups, starts, strict=True)]
+    if any(not len(times) or (np.diff(times) <= 0).any() for times in group_times) or all(
+            np.array_equal(times, group_times[0]) for times in group_times):
         return rows
-    times = np.unique(np.concatenate([rows[rows_known, start] for start, rows_known in zip(starts, known, strict=True)]))
-    joined = np.full((len(times), len(names)), np.nan)
-    for rows_known, (start, end) in zip(known, pairwise([*starts, len(names)]), strict=True):
-        joined[np.searchsorted(times, rows[rows_known, start]), start:end] = rows[rows_known, start:end]
-    joined[:, time] = times
+    all_times = np.unique(np.concatenate(group_times))
+    joined = np.full((len(all_times), len(names)), np.nan)
+    for group, times, (start, end) in zip(groups, group_times, pairwise([*starts, len(names)]), strict=True):
+        joined[np.searchsorted(all_times, times), start:end] = group[:, start:end]
+    joined[:, time] = all_times
     return joined
 
 

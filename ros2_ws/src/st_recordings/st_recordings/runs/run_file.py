@@ -37,8 +37,8 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """Finds the run of a recording that its own run.yaml describes, or one with `each` in the same folder; None if there
-    is none. Raises RunError."""
+    """Finds the run of a recording that its own run.yaml describes, or one with `each` in the same folder; None
+    without one. Raises RunError."""
     own = _read_own_run_file(file.parent, file)
     if own and own.problem:
         raise own.problem

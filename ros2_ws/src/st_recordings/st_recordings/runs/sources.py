@@ -208,7 +208,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
         yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
-            is_can_log(file)) else _make_unusable(file, "this is not a CAN log", "export a recording of this kind as .csv")
+            is_can_log(file)) else _make_unusable(file, "this is not a CAN log", "export other recordings as .csv")
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
