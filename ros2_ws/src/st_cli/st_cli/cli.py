@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from st_live import suite
 
-from .verbs import calibrate, check, discover, effects, evaluate, export, identify, live, raw_logs, replay, view
+from .verbs import check, discover, effects, evaluate, live, raw_logs, replay
 
 app = typer.Typer(
     name="st", no_args_is_help=True, add_completion=False, rich_markup_mode="rich", pretty_exceptions_show_locals=False,
@@ -19,9 +19,9 @@ app = typer.Typer(
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.")
 COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
     discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
-for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, calibrate.calibrate,
-             calibrate.course, discover.discover, effects.effects, identify.identify, replay.replay, replay.verify,
-             view.view, view.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, export.export):
+for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, evaluate.calibrate,
+             evaluate.course, discover.discover, effects.effects, discover.identify, replay.replay, replay.verify,
+             replay.view, replay.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, effects.export):
     app.command(**COMMAND_OPTIONS.get(verb, {}))(verb)
 
 

@@ -4,10 +4,10 @@ import inspect
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -77,15 +77,6 @@ def split_names(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
-class NamedCar(NamedTuple):
-    """Files and settings of a car. vehicle, dbc, signals: None if not named. steering: sign and latency, if given."""
-
-    vehicle: Path | None
-    dbc: Path | None
-    signals: Path | None
-    steering: dict[str, Any]
-
-
 @dataclass(frozen=True)
 class ReadOptions:
     """Options for reading recordings, as given by the user; one field per option."""
@@ -128,32 +119,35 @@ class ReadOptions:
         from st_recordings.car import STEERING_DEFAULTS
         from st_recordings.runs import ReadSettings
 
-        named = self.resolve_car()
-        settings = STEERING_DEFAULTS | named.steering | others
-        return named.vehicle, ReadSettings(dbc=named.dbc, signals=named.signals, offset=self.offset,
-                                           ins_can_latency=self.ins_can_latency, steering=self.steering,
-                                           odometry=self.odometry_topic, **settings)
+        options = self.fill_in_car()
+        settings = STEERING_DEFAULTS | options.sensor_settings | others
+        return options.vehicle, ReadSettings(dbc=options.dbc, signals=options.signals, offset=self.offset,
+                                             ins_can_latency=self.ins_can_latency, steering=self.steering,
+                                             odometry=self.odometry_topic, **settings)
 
-    def resolve_car(self, complete: bool = False) -> NamedCar:
-        """Files and settings of the car; each option replaces a part of it.
+    def fill_in_car(self, complete: bool = False) -> "ReadOptions":
+        """The options, with files and steering sensor of the car where the user gave none.
 
         Raises RunError for a car that cannot be read and, if `complete`, for a --car without DBC or signal table.
         """
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
 
-        steering = ("steering_sign", "steering_latency")
-        from_options = {name: value for name in steering if (value := getattr(self, name)) is not None}
         if self.car is None:
-            return NamedCar(self.vehicle, self.dbc, self.signals, from_options)
-        named = load_car(self.car)
-        dbc, signals = self.dbc or named.dbc, self.signals or named.signals
-        for file, option in ((dbc, "--dbc"), (signals, "--signals")):
-            if complete and not file.is_file():
+            return self
+        named, parts = load_car(self.car), ("vehicle", "dbc", "signals", "steering_sign", "steering_latency")
+        options = replace(self, **{part: getattr(named, part) for part in parts if getattr(self, part) is None})
+        for file, option in ((options.dbc, "--dbc"), (options.signals, "--signals")):
+            if complete and file and not file.is_file():
                 raise RunError(file, "does not exist, but has to describe the bus of this car",
                                f"write it, or name another file with {option}")
-        car_steering = {name: getattr(named, name) for name in steering}
-        return NamedCar(self.vehicle or named.vehicle, dbc, signals, car_steering | from_options)
+        return options
+
+    @property
+    def sensor_settings(self) -> dict[str, Any]:
+        """Sign and latency of the steering sensor, if known."""
+        values = {"steering_sign": self.steering_sign, "steering_latency": self.steering_latency}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def steering(self) -> "SteeringField | None":

@@ -81,12 +81,12 @@ def live(
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     can = {"interface": can_interface, "channel": can_channel}
     with shared.report_errors("live", SuiteError):
-        named = car_options.resolve_car(complete=True)
-        vehicle = configuration.resolve_vehicle_file(named.vehicle)
-        bridges = configuration.make_bridge_parameters(vehicle, ins, can | named.steering, named.dbc, named.signals)
+        car = car_options.fill_in_car(complete=True)
+        vehicle = configuration.resolve_vehicle_file(car.vehicle)
+        bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
         about = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.find_vehicle_name(vehicle)}
-        status = _run("live", about, vehicle, bridges, run_options, output, named.vehicle is None,
+        status = _run("live", about, vehicle, bridges, run_options, output, car.vehicle is None,
                       source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
                       realtime=realtime)
     raise typer.Exit(status)
