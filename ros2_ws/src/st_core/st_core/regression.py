@@ -23,6 +23,7 @@ import numpy as np
 MIN_RUN_BLOCKS = 8  # minimum number of runs for whole runs to be used as blocks
 BLOCK_LENGTH = 10.0  # s, length of a block if there are fewer runs
 WEIGHT_INCREMENT = 1e-4  # step of the weight of a block, for difference quotients of an estimator
+Z95 = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
 SIGMA_PER_MAD = 1.4826  # standard deviation / median absolute deviation (MAD) of a normal distribution
 
 
@@ -33,6 +34,11 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 
     half = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
     return value - half, value + half
+
+
+def count_decimals(half_width: float) -> int:
+    """Number of decimals, 0 to 6, for two significant digits of the half-width of an interval; 3 for a width of 0."""
+    return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6) if half_width > 0.0 else 3
 
 
 def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:

@@ -67,7 +67,7 @@ def test_best_value_is_chosen_by_printed_magnitude_and_may_be_shared():
 
 @pytest.mark.parametrize(("value", "text"), [(-0.004, "0.00"), (-0.006, "-0.01"), (None, "-"), (12.346, "12.35")])
 def test_errors_are_printed_to_the_centimetre(value, text):
-    assert tables.format_metres(value) == text
+    assert tables.format_error(value) == text
 
 
 def test_terminal_table_has_every_run_and_escapes_names():

@@ -24,14 +24,13 @@ from ..log import INS_SIGNALS, LogSignals
 from ..log_evaluation import EvaluationSettings, regular_starts, usable_starts
 from ..models import Model
 from ..readings import predict_readings
-from ..regression import white_noise
+from ..regression import Z95, white_noise
 from ..types import map_to_body, wrap_angle
 from ..vehicle import VehicleParameters, value_of
 from .scale import select_evenly
 
 PARAMETERS, SENSORS = "parameters", "sensors and start"
 MAX_STARTS = 200  # largest number of starts of a run; neighbouring starts are redundant
-Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 
 Intervals = Mapping[tuple[str, str], tuple[float, float]]  # 95 % interval by effect and parameter, of a model file
 Cause = tuple[str, str]  # (PARAMETERS or SENSORS, name)

@@ -1,6 +1,5 @@
 """Comparison of the estimates of several runs: a sensor fault is consistent, an effect of place or load varies."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, chi2
 
-from ..regression import random_effects, symmetric_interval
+from ..regression import Z95, count_decimals, random_effects, symmetric_interval
 from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
@@ -35,7 +34,7 @@ class RunComparison:
     def text(self) -> str:
         """Sentence on the consistency of the runs."""
         half = 0.5 * (self.interval[1] - self.interval[0])
-        digits = max(1 - math.floor(math.log10(max(half, 1e-9))), 0)
+        digits = count_decimals(half)
         unit = "" if self.unit == "1" else f" {self.unit}"
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, "
@@ -83,6 +82,6 @@ def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, t
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
     """(mean, its 95 % interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
-    deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2 * 1.96), 1e-12)
+    deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2.0 * Z95), 1e-12)
     mean, error, between, cochran_q = random_effects(rows[:, 0], np.square(deviation))
     return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), cochran_q

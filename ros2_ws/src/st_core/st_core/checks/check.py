@@ -216,7 +216,7 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
         return motion, []
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON
     severity = LIMITS.severity(effect, abs(lag.value) >= LIMITS.severe_lag)
-    text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {inertial.format_magnitude(lag)} s"
+    text = f"yaw {'lags' if lag.value > 0.0 else 'leads'} yaw rate and positions by {abs(lag)} s"
     return corrected, [Finding("yaw_lag", severity, ("yaw",), text, lag.value, "s", lag.interval, effect=effect,
                                advice=Advice.correct("yaw", earlier=float(f"{lag.value:.4g}")))]
 

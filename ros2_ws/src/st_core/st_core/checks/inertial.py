@@ -6,7 +6,6 @@ An accelerometer also measures gravity: a slope appears as a bias of a_x, a bank
 a_y. If the accelerometer is at a distance d behind the INS point, its a_y lags by d / v at speed v.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -90,7 +89,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     if wrong_unit:
         findings.append(_make_unit_finding(scale, tolerances))
     elif scale_error >= tolerances.scale and scale.shifted(-1.0).significant and not explained_by_noise:
-        text = f"{name} is {format_estimate(scale)} times its value from {tolerances.reference}"
+        text = f"{name} is {scale} times its value from {tolerances.reference}"
         findings.append(_make_finding("scale", text, scale, scale_error * agreement.spread, tolerances,
                                       1.0 / scale.value, scale_error >= tolerances.severe_scale))
     # The user's correction divides by the reported scale before it subtracts the bias.
@@ -99,7 +98,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     error = abs(bias.value) / max(abs(scale.value), 1e-300)
     if bias.significant and error >= tolerances.bias and not wrong_unit:
         side, unit = "high" if bias.value > 0.0 else "low", tolerances.unit.replace("^2", "²")
-        text = (f"{name} is {format_magnitude(bias)} {unit} too {side} compared with {tolerances.reference}"
+        text = (f"{name} is {abs(bias)} {unit} too {side} compared with {tolerances.reference}"
                 f"{tolerances.bias_question}")
         findings.append(_make_finding("bias", text, bias, error, tolerances, -bias.value / divisor,
                                       error >= tolerances.severe_bias))
@@ -109,7 +108,7 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
 def _make_lag_finding(agreement: Agreement, lag: Estimate, tolerances: Tolerances) -> Finding:
     rate = float(np.std(np.gradient(agreement.derived, agreement.time)))
     text = (f"{tolerances.channel} {'lags' if lag.value > 0.0 else 'leads'} {tolerances.reference} by "
-            f"{format_magnitude(lag)} s{format_alternative_lags(agreement)}")
+            f"{abs(lag)} s{format_alternative_lags(agreement)}")
     if abs(agreement.correlation) < tolerances.min_correlation:
         text += f"; their correlation is only {abs(agreement.correlation):.2f}, so scale and bias are not judged"
     return _make_finding("lag", text, lag, abs(lag.value) * rate, tolerances, lag.value,
@@ -123,7 +122,7 @@ def _make_unit_finding(scale: Estimate, tolerances: Tolerances) -> Finding:
                  key=lambda f: abs(np.log(scale.value / f)), default=scale.value)
     opposite = "does it have the opposite sign" if factor < 0.0 else ""
     reason = " and ".join(filter(None, (tolerances.unit_questions.get(abs(factor), ""), opposite)))
-    text = (f"{tolerances.channel} is {format_estimate(scale)} times its value from {tolerances.reference}"
+    text = (f"{tolerances.channel} is {scale} times its value from {tolerances.reference}"
             + (f": {reason}?" if reason else ""))
     return Finding(f"{tolerances.channel}_scale", Severity.WARNING, (tolerances.channel,), text, scale.value, "1",
                    scale.interval, advice=_make_advice(tolerances.channel, "scale", float(f"{1.0 / factor:.6g}")))
@@ -143,17 +142,6 @@ def _make_advice(channel: str, key: str, value: float) -> Advice:
     if channel in SPEED_LIMITS:  # run.yaml cannot correct these
         return Advice("look", "check its source: unit, wheel radius, clock")
     return Advice.correct(channel, **{key: value})
-
-
-def format_estimate(estimate: Estimate) -> str:
-    """Value ± half-width of the 95 % interval, the latter with two significant digits."""
-    digits = min(max(1 - math.floor(math.log10(estimate.half_width)), 0), 6) if estimate.half_width > 0.0 else 3
-    return f"{estimate.value:.{digits}f} ± {estimate.half_width:.{digits}f}"
-
-
-def format_magnitude(estimate: Estimate) -> str:
-    """`format_estimate` without the sign."""
-    return format_estimate(estimate).removeprefix("-")
 
 
 def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:

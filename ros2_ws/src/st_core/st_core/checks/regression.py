@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..regression import Blocks, symmetric_interval
+from ..regression import Blocks, count_decimals, symmetric_interval
 from .finding import SYSTEMATIC_UNCERTAINTY
 
 OUTLIER_RATIO = 3.0  # windows with a residual above this multiple of the median residual have less weight (Huber)
@@ -28,6 +28,14 @@ class Estimate:
     value: float
     deviation: float  # standard deviation
     half_width: float  # of the 95 % confidence interval
+
+    def __str__(self) -> str:
+        """Value ± half-width, the latter with two significant digits."""
+        decimals = count_decimals(self.half_width)
+        return f"{self.value:.{decimals}f} ± {self.half_width:.{decimals}f}"
+
+    def __abs__(self) -> "Estimate":
+        return Estimate(abs(self.value), self.deviation, self.half_width)
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .agreement import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, compare_series
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
-from .inertial import CheckResult, format_alternative_lags, format_magnitude
+from .inertial import CheckResult, format_alternative_lags
 from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
@@ -182,7 +182,7 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
     missed = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
     effect = lateral_shift * 2.0 * missed / HORIZON
-    text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {format_magnitude(lag)} s"
+    text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {abs(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
     return _make_finding("steering_lag", ("road_wheel_angle",), text, lag, "s", effect,
@@ -196,7 +196,7 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel
     offset = add_systematic_uncertainty("steering_offset", bias)
     if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
         return None
-    text = (f"road_wheel_angle reads {format_magnitude(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
+    text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
     offset_left = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
@@ -240,7 +240,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     findings = []
     if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
-        text = (f"the heading points {format_magnitude(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
+        text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
                 f"{'left' if heading.value > 0.0 else 'right'} of the course when driving straight: the INS is mounted "
                 "at an angle, or the road is banked")
         advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
@@ -281,7 +281,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
     # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.
     turn = 2.0 * np.abs(np.sin(0.5 * windows.change(motion.yaw))) if len(windows) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
-    text = (f"the measuring point lies {format_magnitude(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
+    text = (f"the measuring point lies {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
             f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
     if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
         text += ": at the rear axle?"

@@ -13,6 +13,7 @@ from ..handling import find_implausible_values
 from ..identification.axle_curve import ForceCurve
 from ..log import DriveLog
 from ..models import Model
+from ..regression import Z95
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from . import certificate, decision, result, waterfall
@@ -510,7 +511,7 @@ def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> 
     change = value - null or float(space.scale[v.index])
     ratios = tuple(result.LocalEstimate(part, (x - null) / change, s / abs(change))
                    for part, (x, s) in v.values.items())
-    fitted = result.FittedParameter(value, parameter.unit, (value - 1.96 * deviation, value + 1.96 * deviation), null)
+    fitted = result.FittedParameter(value, parameter.unit, (value - Z95 * deviation, value + Z95 * deviation), null)
     return result.VaryingEffect(v.name, v.varies_with, {parameter.name: fitted}, ratios, position_reduction)
 
 

@@ -10,14 +10,13 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from ..regression import random_effects
+from ..regression import Z95, random_effects
 from .fit import Fit, Problem, Sensitivities, minimise_bounded
 from .loss import Quadratic
 from .partitions import Partition
 from .space import FileQuantity, Space
 
 SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-value of 0.01
-Z95 = float(stats.norm.ppf(0.975))
 MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]

@@ -8,8 +8,9 @@ from scipy import stats
 
 from ..effects import get_effect
 from ..log import DriveLog
+from ..regression import Z95
 from ..vehicle import VehicleParameters
-from .evidence import Z95, inverse
+from .evidence import inverse
 from .fit import JOINT_DEVIATION, Problem, marginalise
 from .loss import Errors, Loss, Quadratic
 from .settings import DiscoverySettings

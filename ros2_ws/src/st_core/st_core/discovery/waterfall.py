@@ -8,8 +8,8 @@ from scipy import stats
 
 from ..channels import CHANNEL_OF_COLUMN, UNITS
 from ..effects import EFFECT_KINDS, get_effect
-from ..regression import random_effects
-from .evidence import Z95, JointFit, compare_parts, inverse, standard_deviations
+from ..regression import Z95, random_effects
+from .evidence import JointFit, compare_parts, inverse, standard_deviations
 from .fit import DIVERGED_ERROR, Fit, Problem
 from .partitions import Partition
 from .result import PARTS, BudgetLine, Change, ChannelError, FittedParameter, Step

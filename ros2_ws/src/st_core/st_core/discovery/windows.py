@@ -83,9 +83,11 @@ class Batch(LogBatch):
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
 
-    def set_substeps(self, vehicle: VehicleParameters) -> None:
-        """Divides the integration step if it is unstable at the speeds of the drives, as for small cars."""
-        self._substeps = max(substeps_needed(model, vehicle, self._speeds, self.step) for model in TYRE_MODELS)
+    def set_substeps(self, vehicle: VehicleParameters, minimum: int) -> None:
+        """Divides the integration step by at least `minimum`; further if it is unstable at the speeds of the drives, as
+        for small cars."""
+        self._substeps = max(minimum, *(substeps_needed(model, vehicle, self._speeds, self.step)
+                                        for model in TYRE_MODELS))
 
     def recording(self, model: Any) -> Recording:
         key = model.correction_key
@@ -120,6 +122,8 @@ class Windows:
     scored points after the start of a window [s]; the last is the horizon, or SIDESLIP_SETTLING_TIME later without
     velocity_y. columns: (c,) names of the errors."""
 
+    MIN_SUBSTEPS = 1  # integration steps per STEP
+
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DiscoverySettings):
         self.vehicle, self.settings = vehicle, settings
         self.names = tuple(run.name for run in runs)
@@ -142,7 +146,7 @@ class Windows:
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
-        self._batch.set_substeps(vehicle)
+        self._batch.set_substeps(vehicle, self.MIN_SUBSTEPS)
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds

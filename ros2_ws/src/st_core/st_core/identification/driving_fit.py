@@ -91,12 +91,13 @@ class DrivingFitSettings:
 class _LimitedWindows(Windows):
     """Windows of the drives. used: mask (n,) of those within the speed and acceleration limits of the settings."""
 
+    MIN_SUBSTEPS = 2  # steps of 50 ms are unstable for some cars at 5 m/s
+
     def __init__(self, runs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings):
         super().__init__(runs, vehicle, DiscoverySettings(
             channels=tuple(name for name in settings.channels
                            if all(CHANNELS[name].is_measured_in(run) for run in runs)),
             horizon=settings.horizon, windows=20_000, interval=settings.interval))
-        self._batch._substeps = max(2, self._batch._substeps)  # steps of 50 ms are unstable for some cars at 5 m/s
         grid = np.round(np.arange(0.0, self.time[-1] + 0.5 * STEP, STEP) / NANOSECOND).astype(np.int64)
         speed, rate = self.measured_at(self.starts_ns[:, None] + grid, "velocity_x", "yaw_rate")
         with np.errstate(invalid="ignore"):

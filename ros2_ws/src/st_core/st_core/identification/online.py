@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import StCoreError
 from ..log import DriveLog
+from ..regression import Z95
 from ..timeseries import NANOSECOND
 from ..types import InsSample
 from ..vehicle import VehicleParameters
@@ -97,7 +98,7 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     values = rows @ fit.values
     # Deviation of a normal distribution with the same 95 % interval, divided by that of Student's distribution.
     half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
-    widening = half_widths / 1.96 / np.maximum(fit.spread.deviations, 1e-300)
+    widening = half_widths / Z95 / np.maximum(fit.spread.deviations, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(widening, widening)) @ rows.T
     systematic = np.array([SYSTEMATIC_ERRORS[0], SYSTEMATIC_ERRORS[1] * values[1], SYSTEMATIC_ERRORS[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + systematic**2)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..errors import StCoreError
+from ..regression import Z95
 from ..vehicle import DERIVED_SOURCE, TYRES, Provenance, VehicleParameters, find_quantity, value_of
 
 if TYPE_CHECKING:  # `checks` imports this module
@@ -15,7 +16,6 @@ if TYPE_CHECKING:  # `checks` imports this module
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
 
-NORMAL_QUANTILE = 1.959963984540054  # quantile of the standard normal distribution, two-sided 5 %
 ZERO_NOTE = " Not distinguishable from zero."
 
 
@@ -117,7 +117,7 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
     """
     uncertainty = math.hypot(estimate.standard_uncertainty, standard_uncertainty)
     difference = estimate.value - value
-    if not math.isfinite(uncertainty) or abs(difference) <= NORMAL_QUANTILE * uncertainty:
+    if not math.isfinite(uncertainty) or abs(difference) <= Z95 * uncertainty:
         return ""
     ratio = f"is {abs(difference) / uncertainty:.1f} times the" if uncertainty > 0.0 else "has no"
     return (f"{estimate.parameter} {estimate.value:.5g} contradicts {value:.5g} {estimate.unit} of {origin}: the "

@@ -13,6 +13,7 @@ from st_core.checks import Advice, Comparison, DriveCheck, Finding, Severity, co
 from st_core.checks.finding import SCHEMA
 from st_core.checks.sampling import UNITS as CHANNEL_UNITS
 from st_core.clock_types import Alignment
+from st_core.regression import count_decimals
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
@@ -84,7 +85,7 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
     if interval is None or not interval[1] > interval[0]:
         return f"{value:.4g}{ending}"
     low, high = value - interval[0], interval[1] - value
-    decimals = min(max(1 - math.floor(math.log10(0.5 * (low + high)) + 1e-6), 0), 6)
+    decimals = count_decimals(0.5 * (low + high))
     if min(low, high) <= 0.0 or max(low, high) > 1.5 * min(low, high):
         return f"{value:.{decimals}f} ({interval[0]:.{decimals}f} to {interval[1]:.{decimals}f}){ending}"
     return f"{value:.{decimals}f} ± {0.5 * (low + high):.{decimals}f}{ending}"

@@ -14,6 +14,7 @@ from st_core.discovery.error_regions import Samples
 from st_core.discovery.result import LocalEstimate, Step
 from st_core.log import DriveLog
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.regression import Z95
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
@@ -240,13 +241,13 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
     axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
     axes.axvline(1.0, color=TEXT, lw=0.8)
     for row, estimate in ratios:
-        half_width = report_text.Z95 * estimate.deviation
+        half_width = Z95 * estimate.deviation
         low, high = estimate.ratio - half_width, estimate.ratio + half_width
         is_significant = low > 0.0 or high < 0.0
         axes.plot(np.clip([low, high], -AXIS_LIMIT, AXIS_LIMIT), [row, row], color=AFTER_COLOUR, lw=1.2)
         axes.plot(np.clip(estimate.ratio, -AXIS_LIMIT, AXIS_LIMIT), row, "o", ms=4.5, color=AFTER_COLOUR,
                   mfc=AFTER_COLOUR if is_significant else "none")
-    ends = [v.ratio + side * report_text.Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
+    ends = [v.ratio + side * Z95 * v.deviation for _, v in ratios for side in (-1.0, 1.0)]
     axes.set_xlim(max(min([-0.2, *ends]), -AXIS_LIMIT) - 0.05, min(max([1.2, *ends]), AXIS_LIMIT) + 0.05)
 
 
@@ -256,7 +257,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     c = relation.candidate
     (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value
-    half_width = y_scale * report_text.Z95 * relation.deviation
+    half_width = y_scale * Z95 * relation.deviation
     figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
     curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
     curve.fill_between(at, value - half_width, value + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,

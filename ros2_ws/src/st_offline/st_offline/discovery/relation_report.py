@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from st_core.discovery import Discovery
 from st_core.discovery.next_manoeuvre import REPETITIONS
+from st_core.regression import Z95
 from st_core.relations import Relation, RelationSearch
 from st_core.relations.candidates import ODD, QUANTITIES
 from st_core.relations.next_drive import INDEPENDENT_OF_MANOEUVRE, Option
@@ -89,7 +90,7 @@ def _uncertainty(relation: Relation) -> list[str]:
     lines = [f"driven: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
              f"{x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
-             f"± {y_scale * report_text.Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
+             f"± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
     if relation.next_drives.sparse:
         mirrored = ", to either side" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
@@ -97,9 +98,9 @@ def _uncertainty(relation: Relation) -> list[str]:
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, turning to both sides")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
-              if ratio + report_text.Z95 * deviation < 0.5]
+              if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
-        shares = ", ".join(f"{name} {share:.1f} ± {report_text.Z95 * deviation:.1f}" for name, (share, deviation) in
+        shares = ", ".join(f"{name} {share:.1f} ± {Z95 * deviation:.1f}" for name, (share, deviation) in
                            relation.agreement.ratios.items())
         lines.append(f"varies between runs: less than half as large in {', '.join(weak)} (relative size by run, "
                      f"95 %: {shares})")
@@ -193,8 +194,8 @@ def describe_next_drives(relation: Relation) -> list[str]:
     if precise is not None:
         y_scale, unit = curve_unit(c.unit)
         lines.append(f"for a narrower interval: {_describe_manoeuvre(precise)}. The widest 95 % interval shrinks from "
-                     f"± {y_scale * report_text.Z95 * relation.deviation.max():.2g} to ± "
-                     f"{y_scale * report_text.Z95 * precise.deviation.max():.2g} {unit}")
+                     f"± {y_scale * Z95 * relation.deviation.max():.2g} to ± "
+                     f"{y_scale * Z95 * precise.deviation.max():.2g} {unit}")
     return lines
 
 

@@ -11,6 +11,7 @@ from st_core.discovery.next_manoeuvre import MIN_SEPARATION
 from st_core.discovery.result import PARTS, Discovery
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
+from st_core.regression import Z95
 
 from ..checking.check_report import describe_effect, format_estimate, group_findings, unit_symbol
 from ..terminal import format_count
@@ -31,7 +32,6 @@ MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
 MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains all
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
-Z95 = 1.96  # 97.5 % quantile of the standard normal distribution
 LIMITS = Limits()
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "

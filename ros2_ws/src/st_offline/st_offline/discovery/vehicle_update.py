@@ -21,6 +21,7 @@ from st_core.integrate import slip_speed_needed
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.prediction import PredictionSettings
+from st_core.regression import Z95
 from st_core.vehicle import TYRE_QUANTITIES, TYRES, VEHICLE_QUANTITIES, Provenance, VehicleParameters, value_of
 from st_core.yaml_text import format_number, quote
 from st_recordings.car_skeleton import STABILITY_SPEEDS
@@ -251,7 +252,7 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
         source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
                   f"{found}, 95 % interval {' to '.join(ends)}")
         sources[key] = f"{source}; before {previous} {KEYS[key].si_unit}".removesuffix(" 1")
-        deviation = float(f"{(high - low) / (2.0 * 1.96):.3g}")
+        deviation = float(f"{(high - low) / (2.0 * Z95):.3g}")
         entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
     return replace(car, sources=sources, provenance=entries)
 

@@ -19,7 +19,7 @@ from ..checking.check_report import describe_clocks, describe_effect, findings_a
 from ..pages import load_template
 from . import tables
 from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
-from .tables import REPORTED_AXES, format_metres, get_axis_statistics, pool_entries, pool_models
+from .tables import REPORTED_AXES, format_error, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 
 SCHEMA = 2
@@ -167,14 +167,14 @@ def make_headline(reports: Sequence[RunReport], over: str) -> str:
     sizes = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)
     name = reports[0].name if len(reports) == 1 else f"{len(reports)} runs"
-    return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_metres(size)} m" for size, model in ranked)
+    return f"{name}: lateral RMSE " + ", ".join(f"{model} {format_error(size)} m" for size, model in ranked)
 
 
 def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     """At most three paragraphs: the errors, the findings of the checks, the steering clock."""
     models, over = pool_models([r.models for r in reports]), task.over
     best = min(models, key=lambda m: get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
-    errors = ", ".join(f"{label}{format_metres(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
+    errors = ", ".join(f"{label}{format_error(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
                        for mode, label in FORECAST_LABELS.items() if mode in models[best])
     minutes = sum(r.about["duration"] for r in reports) / 60.0
     groups = group_findings({r.name: r.findings for r in reports})

@@ -119,12 +119,12 @@ def list_statistics(models: Models, model: str, mode: str, axis: str, over: str)
     for kind in STATISTICS:
         sizes = {name: round(abs(size), DECIMALS) for name, entry in entries if (size := entry[kind]) is not None}
         is_best = model in sizes and sizes[model] == min(sizes.values())
-        result.append((format_metres(get_axis_statistics(models, model, mode, axis, over)[kind]), is_best))
+        result.append((format_error(get_axis_statistics(models, model, mode, axis, over)[kind]), is_best))
     return result
 
 
-def format_metres(value: float | None) -> str:
-    """Number with DECIMALS decimals, "-" for None; a negative zero loses its sign."""
+def format_error(value: float | None) -> str:
+    """An error [m] with DECIMALS decimals and without unit; "-" for None, no "-0"."""
     if value is None:
         return "-"
     return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
@@ -136,7 +136,7 @@ def list_rmse(models: Models, over: str) -> tuple[list[str], list[list[str]]]:
     for model, modes in models.items():
         for k, (mode, entry) in enumerate(modes.items()):
             sizes = (get_axis_statistics(models, model, mode, axis, over)["rmse"] for axis in REPORTED_AXES)
-            rows.append(["" if k else model, mode, str(entry["n_starts"]), *map(format_metres, sizes)])
+            rows.append(["" if k else model, mode, str(entry["n_starts"]), *map(format_error, sizes)])
     return ["model", "inputs", "starts", *(f"{axis} RMSE, m" for axis in REPORTED_AXES)], rows
 
 
@@ -147,7 +147,7 @@ def compare_modes(reports: Sequence[Any], modes: Sequence[str], over: str) -> tu
         for k, (model, known) in enumerate(report.models.items()):
             sizes = [get_axis_statistics(report.models, model, mode, axis, over)["rmse"] if mode in known else None
                      for axis, mode in columns]
-            rows.append(["" if k else report.name, model, *map(format_metres, sizes)])
+            rows.append(["" if k else report.name, model, *map(format_error, sizes)])
     return ["run", "model", *map(", ".join, columns)], rows
 
 
@@ -157,7 +157,7 @@ def list_rmse_by_second(reports: Sequence[Any]) -> tuple[list[str], list[list[st
               for k, (model, modes) in enumerate(report.seconds_ahead.items())]
     seconds = list(dict.fromkeys(second for *_, by_second in errors for second in by_second))
     return ["run", "model", *(f"{second} s" for second in seconds)], [
-        [name, model, *(" | ".join(format_metres(by_second[second][axis]["rmse"]) for axis in REPORTED_AXES)
+        [name, model, *(" | ".join(format_error(by_second[second][axis]["rmse"]) for axis in REPORTED_AXES)
                         if second in by_second else "-" for second in seconds)] for name, model, by_second in errors]
 
 
@@ -178,7 +178,7 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
                                       list_statistics(report.models, model, "hindsight", axis, over))
                      for axis in REPORTED_AXES]
             forecasts = [" | ".join(
-                f"{format_metres(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
+                f"{format_error(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
                 for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in ahead]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,

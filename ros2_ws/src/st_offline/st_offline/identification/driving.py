@@ -74,7 +74,7 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
     lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
     distance, side = replace(lever, value=abs(lever.value)), "behind" if lever.value < 0.0 else "ahead of"
-    title = f"INS {_format_estimate(distance)} {side} the CG, misaligned by {_format_estimate(angle)}"
+    title = f"INS {_format_value(distance)} {side} the CG, misaligned by {_format_value(angle)}"
     caption = ("The slope of the line is the distance of the INS ahead of the rear axle; its value at zero "
                "curvature is the misalignment with the opposite sign.")
     return save_figure(figure, output, "ins", title, caption)
@@ -84,7 +84,7 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = outcome.figure.get("paper")
-    both = ", ".join(f"{axle} {_format_estimate(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+    both = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     if outcome.experiment == "stiffness-paper":
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
@@ -143,7 +143,7 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
         pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
     pair.errorbar(**bars, fmt="o", ms=4, color=TEXT, label="95 % interval")
     pair.legend(loc="lower left", fontsize=8)
-    title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_estimate(e)}" for e in (first, second))
+    title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_value(e)}" for e in (first, second))
     caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
                "and the one most correlated with it; the intervals include systematic uncertainty.")
     return save_figure(figure, output, outcome.experiment, title, caption)
@@ -199,7 +199,8 @@ def _get_display_unit(parameter: str) -> tuple[float, str]:
     return DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
-def _format_estimate(estimate: ParameterEstimate) -> str:
+def _format_value(estimate: ParameterEstimate) -> str:
+    """Value and standard uncertainty, angles in degrees."""
     factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
     value, uncertainty = estimate.value * factor, estimate.standard_uncertainty * factor
     text = f"{format_rounded(value, uncertainty)} +/- {format_rounded(uncertainty, uncertainty)}"

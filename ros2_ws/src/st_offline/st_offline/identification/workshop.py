@@ -12,6 +12,7 @@ from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_m
 from st_core.identification.result import Identification
 from st_core.identification.steering_ratio import Turntable, identify_steering_ratio
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
+from st_core.regression import Z95
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
@@ -232,7 +233,7 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
         left.plot(np.degrees(data["grid"]), data["curves"][k], color=colour, label=f"{load:.0f} N")
         middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
         value, deviation = np.abs(data["stiffness"][k])
-        right.errorbar(load, value / 1e3, 1.96 * deviation / 1e3, fmt="o", color=colour, ms=4)
+        right.errorbar(load, value / 1e3, Z95 * deviation / 1e3, fmt="o", color=colour, ms=4)
     left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
     left.legend(title="load", fontsize=8)
     middle.axhline(0.0, color=TEXT, lw=0.8)
