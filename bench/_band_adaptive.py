@@ -67,7 +67,7 @@ class Score:
             rows[rows] = domain(drive.conditions[rows])
         adaptive = AdaptiveBand(self._time, band)
         errors, initial = drive.errors[self._pair][rows].astype(float), adaptive.factors
-        factors, scales = adaptive.follow(drive.starts_ns[rows], drive.conditions[rows], errors)
+        factors, scales = adaptive.replay(drive.starts_ns[rows], drive.conditions[rows], errors)
         scored = np.isfinite(errors).all(axis=(1, 2))
         settled = (drive.starts_ns[rows] - drive.starts_ns[0]) * 1e-9 >= SETTLING_TIME
         if band is None:  # without a calibrated band, none is issued within the settling time

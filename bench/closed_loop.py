@@ -283,10 +283,11 @@ def _relation_page(result: dict) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, help="folder for all runs; those that it contains are not repeated")
-    parser.add_argument("--law", action="store_true", help="only the case of the relation that is not in the library")
+    parser.add_argument("--relation", "--law", action="store_true",
+                        help="only the case of the relation that is not in the library")
     given = parser.parse_args()
     if given.folder:
         given.folder.mkdir(parents=True, exist_ok=True)
-    if given.law and not given.folder:
-        parser.error("--law needs a --folder")
-    print(json.dumps(run_relation(given.folder) if given.law else run(given.folder), indent=1))
+    if given.relation and not given.folder:
+        parser.error("--relation needs a --folder")
+    print(json.dumps(run_relation(given.folder) if given.relation else run(given.folder), indent=1))

@@ -5,7 +5,7 @@ import time
 import numpy as np
 from _cars import leaf
 from _drawn_bands import random_bands
-from st_core.bands import LiveBands, conditions_now
+from st_core.bands import CalibratedBands, conditions_now
 from st_core.prediction import PredictionSettings, Predictor, Skip
 from st_core.types import InsSample
 from st_predictor.nodes._bands import BandMessages
@@ -21,8 +21,8 @@ def run() -> dict:
     With bands, a tick includes the half-widths of both modes and levels, and the band fields of the messages.
     """
     vehicle = leaf()
-    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), LiveBands(random_bands(vehicle), MODELS)
-    messages = BandMessages(live.stated)
+    predictor, live = Predictor(vehicle, MODELS, PredictionSettings()), CalibratedBands(random_bands(vehicle), MODELS)
+    messages = BandMessages(live.half_widths)
     for k in range(200):
         time_ns = k * 10_000_000
         predictor.add_ins(InsSample(time_ns, 10 * k * 0.01, 0.0, 0.0, 10.0, 0.05, 0.2))
@@ -34,7 +34,7 @@ def run() -> dict:
         if isinstance(start, Skip):
             raise RuntimeError(start.reason)
         if with_bands := bool(k % 2):
-            if not live(conditions_now(predictor.history, start.time_ns)):
+            if not live.update(conditions_now(predictor.history, start.time_ns)):
                 raise RuntimeError("no band at these conditions")
             messages.fill()
         for model in MODELS:

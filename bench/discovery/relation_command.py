@@ -16,14 +16,14 @@ from .run import key_of, read_files, read_records
 
 
 def main(arguments: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(prog="st bench discovery --laws", description=(
+    parser = argparse.ArgumentParser(prog="st bench discovery --relations", description=(
         "Compares proposals with the truth, for relations outside the library that are hidden in two plants. Block "
         "L: twelve relations, M: six effects removed from the library, N: no relation."))
     parser.add_argument("--set", default="development", help="development, sealed, sealed-2, or any other word")
     parser.add_argument("--until", type=float, metavar="MINUTES", help="start no case after this time")
     parser.add_argument("--skip", type=int, default=0, metavar="CASES", help="leave out the first cases")
     parser.add_argument("--plain", action="store_true", help="without oracle and baselines")
-    parser.add_argument("--out", type=Path, default=Path("laws.jsonl"),
+    parser.add_argument("--out", type=Path, default=Path("relations.jsonl"),
                         help="file of JSON lines; cases that it contains are not run again")
     parser.add_argument("--tables", type=Path, nargs="+", metavar="FILE",
                         help="only write the scores into docs/measurements/proposals.md from these files")

@@ -151,7 +151,7 @@ def _compute_margin(tightening: Margin, state: Sequence[float], angles: Sequence
     last_second = np.interp(np.arange(-1.0, 0.01, 0.05), step * np.arange(-10, 1), angles[-11:])
     activity = float(steering_activity(last_second))
     condition = compute_conditions(state[2], state[5], acceleration, activity)[None]
-    if not tightening.domain(condition)[0]:
+    if not tightening.domain.contains(condition)[0]:
         return None
     stride = round(step / SETTINGS.prediction.step)
     widths = np.asarray(tightening.half_widths(state[:6], (angles[-1], acceleration), activity))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .composition import AugmentedParameters, compose
+from .composition import AugmentedParameters, change_inputs, compose
 from .effects import Effect, Measured, Parameter, get_effect
 from .errors import ConfigurationError
 from .models import Model, get_model
@@ -113,11 +113,9 @@ class AugmentedModel(Model):
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
         """Road wheel angle [rad] in the equations for a recorded one (float or array), by the effects of ratio, offset
         and map; effects that need signals, and those of `steering`, are not applied."""
-        acting, p = compose(self.base, self.effects).acting, self.parameters(vehicle)
-        for effect, theta in zip(acting, p.effects if acting else (), strict=True):
-            if effect.inputs and not effect.signals:
-                angle, _ = effect.inputs(angle, 0.0 * angle, (), theta)
-        return angle
+        acting = compose(self.base, self.effects).acting
+        hooks = [(index, e.inputs, ()) for index, e in enumerate(acting) if e.inputs and not e.signals]
+        return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).effects)[0] if hooks else angle
 
     def observe(self, measured: Measured) -> Measured:
         """INS readings of true values at the INS point."""

@@ -12,7 +12,7 @@ recreates, retraces or recompiles the functions. Layout of a composed model:
 Effects at their null values leave the result bit-identical: they add 0, multiply by 1, or blend with weight 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Any, NamedTuple
@@ -87,6 +87,17 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
                        _make_specific_force(with_force) if with_force else None, extra_states, signals)
 
 
+def change_inputs(hooks: Iterable[tuple[int, Callable, Sequence[int]]], angle: Any, acceleration: Any,
+                  values: Sequence[Any], thetas: Sequence[Any]) -> tuple[Any, Any]:
+    """Road wheel angle [rad] and velocity_x_dot [m/s^2], changed by effects in turn.
+
+    hooks: number of an effect in `thetas`, its hook `inputs`, and the numbers of its signals in `values`.
+    """
+    for index, change, rows in hooks:
+        angle, acceleration = change(angle, acceleration, tuple([values[row] for row in rows]), thetas[index])
+    return angle, acceleration
+
+
 def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], ...], signals: tuple[str, ...],
                  only_inputs: bool) -> Callable[..., tuple]:
     """Function inputs(road_wheel_angle, velocity_x_dot, p, *values of the signals) -> w.
@@ -100,8 +111,8 @@ def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], 
     preparing = [(index, prepare, rows) for index, _, prepare, rows in hooks if prepare or rows]
 
     def inputs(angle, acceleration, p, *values):
-        for index, change, rows in changing:
-            angle, acceleration = change(angle, acceleration, tuple([values[row] for row in rows]), p.effects[index])
+        if changing:
+            angle, acceleration = change_inputs(changing, angle, acceleration, values, p.effects)
         if only_inputs:
             return base_inputs(angle, acceleration, p.base)
         prepared: list[Any] = []

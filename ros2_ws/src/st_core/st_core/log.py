@@ -14,7 +14,7 @@ from .vehicle import VehicleParameters
 
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
-STEERING = ("road_wheel_angle", "steering_wheel_angle")
+STEERING = ("road_wheel_angle", "steering_wheel_angle")  # signals on the time base of the steering
 Acceleration = Literal["causal", "zero_phase"]
 SLOPE_HALF_WIDTH = 0.025  # s; a longer time would attenuate 2.5 Hz by over 2.5 %, a shorter one would amplify noise
 

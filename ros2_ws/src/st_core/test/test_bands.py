@@ -60,7 +60,7 @@ def test_new_run_is_covered_at_the_level_despite_correlated_windows():
 def test_level_above_what_the_runs_support_is_rejected():
     assert compute_highest_level(8) == pytest.approx(8 / 9)
     assert count_runs_needed(0.9) == 9 and count_runs_needed(0.5) == 1
-    with pytest.raises(StCoreError, match=r"^8 runs support at most 88\.9%.*give 9 runs") as caught:
+    with pytest.raises(StCoreError, match=r"^8 runs support levels up to 88\.9%.*give 9 runs") as caught:
         compute_conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)
     assert np.isfinite(compute_conformal_factors([np.arange(5.0)] * 9, [0.9])).all()
@@ -92,7 +92,7 @@ def test_bands_cover_held_out_runs_at_their_level():
 def test_too_few_runs_and_non_finite_errors_are_rejected():
     with pytest.raises(StCoreError, match=r"^2 runs: each run is scored with bands of two others; give 3 or more"):
         calibrate([draw_run(k) for k in range(2)], PAIR, TIME, (0.5,))
-    with pytest.raises(StCoreError, match="5 runs support at most 83"):
+    with pytest.raises(StCoreError, match="5 runs support levels up to 83"):
         calibrate([draw_run(k) for k in range(5)], PAIR, TIME)
     runs = [draw_run(k) for k in range(9)]
     runs[3].errors[PAIR][7, 50, 1] = np.inf
@@ -166,11 +166,11 @@ def test_conditions_outside_the_calibration_are_described(bands):
 def test_conditions_of_a_single_run_are_outside_the_calibration():
     slow, fast = (np.tile([speed, 1.5, 0.2, 0.02], (400, 1)) for speed in (8.0, 22.0))
     probe = np.stack([slow[0], fast[0]])
-    assert CalibrationDomain.of([slow, np.concatenate([slow, fast])])(probe).tolist() == [True, False]
+    assert CalibrationDomain.of([slow, np.concatenate([slow, fast])]).contains(probe).tolist() == [True, False]
     # Fewer than 10 windows of a run do not count.
     sparse = CalibrationDomain.of([np.concatenate([slow, fast[:9]]), np.concatenate([slow, fast])])
-    assert sparse(probe).tolist() == [True, False]
-    assert CalibrationDomain.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])(probe).all()
+    assert sparse.contains(probe).tolist() == [True, False]
+    assert CalibrationDomain.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])]).contains(probe).all()
 
 
 def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):

@@ -36,7 +36,7 @@ def draw_errors(seconds, magnitude, seed=3):
 def test_long_run_coverage_equals_the_level_for_any_errors(calibrated, magnitude):
     starts, errors = draw_errors(900, magnitude)
     adaptive = AdaptiveBand(TIME, unit_band() if calibrated else None)
-    factors, scales = adaptive.follow(starts, np.tile(CONDITION, (len(starts), 1)), errors)
+    factors, scales = adaptive.replay(starts, np.tile(CONDITION, (len(starts), 1)), errors)
     scores = (np.abs(errors) / scales).max(axis=(1, 2))
     for level, tolerance in ((0.9, 0.03), (0.5, 0.05)):
         bound = (math.log(MAX_FACTOR / MIN_FACTOR) + START_GAIN * 5.0) / (GAIN * 900.0)
@@ -48,9 +48,9 @@ def test_long_run_coverage_equals_the_level_for_any_errors(calibrated, magnitude
 def test_scores_count_only_after_their_horizon():
     starts, errors = draw_errors(60, lambda t: 50.0)
     adaptive, conditions = AdaptiveBand(TIME, unit_band()), np.tile(CONDITION, (len(starts), 1))
-    parts = [adaptive.follow(starts[rows], conditions[rows], errors[rows])[0][0.9]
+    parts = [adaptive.replay(starts[rows], conditions[rows], errors[rows])[0][0.9]
              for rows in (slice(70), slice(70, None))]
-    whole = AdaptiveBand(TIME, unit_band()).follow(starts, conditions, errors)[0]
+    whole = AdaptiveBand(TIME, unit_band()).replay(starts, conditions, errors)[0]
     np.testing.assert_array_equal(np.concatenate(parts), whole[0.9])
     assert (whole[0.9][:50] == 4.0).all() and (np.diff(whole[0.9][49:60]) > 0.0).all()
     # A restart begins with the calibrated factors.

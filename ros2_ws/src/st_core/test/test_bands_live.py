@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from st_core.bands import (
     Bands,
+    CalibratedBands,
     CalibrationDomain,
     CoverageMonitor,
-    LiveBands,
     activity_instants,
     calibrate,
     compute_error_samples,
@@ -57,7 +57,7 @@ def bands(leaf, logs):
 
 
 def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
-    log, live = logs[10], LiveBands(bands, MODELS)
+    log, live = logs[10], CalibratedBands(bands, MODELS)
     history = MeasurementHistory(2.0, SETTINGS.prediction.maximum_gap, SETTINGS.prediction.filter_cutoff)
     signals, compared = SETTINGS.signals(log), 0
     for k, time_ns in enumerate(log.ins_time_ns.tolist()):
@@ -69,8 +69,8 @@ def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
         start_ns = time_ns - 3_000_000  # between two samples
         conditions, = conditions_at(signals, np.array([start_ns]))
         assert conditions_now(history, start_ns) == pytest.approx(conditions, rel=1e-6, abs=1e-9)
-        calibrated = live(conditions.tolist())
-        assert calibrated == bool(bands.domain(conditions[None])[0])
+        calibrated = live.update(conditions.tolist())
+        assert calibrated == bool(bands.domain.contains(conditions[None])[0])
         assert calibrated == (live.domain.describe_outside(conditions) == "")
         for model, half_widths in live.half_widths.items() if calibrated else ():
             for (mode, level), widths in half_widths.items():
@@ -81,8 +81,8 @@ def test_live_bands_equal_those_of_the_file_for_the_recorded_drive(bands, logs):
 
 
 def test_no_band_with_unknown_steering_or_uncalibrated_conditions(bands):
-    live = LiveBands(bands, MODELS)
-    assert not live((10.0, 1.0, 0.5, math.nan)) and not live((35.0, 0.1, 0.1, 0.01))
+    live = CalibratedBands(bands, MODELS)
+    assert not live.update((10.0, 1.0, 0.5, math.nan)) and not live.update((35.0, 0.1, 0.1, 0.01))
     assert "steering activity is unknown" in live.domain.describe_outside((10.0, 1.0, 0.5, math.nan))
     assert "35.0 m/s" in live.domain.describe_outside((35.0, 0.1, 0.1, 0.01))
     empty = MeasurementHistory(2.0, 0.1, 5.0)

@@ -45,7 +45,7 @@ def test_circle_has_no_straight_driving_for_the_offset(circle, leaf):
 
 def test_slow_weaving_has_too_little_excitation_for_yaw_inertia(leaf):
     logs = [drive(leaf, speed, weave(0.05, 20.0), 40.0) for speed in (7.0, 12.0)]
-    with pytest.raises(IdentificationError, match=r"excitation: yaw acceleration: .* drive steps, lane changes"):
+    with pytest.raises(IdentificationError, match=r"excitation: yaw acceleration: .* drive step steers, lane changes"):
         identify_yaw_inertia(logs, leaf)
 
 

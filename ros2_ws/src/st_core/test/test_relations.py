@@ -49,7 +49,7 @@ def test_terms_and_quantities_are_complete_and_relations_are_not_library_effects
     assert terms == set(ALL_TERMS) == set(TYPICAL_SIZES)
     assert set(SIGNED) < quantities == set(QUANTITIES) == set(MIN_RANGES)
     assert factors == {"", *FACTORS}
-    assert not {"law", "law_memory", "law_timed"} & set(EFFECTS)
+    assert not {"relation", "relation_lagged", "relation_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):
         augment("nonlinear", ["lax"])
 
@@ -77,7 +77,7 @@ def rates(model, car, angle=0.05, acceleration=0.5):
 
 def test_relation_with_zero_coefficients_changes_nothing(leaf):
     c = Candidate("front_grip", "speed", 0.0, 3.0, 20.0)
-    zero = augment("nonlinear", {"law": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
+    zero = augment("nonlinear", {"relation": {f"c{k}": 0.0 for k in range(SPLINES)} | c.constants})
     assert rates(zero, leaf)[:6] == rates(MODELS["nonlinear"], leaf)
 
 
@@ -203,11 +203,11 @@ def test_relation_that_significantly_worsens_one_run_is_refused(fits):
     before = np.full(len(fits.windows), 0.5)
     noise = 0.01 * np.random.default_rng(5).normal(size=len(before))
     second = fits.windows.run == 1
-    assert describe_deterioration(fits, "law", before, before - 0.1 + noise) == ""
+    assert describe_deterioration(fits, "yaw moment", before, before - 0.1 + noise) == ""
     slightly = before + np.where(second, 0.01, -0.2) + 0.1 * noise  # 1 cm
-    assert describe_deterioration(fits, "law", before, slightly) == ""
+    assert describe_deterioration(fits, "yaw moment", before, slightly) == ""
     mixed = before + np.where(second, 0.05, -0.2) + noise
-    reasons = [describe_deterioration(fits, "law", before, after) for after in (mixed, before + 0.1)]
+    reasons = [describe_deterioration(fits, "yaw moment", before, after) for after in (mixed, before + 0.1)]
     assert f"raises the held-out position error of {fits.windows.names[1]}" in reasons[0]
     assert "raises the held-out position error after 5 s from 0.500 to 0.6" in reasons[1]
 

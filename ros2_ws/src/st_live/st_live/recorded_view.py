@@ -27,7 +27,7 @@ from .node import render_ticks
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
 AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 5 s at 30 km/h are 42 m
-AROUND, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
+MAP_RANGE, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "mean lateral error over the last horizon, m (+ predicted left)",
     "longitudinal": "mean longitudinal error, m (+ predicted ahead)",
@@ -70,7 +70,7 @@ def make_blueprint() -> rrb.Blueprint:
         visual_bounds=rrb.VisualBounds2D(x_range=[-SIDEWAYS, SIDEWAYS], y_range=[-AHEAD, BEHIND]))
     around = rrb.Spatial2DView(
         origin="map", name=f"Map (north up, {GRID_SPACING:.0f} m grid)", background=WHITE,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-AROUND, AROUND], y_range=[-AROUND, AROUND]))
+        visual_bounds=rrb.VisualBounds2D(x_range=[-MAP_RANGE, MAP_RANGE], y_range=[-MAP_RANGE, MAP_RANGE]))
     text = rrb.TextDocumentView(origin="text", name="Errors so far, and health")
     motion = rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration"))
     errors = rrb.Tabs(plot("lateral"), plot("longitudinal"))
@@ -171,7 +171,7 @@ class Scene:
         if self._angle is not None:
             log("plots/steering/measured", rr.Scalars([math.degrees(self._angle)]))
         north_up = pose._replace(yaw=0.5 * math.pi)
-        lines = [to_screen(north_up, x, y) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * AROUND)]
+        lines = [to_screen(north_up, x, y) for x, y in make_grid_lines(pose, GRID_SPACING, 2.0 * MAP_RANGE)]
         self._log_lines("map/grid", lines, [LIGHT_GREY], THIN_LINE, order=-1.0)
         self._draw_view("map", north_up, pose, now_ns)
         self._draw_view("ahead", pose, pose, now_ns)

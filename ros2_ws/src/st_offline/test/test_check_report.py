@@ -101,7 +101,7 @@ def test_verdict_counts_findings_and_states_their_consequence():
     biased = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
     assert check_report.verdict(make_check([biased])) == "1 warning: results of identify and discover would be biased"
     assert check_report.verdict(make_check([MOVED, biased])) == "2 warnings: an evaluation would be biased"
-    assert check_report.verdict(make_check([])) == "nothing found, in 1 comparison"
+    assert check_report.verdict(make_check([])) == "no findings in 1 comparison"
     assert "nothing could be compared" in check_report.verdict(DriveCheck((), {}, ()))
     assert check_report.headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
@@ -291,7 +291,7 @@ def test_many_runs_print_each_finding_once_and_runs_without_findings_in_one_line
     print_runs(runs, console)
     text = console.export_text()
     assert text.count(DEGREES.text) == 1 and "bad0, bad1" in text and "report.html" in text
-    assert "nothing found in 5 of 10 runs: good0, good1" in text
+    assert "no findings in 5 of 10 runs: good0, good1" in text
 
 
 def test_clock_offset_of_a_time_zone_is_explained():

@@ -78,7 +78,7 @@ def test_changed_file_resets_the_estimates_but_an_invalid_one_does_not(run):
 
 def test_diagnostics_report_contradicted_and_invalid_vehicle_file(run):
     output = {name: {(level, text) for _, level, text in lines} for name, lines in health(run).items()}
-    assert any(level == 1 and "the driving contradicts the file" in text
+    assert any(level == 1 and "the estimate contradicts the vehicle file" in text
                for level, text in output["identifier: steering_ratio"])
     assert any(level == 1 and "170.3" in text for level, text in output["identifier: vehicle file"])
 

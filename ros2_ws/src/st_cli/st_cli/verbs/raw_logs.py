@@ -108,7 +108,7 @@ def print_alignment(pair: "RawRun") -> None:
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
-        for name in ("own minus common offset, ms", "correlation", "residual / standard deviation"):
+        for name in ("its offset minus the result, ms", "correlation", "residual / standard deviation"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
             difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"

@@ -16,10 +16,10 @@ from .conditions import (
     steering_activity,
 )
 from .file import Bands
-from .live import AdaptiveBands, BandCoverage, CoverageMonitor, LiveBands, conditions_now
+from .live import AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
 from .samples import ErrorSamples, NotFiniteError, compute_error_samples, join_runs, to_predicted_frame
 
 __all__ = ["CONDITIONS", "LEVELS", "RELIABILITY_LEVELS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage",
-           "Bands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "LiveBands", "NotFiniteError",
+           "Bands", "CalibratedBands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError",
            "activity_instants", "calibrate", "compute_conditions", "compute_error_samples", "compute_highest_level",
            "conditions_at", "conditions_now", "join_runs", "steering_activity", "to_predicted_frame"]

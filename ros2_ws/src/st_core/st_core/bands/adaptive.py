@@ -106,7 +106,7 @@ class AdaptiveBand:
             self._squares += fraction * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
         return {level: score <= issued for level, issued in factors.items()}
 
-    def follow(self, starts_ns: np.ndarray, conditions: np.ndarray,
+    def replay(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
         """(factors (n,) by level, scales (n, points, 3)) along a drive, from the scores available at each start.
 

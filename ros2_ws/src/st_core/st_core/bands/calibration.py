@@ -47,8 +47,8 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
             raise StCoreError(f"level {level:g}: must be between 0 and 1")
         if level > compute_highest_level(runs) + ROUNDING:
             verb = "run supports" if runs == 1 else "runs support"
-            raise StCoreError(f"{runs} {verb} at most {compute_highest_level(runs):.1%}, n/(n + 1), not {level:.0%}: "
-                              f"give {count_runs_needed(level)} runs or more, or a lower --level")
+            raise StCoreError(f"{runs} {verb} levels up to {compute_highest_level(runs):.1%}, n/(n + 1), not "
+                              f"{level:.0%}: give {count_runs_needed(level)} runs or more, or a lower --level")
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
@@ -119,7 +119,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
         others = [run for number, run in enumerate(runs) if number not in group]
         scale, domain = _fit_scale_of(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
         for run in (runs[number] for number in group):
-            rows = domain(run.conditions)
+            rows = domain.contains(run.conditions)
             if rows.any():
                 ratio = np.abs(run.errors[pair][rows]) / scale(run.conditions[rows])
                 scores.append(ratio.max(axis=(1, 2)))

@@ -87,7 +87,7 @@ class CalibrationDomain:
         rows = np.concatenate(conditions)
         return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
 
-    def __call__(self, conditions: np.ndarray) -> np.ndarray:
+    def contains(self, conditions: np.ndarray) -> np.ndarray:
         """(n,) bool: whether conditions (n, 4) are in the domain; False where one is NaN."""
         known = np.isfinite(conditions).all(axis=1)
         rows = np.where(known[:, None], conditions, 0.0)
@@ -95,7 +95,7 @@ class CalibrationDomain:
 
     def describe_outside(self, condition: Sequence[float]) -> str:
         """One-line reason why four conditions are outside the domain; empty if they are inside."""
-        if self(np.array([condition], float))[0]:
+        if self.contains(np.array([condition], float))[0]:
             return ""
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):

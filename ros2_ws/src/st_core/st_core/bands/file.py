@@ -70,7 +70,7 @@ class Bands:
         """
         band = self.bands[model, mode]
         conditions = np.atleast_2d(np.asarray(conditions, float))
-        inside = self.domain(conditions)
+        inside = self.domain.contains(conditions)
         result = np.full((len(conditions), len(band.scale.time) + 1, 3), np.nan)
         result[inside, 0] = 0.0
         result[inside, 1:] = band.half_widths(conditions[inside], level)

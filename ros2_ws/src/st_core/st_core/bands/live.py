@@ -44,11 +44,11 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
     return compute_magnitudes(velocity, rate, acceleration, activity)
 
 
-class LiveBands:
-    """Computes the half-widths of `Bands.half_widths` for all models, modes and levels together.
+class CalibratedBands:
+    """Half-widths of `Bands.half_widths`, for all models, modes and levels together.
 
     models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
-    levels: the LEVELS that are in the file. half_widths: by model, overwritten by each call inside the domain.
+    levels: the LEVELS that are in the file. half_widths: by model, overwritten by each update inside the domain.
     """
 
     def __init__(self, bands: Bands, models: Iterable[str]):
@@ -71,9 +71,9 @@ class LiveBands:
             for level, level_widths in zip(self.levels, pair_widths, strict=True):
                 self.half_widths[model][mode, level] = level_widths.T
 
-    def __call__(self, condition: Sequence[float]) -> bool:
-        """Update `half_widths` for four conditions. False, without an update, outside the calibration domain."""
-        if not self.domain(np.array([condition]))[0]:
+    def update(self, condition: Sequence[float]) -> bool:
+        """Compute `half_widths` for four conditions. False, without an update, outside the calibration domain."""
+        if not self.domain.contains(np.array([condition]))[0]:
             return False
         # Clipping at the few knots also limits the interpolated values.
         logs = (self._coefficients @ compute_scalar_features(condition)).clip(-2.0 * MAX_LOG_SCALE, 2.0 * MAX_LOG_SCALE)
@@ -96,12 +96,12 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after `adaptive.WARM_UP`.
 
-    half_widths: as in `LiveBands`. coverages: by (model, mode), of the scored windows with a band.
+    half_widths: as in `CalibratedBands`. coverages: by (model, mode), of the scored windows with a band.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
                  bands: Bands | None = None):
-        self._calibrated = None if bands is None else LiveBands(bands, models)
+        self._calibrated = None if bands is None else CalibratedBands(bands, models)
         known = {} if bands is None else bands.bands
         self._bands = {pair: AdaptiveBand(time, known.get(pair)) for pair in product(models, modes)}
         self.half_widths: Mapping[str, HalfWidths] = {
@@ -121,7 +121,7 @@ class AdaptiveBands:
         Returns the (model, mode) pairs with a band, and the one-line reason if calibrated pairs have none.
         """
         reason = ""
-        if self._calibrated and not self._calibrated(condition):
+        if self._calibrated and not self._calibrated.update(condition):
             reason = self._calibrated.domain.describe_outside(condition)
         issued: set[ModelMode] = set()
         for model, half_widths in self.half_widths.items():

@@ -171,8 +171,8 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     long_share = float((np.round(spacing, 9) > PREDICTION_GAP).mean())
     # At twice the required rate or above, long intervals are gaps, which are listed with their times below.
     if typical > 0.5 * PREDICTION_GAP and long_share > MAX_LONG_SHARE:
-        text = (f"the {signal} has one sample in {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals are "
-                f"longer than {PREDICTION_GAP:g} s, across which nothing is predicted: few starts or none are scored")
+        text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals "
+                f"exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few starts or none are scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("look", f"record the {signal} at a higher rate, or find why most of its samples "
                                       "are not used"))]
@@ -311,8 +311,8 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         speed = motion.velocity_x[inside]
         curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
         unexplained = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
-        tight, wide = np.percentile(unexplained, [95, 5])
-        return bool(high - low > min_change and tight - wide > min_curvature_change * np.median(np.abs(curvature)))
+        upper, lower = np.percentile(unexplained, [95, 5])
+        return bool(high - low > min_change and upper - lower > min_curvature_change * np.median(np.abs(curvature)))
     return bool(high - low > max(min_change, rounding))
 
 

@@ -266,8 +266,8 @@ class _Analysis:
                         f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")
         else:
             warning += ": its error"
-        self.warnings.append(f"{warning} looks like steering delay or lag, yaw inertia or tyre relaxation (log INS "
-                             "frames on CAN, or give the clock offset)")
+        self.warnings.append(f"{warning} has the same effect as steering delay or lag, yaw inertia or tyre relaxation "
+                             "(log INS frames on CAN, or give the clock offset)")
         return apply_clock_corrections(runs, corrections)
 
     def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
@@ -294,7 +294,8 @@ class _Analysis:
         if left + right < MIN_TURNING_SHARE:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
         elif min(left, right) < MIN_TURNING_SHARE * (left + right):
-            self.warnings.append("turns to one side only: offsets of sensors and steering resemble changes of the car")
+            self.warnings.append("turns to one side only: offsets of sensors and steering are not separable from "
+                                 "changes of the car")
 
     def _list_assumed(self) -> tuple[result.AssumedQuantity, ...]:
         """The quantities of the vehicle file that are used as priors."""

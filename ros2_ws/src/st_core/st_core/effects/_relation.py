@@ -6,11 +6,12 @@
 f is added to a term with a weight `to_`; for steering and body terms optionally times one `by_` quantity. parity: -1
 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind share a
 compiled function.
-There are three kinds: `law` is a function of present quantities, `law_memory` of a lagged quantity q or of its rate,
+There are three kinds: `relation` is a function of present quantities, `relation_lagged` of a lagged quantity q or of
+its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
 
-and `law_timed` of the time in the run, a signal that only recordings have.
+and `relation_timed` of the time in the run, a signal that only recordings have.
 """
 
 from functools import partial
@@ -125,7 +126,7 @@ class _Relation(Effect):
 
 @_register
 class RelationEffect(_Relation):
-    name = "law"
+    name = "relation"
     physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that covers the range of the quantity"
     parameters = _parameters()
@@ -160,7 +161,7 @@ class RelationEffect(_Relation):
 
 @_register
 class LaggedRelationEffect(_Relation):
-    name = "law_memory"
+    name = "relation_lagged"
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
     extra_states = ("lagging",)
@@ -187,7 +188,7 @@ class LaggedRelationEffect(_Relation):
 
 @_register
 class TimedRelationEffect(_Relation):
-    name = "law_timed"
+    name = "relation_timed"
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
     excited_by = "long runs"
     signals = ("run_time",)

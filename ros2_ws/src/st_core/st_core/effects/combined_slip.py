@@ -52,7 +52,7 @@ def compute_lateral_factor(force, peak, share):
 @register
 class CombinedSlip(Effect):
     physics = "F_y = F_y0 (1 - share + share sqrt(1 - (F_x / D)^2)) per axle, F_x from the forward motion"
-    excited_by = "braking or power in turns; not observable below 0.4 g"
+    excited_by = "braking or accelerating in turns; not observable below 0.4 g"
     kind, slot = "physics", "both axles"
     confounded_with = ("steered_drive_force", "longitudinal_load_transfer")
     prepared = ("peak_front", "peak_rear")

@@ -20,7 +20,7 @@ class Load(Effect):
     combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass", "stability factor K")
     parameter = Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
                           meaning="mass of a load over the rear axle",
-                          source="payload: passenger cars 400-550 kg (two deviations), vans 800 kg", deviation=250.0)
+                          source="payload: passenger cars 400-550 kg (2 sigma), vans 800 kg", deviation=250.0)
 
     @staticmethod
     def vehicle(vehicle, theta):

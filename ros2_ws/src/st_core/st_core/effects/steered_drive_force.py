@@ -11,7 +11,7 @@ from .combined_slip import compute_drive_forces, select_drive_parameters
 @register
 class SteeredDriveForce(Effect):
     physics = "F_y of the front axle + share F_x,front sin delta, F_x from the forward motion"
-    excited_by = "braking or power with the wheels turned: tight turns"
+    excited_by = "braking or accelerating with the wheels turned: tight turns"
     kind, slot = "physics", "front axle"
     confounded_with = ("combined_slip", "longitudinal_load_transfer")
     order = 85

@@ -24,7 +24,7 @@ def _scale_peak_stiffness_load(tyre, static_load, factor):
 @register
 class TyreLoadSensitivity(Effect):
     physics = "K(F_z) with p_ky2 times factor, K at static load unchanged, both axles; > 1: K more proportional to F_z"
-    excited_by = "braking and power in turns; a load transfer of at least 10 %"
+    excited_by = "braking and accelerating in turns; a load transfer of at least 10 %"
     kind, slot = "vehicle parameters", "both axles"
     confounded_with = ("longitudinal_load_transfer", "lateral_load_transfer", "mass")
     applies_to = frozenset(("nonlinear",))  # a linear tyre has no dependence on load

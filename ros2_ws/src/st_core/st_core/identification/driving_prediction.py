@@ -153,7 +153,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                          lateral_acceleration=(1.0, 3)),
                measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                 [run.time for run in runs], 0.5, 5))
-    require_coverage(covered, "Steady bends do not excite the yaw inertia: drive steps, lane changes or a sine sweep.")
+    require_coverage(covered, "Steady bends do not excite the yaw inertia: drive step steers, lane changes or a sine "
+                              "sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND

@@ -109,8 +109,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
-            print_line(f"[yellow]the calibration used {len(known)} of these files: this is no test of the bands; use "
-                       "other runs[/yellow]", console)
+            print_line(f"[yellow]the calibration used {len(known)} of these files: this is no independent test of the "
+                       "bands; use other runs[/yellow]", console)
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:

@@ -42,7 +42,7 @@ def run_command(runs: Sequence[Path], task: Task, output: Path, levels: Sequence
         raise OutputError(f"{output}: cannot be written: {error.strerror}") from None
     starts = sum(len(run.conditions) for run in samples)
     print_line(f"{escape(str(output))}: bands of {', '.join(bands.models)} from {len(samples)} runs, {starts} "
-               f"starts; {len(samples)} runs support at most {compute_highest_level(len(samples)):.1%}", console)
+               f"starts; {len(samples)} runs support levels up to {compute_highest_level(len(samples)):.1%}", console)
     return 1 if problems else 0
 
 

@@ -31,7 +31,7 @@ class Scorer:
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted."""
         conditions = conditions_at(self._signals, starts_ns)
-        inside = self._bands.domain(conditions)
+        inside = self._bands.domain.contains(conditions)
         for (model, mode), errors in block.errors.items():
             if (model, mode) not in self._bands.bands:
                 continue
@@ -65,13 +65,13 @@ class AdaptiveScorer:
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
         conditions = conditions_at(self._signals, starts_ns)
-        inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain(conditions)
+        inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain.contains(conditions)
         late = (starts_ns - self._first) * 1e-9 >= self.LATE
         for (model, mode), errors in block.errors.items():
             band = None if self._bands is None else self._bands.bands.get((model, mode))
             adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
             rotated = to_predicted_frame(errors[inside][:, 1:])
-            factors, scales = adaptive.follow(starts_ns[inside], conditions[inside], rotated)
+            factors, scales = adaptive.replay(starts_ns[inside], conditions[inside], rotated)
             scored = np.isfinite(rotated).all(axis=(1, 2))
             score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
             covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}

@@ -51,7 +51,7 @@ def verdict(checked: DriveCheck) -> str:
     """Number of findings of a run by severity, and their meaning for an evaluation, in one line."""
     if not checked.findings:
         compared = format_count(len(checked.comparisons), "comparison")
-        return f"nothing found, in {compared}" if checked.comparisons else "nothing could be compared"
+        return f"no findings in {compared}" if checked.comparisons else "nothing could be compared"
     return f"{count_by_severity(checked.findings)}: {describe_meaning(checked.findings)}"
 
 
@@ -252,7 +252,7 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
     print_findings({run.name: run.checked.findings for run in runs}, console, "report.html")
     clean = [run.name for run in runs if not run.checked.findings]
     names = f": {', '.join(clean)}" if clean else ""
-    print_line(f"[green]nothing found[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
+    print_line(f"[green]no findings[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
     hints = {advise_steering_sign(run.checked.findings, can=run.alignment["method"] != "none") for run in runs}
     for hint in sorted(filter(None, hints)):
         print_line(f"[bold red]{escape(hint)}[/]", console)

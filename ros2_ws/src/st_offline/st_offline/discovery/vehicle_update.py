@@ -36,7 +36,7 @@ POSE_TOLERANCE = 1e-3  # m, rad; predictions that differ by less at the end of t
 MAX_POSITION_DIFFERENCE = 0.02  # m, mean at the end of the horizon; above it, effective corrections are dropped
 SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions of a drive, which do not overlap
 SIGNIFICANT_DIGITS = 6  # of a written value
-KEPT_SCALE = "value before the corrections of other entries"  # source of a lambda_ky that the file does not contain
+SCALE_SOURCE = "value before the corrections of other entries"  # source of a lambda_ky that the file does not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
 KEYS = VEHICLE_QUANTITIES | {f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}
 
@@ -283,7 +283,7 @@ def _format_entry(car: VehicleParameters, key: str, digits: int | None, unit: st
 
     known = car.provenance.get(key, Provenance())
     provenance = replace(known, uncertainty=None if known.uncertainty is None else convert(known.uncertainty))
-    source = car.sources[key] if key in car.provenance else KEPT_SCALE
+    source = car.sources[key] if key in car.provenance else SCALE_SOURCE
     return (f"{{value: {format_number(convert(value_of(car, key)))}, unit: {quote(unit)}, source: {quote(source)}"
             f"{provenance.format_entries()}}}")
 

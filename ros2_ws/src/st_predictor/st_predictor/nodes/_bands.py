@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.bands import AdaptiveBands, BandCoverage, Bands, CoverageMonitor, LiveBands, conditions_now
+from st_core.bands import AdaptiveBands, BandCoverage, Bands, CalibratedBands, CoverageMonitor, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.bands.samples import ModelMode
 from st_core.evaluation import Evaluator, Mode
@@ -35,7 +35,7 @@ class PredictionBands:
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
         self._reason, self._calibration = "", ""  # why calibrated bands are missing; text on the bands file
-        self._calibrated: LiveBands | None = None
+        self._calibrated: CalibratedBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.read_file(values, "bands_file", Bands.from_yaml)
         if file is not None:
@@ -49,7 +49,7 @@ class PredictionBands:
             self._messages = BandMessages(self._adaptive.half_widths)
             self._scorer = Evaluator(vehicle, settings, 0.0, models, runners)
         elif file is not None:
-            self._calibrated = LiveBands(file, file_hashes)
+            self._calibrated = CalibratedBands(file, file_hashes)
             self._messages = BandMessages(self._calibrated.half_widths)
 
     def add_ins(self, sample: InsSample) -> None:
@@ -76,7 +76,7 @@ class PredictionBands:
         if self._calibrated is None:
             return {}
         condition = conditions_now(history, time_ns)
-        self._reason = "" if self._calibrated(condition) else self._calibrated.domain.describe_outside(condition)
+        self._reason = "" if self._calibrated.update(condition) else self._calibrated.domain.describe_outside(condition)
         return {} if self._reason else self._messages.fill()
 
     def observe_scores(self) -> None:

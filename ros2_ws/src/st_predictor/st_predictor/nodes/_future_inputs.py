@@ -126,7 +126,7 @@ class CourseInput:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
         weights = {"weight in curvature": forecast.curvature_share, "weight in speed": forecast.speed_share}
         text = ", ".join(f"{name} {weight:.0%}" for name, weight in weights.items())
-        return Check("course", diagnostics.OK, f"used, {text}; the rest is on held inputs", self._counts | weights)
+        return Check("course", diagnostics.OK, f"used, {text}; remaining weight: held inputs", self._counts | weights)
 
 
 def _build_search_tree(course: Course) -> Course:

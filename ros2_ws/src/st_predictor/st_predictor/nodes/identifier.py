@@ -123,7 +123,7 @@ class IdentifierNode(Node):
             if estimate.status == "estimated":
                 text = f"{value:.4g} +/- {deviation:.2g} {estimate.unit}, vehicle file {file_value:.4g}"
                 if abs(value - file_value) > MAX_DEVIATION * deviation:
-                    level, text = diagnostics.WARN, f"{text}: the driving contradicts the file"
+                    level, text = diagnostics.WARN, f"{text}: the estimate contradicts the vehicle file"
             else:
                 state = "invalid" if estimate.status == "invalid" else "not estimated yet"
                 text = f"{state}: {estimate.reason}"

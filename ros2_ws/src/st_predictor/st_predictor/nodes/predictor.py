@@ -251,7 +251,8 @@ class PredictorNode(Node):
         elif self._skip:
             level, text = diagnostics.ERROR, f"no prediction: {self._explain_skip()}"
         elif self._diverged:
-            level, text = diagnostics.WARN, f"prediction not finite, no path: {', '.join(sorted(self._diverged))}"
+            models = ", ".join(sorted(self._diverged))
+            level, text = diagnostics.WARN, f"prediction not finite, path not published: {models}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
         known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
