@@ -2,8 +2,8 @@
 
     r = d(yaw)/dt        a_x = dv_x/dt - v_y r        a_y = dv_y/dt + v_x r
 
-An accelerometer also measures gravity: a slope appears as a bias of a_x, a banked road or a mounting angle as a bias of
-a_y. If the accelerometer is at a distance d behind the INS point, its a_y lags by d / v at speed v.
+An accelerometer measures the specific force, so a slope appears as a bias of a_x, a banked road or a mounting angle as
+a bias of a_y. If the accelerometer is at a distance d behind the INS point, its a_y lags by d / v at speed v.
 """
 
 from collections.abc import Mapping

@@ -56,25 +56,25 @@ def draw_panel(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFi
     return drawing.save_figure(figure, output, f"comparison-{pair.name}", title, caption)
 
 
-def page_title(good: Sequence[CheckedRun]) -> str:
+def page_title(runs: Sequence[CheckedRun]) -> str:
     """Title of the page: the verdict on all runs."""
-    if len(good) == 1:
-        return f"{good[0].name}: {check_report.headline(good[0].checked)}"
-    affected = {severity: [run.name for run in good if run.checked.with_severity(severity)]
+    if len(runs) == 1:
+        return f"{runs[0].name}: {check_report.headline(runs[0].checked)}"
+    affected = {severity: [run.name for run in runs if run.checked.with_severity(severity)]
                 for severity in check_report.SEVERITY_ORDER[:2]}
     if not any(affected.values()):
-        return f"{len(good)} runs: no error and no warning"
-    counts = [f"{severity.value}s in {len(names)} of {len(good)} runs ({', '.join(names)})"
+        return f"{len(runs)} runs: no error and no warning"
+    counts = [f"{severity.value}s in {len(names)} of {len(runs)} runs ({', '.join(names)})"
               for severity, names in affected.items() if names]
     sentence = "; ".join(counts)
     return sentence[0].upper() + sentence[1:]
 
 
-def page_summary(good: Sequence[CheckedRun]) -> list[str]:
+def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
     """At most three sentences: meaning of the findings, recommendation, clocks."""
-    findings = [finding for run in good for finding in run.checked.findings]
+    findings = [finding for run in runs for finding in run.checked.findings]
     worst = min(findings, key=check_report.severity_rank, default=None)
-    clocks = check_report.describe_clocks({run.name: run.alignment for run in good})
+    clocks = check_report.describe_clocks({run.name: run.alignment for run in runs})
     if worst is None or worst.severity is Severity.NOTE:
         return ["Nothing has to be corrected: every command can use these runs.", *([f"{clocks}."] if clocks else [])]
     sizes = [finding.effect for finding in findings
@@ -83,8 +83,8 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
     meaning = check_report.describe_meaning(findings)
     sign = next(filter(None, (check_report.advise_steering_sign(
-        run.checked.findings, run.where, run.alignment["method"] != "none") for run in good)), "")
-    correct = (f"To correct the recording, run `st check {good[0].where if len(good) == 1 else 'RUN'} "
+        run.checked.findings, run.where, run.alignment["method"] != "none") for run in runs)), "")
+    correct = (f"To correct the recording, run `st check {runs[0].where if len(runs) == 1 else 'RUN'} "
                "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
                "writes instead of the recording.")
     is_correctable = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
@@ -95,11 +95,11 @@ def page_summary(good: Sequence[CheckedRun]) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
-def write_page(file: Path, good: Sequence[CheckedRun], failed: Mapping[str, str], content: dict[str, Any]) -> None:
+def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
     """Write the page. content: of check.json."""
     text = load_template("checking/check.html.jinja").render(
-        title=page_title(good), summary=page_summary(good), runs=good, content=content, figures=_draw_figures(good),
-        problems=failed, groups=check_report.group_findings({run.name: run.checked.findings for run in good}))
+        title=page_title(runs), summary=page_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
+        problems=unreadable, groups=check_report.group_findings({run.name: run.checked.findings for run in runs}))
     file.write_text(text, encoding="utf-8")
 
 

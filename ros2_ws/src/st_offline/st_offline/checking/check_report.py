@@ -191,14 +191,14 @@ def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     return [json_ready(finding.as_dict()) for finding in findings]
 
 
-def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str, Any]:
-    """The content of check.json. failed: problem by name of each run that could not be read."""
+def document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) -> dict[str, Any]:
+    """The content of check.json. unreadable: problem by name of each run that could not be read."""
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": collect_versions(),
         "vehicle": {source: {"name": car.name, "hash": car.hash}
-                    for source, car in {run.vehicle_from: run.vehicle for run in good}.items()},
+                    for source, car in {run.vehicle_from: run.vehicle for run in runs}.items()},
         "runs": {run.name: {
             "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
             **json_ready(run.checked.as_dict()),
@@ -208,9 +208,9 @@ def document(good: Sequence[CheckedRun], failed: Mapping[str, str]) -> dict[str,
                 "findings": list(comparison.findings)})
                             for comparison in run.checked.comparisons],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
-        } for run in good},
-        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in good])],
-        "failed": dict(failed),
+        } for run in runs},
+        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in runs])],
+        "failed": dict(unreadable),
     }
 
 
