@@ -58,9 +58,9 @@ EVERYWHERE = "everywhere"
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Errors and conditions of n predictions. run: index into names. time [s]: since the first measurement of the run.
-    x, y [m]: position at the start. block: number of the block of time; a block counts as one observation. conditions:
-    (n,) by name [SI]. squares: (n,) square error by channel [SI]."""
+    """Errors and conditions of n predictions, all finite. run: index into names. time [s]: since the first measurement
+    of the run. x, y [m]: position at the start. block: number of the block of time; a block counts as one observation.
+    conditions: (n,) by name [SI]. squares: (n,) square error by channel [SI]."""
 
     names: tuple[str, ...]
     run: np.ndarray
@@ -103,15 +103,13 @@ class BinExcess:
 @dataclass(frozen=True)
 class Stretch:
     """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: ratio
-    of the errors to those in the rest of the run under similar conditions (geometric mean). p: largest p-value of the
-    change points of the run, of the hypothesis that the errors do not change there."""
+    of the errors to those in the rest of the run under similar conditions (geometric mean)."""
 
     channel: str
     run: int
     start: float
     end: float
     ratio: float
-    p: float
 
 
 @dataclass(frozen=True)
@@ -196,34 +194,32 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
         channel, square = CHANNEL_OF_COLUMN[column], np.square(errors[:, :, k])
         value = square[:, -1] if channel.accumulates else square[:, short].mean(axis=1)
         squares[channel.name] = squares.get(channel.name, 0.0) + value
-    by_run = [_positions_and_conditions(log, windows.seconds[windows.run == number], float(windows.time[-1]))
-              for number, log in enumerate(runs)]
-    conditions = {name: np.concatenate([c[name] for c in by_run]) for name in by_run[0]}
+    conditions = _find_conditions(windows)
     finite = np.isfinite(np.stack([*squares.values(), *conditions.values()])).all(axis=0)
-    x, y, time = (conditions.pop(name)[finite] for name in ("x", "y", "time"))
-    return Samples(windows.names, windows.run[finite], time, x, y, windows.block[finite],
+    # `Windows.seconds` begins with the later of INS and steering.
+    lead = np.array([max(float(log.steering_time_ns[0] - log.ins_time_ns[0]) * NANOSECOND, 0.0) if log.overlap else 0.0
+                     for log in runs])
+    time = windows.seconds + lead[windows.run]
+    x, y = (conditions.pop(name)[finite] for name in ("x", "y"))
+    return Samples(windows.names, windows.run[finite], time[finite], x, y, windows.block[finite],
                    {name: values[finite] for name, values in conditions.items()},
                    {channel: values[finite] for channel, values in squares.items()})
 
 
-def _positions_and_conditions(log: DriveLog, seconds: np.ndarray, horizon: float) -> dict[str, np.ndarray]:
-    """Positions and times at the starts of the windows of one run, and conditions, which are means over the first
-    SHORT_HORIZON (root mean square of the steering rate). seconds: the starts, as in `Windows` [s]."""
-    signals = LogSignals(log, MAX_GAP, 5.0, "zero_phase")
-    begin = max((int(t[0]) for t in (log.ins_time_ns, log.steering_time_ns) if len(t)), default=0)
-    starts = begin + np.round(seconds / NANOSECOND).astype(np.int64)
-    after = np.round(np.arange(0.0, min(SHORT_HORIZON, horizon) + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
-    times = starts[:, None] + after
-    x, y = signals.ins_at(starts, "x", "y")
+def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
+    """Positions at the starts of the windows, and conditions, which are means over the first SHORT_HORIZON (root mean
+    square of the steering rate)."""
+    signals = LogSignals(windows.joined, MAX_GAP, 5.0, "zero_phase")
+    duration = min(SHORT_HORIZON, float(windows.time[-1]))
+    times = windows.starts_ns[:, None] + np.round(
+        np.arange(0.0, duration + STEP / 2, STEP) / NANOSECOND).astype(np.int64)
+    x, y = signals.ins_at(windows.starts_ns, "x", "y")
     speed, yaw_rate, acceleration = signals.ins_at(times, "velocity_x", "yaw_rate", "velocity_x_dot")
     angle = signals.road_wheel_angle_at(times)
-    first = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else begin
-    return {
-        "x": x, "y": y, "time": (starts - first) * NANOSECOND, "speed": speed.mean(axis=1),
-        "lateral_acceleration": (speed * yaw_rate).mean(axis=1), "road_wheel_angle": angle.mean(axis=1),
-        "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
-        "forward_acceleration": acceleration.mean(axis=1),
-    }
+    return {"x": x, "y": y, "speed": speed.mean(axis=1), "lateral_acceleration": (speed * yaw_rate).mean(axis=1),
+            "road_wheel_angle": angle.mean(axis=1),
+            "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / STEP).mean(axis=1)),
+            "forward_acceleration": acceleration.mean(axis=1)}
 
 
 def _channel_regions(channel: str, bins: Sequence[BinExcess], stretches: Sequence[Stretch], cells: Sequence[Cell],
@@ -352,12 +348,11 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng:
                resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each column of
     `members`. The bootstrap resamples whole blocks; the number is 0 where it gives no standard deviation."""
-    finite = np.isfinite(squares)
-    _, index = np.unique(block[finite], return_inverse=True)
-    weights = members[finite].astype(float)
+    _, index = np.unique(block, return_inverse=True)
+    weights = members.astype(float)
     count = int(index.max()) + 1 if len(index) else 0
     sums, counts = np.zeros((count, members.shape[1])), np.zeros((count, members.shape[1]))
-    np.add.at(sums, index, weights * squares[finite][:, None])
+    np.add.at(sums, index, weights * squares[:, None])
     np.add.at(counts, index, weights)
     blocks, deviation = (counts > 0).sum(axis=0), np.full(members.shape[1], np.nan)
     if not count:
@@ -404,21 +399,18 @@ def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: 
         time, index = np.unique(np.floor(samples.time[rows]), return_inverse=True)  # means over whole seconds
         values = np.bincount(index, residual[rows]) / np.bincount(index)
         changes = sorted(_find_change_points(values, 0, len(values), max(1, round(block)), rng, MAX_CHANGE_POINTS))
-        if not changes:
-            continue
-        p = max(p_value for _, p_value in changes)
-        for first, last in itertools.pairwise([0, *(k for k, _ in changes), len(values)]):
+        for first, last in itertools.pairwise([0, *changes, len(values)]) if changes else ():
             outside = np.concatenate((values[:first], values[last:]))
             ratio = math.exp(0.5 * float(values[first:last].mean() - outside.mean()))
             if ratio >= MIN_ERROR_RATIO:
-                stretches.append(Stretch(channel, int(run), float(time[first]), float(time[last - 1] + 1.0), ratio, p))
+                stretches.append(Stretch(channel, int(run), float(time[first]), float(time[last - 1] + 1.0), ratio))
     return stretches
 
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
-                        max_changes: int) -> list[tuple[int, float]]:
-    """(index, p-value) of at most `max_changes` significant change points in values[first:last]. block: number of
-    values that are shuffled together."""
+                        max_changes: int) -> list[int]:
+    """Indices of at most `max_changes` significant change points in values[first:last]. block: number of values that
+    are shuffled together."""
     segment = values[first:last]
     shortest = round(MIN_STRETCH_DURATION)
     if max_changes < 1 or len(segment) < 2 * shortest:
@@ -435,7 +427,7 @@ def _find_change_points(values: np.ndarray, first: int, last: int, block: int, r
     if p > MAX_P_VALUE:
         return []
     middle = first + change
-    return [(middle, p), *_find_change_points(values, first, middle, block, rng, max_changes - 1),
+    return [middle, *_find_change_points(values, first, middle, block, rng, max_changes - 1),
             *_find_change_points(values, middle, last, block, rng, max_changes - 1)][:max_changes]
 
 
@@ -449,7 +441,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 def find_cells(samples: Samples, channel: str, residual: np.ndarray) -> list[Cell]:
     """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions.
     residual: `log_residuals` of the channel."""
-    finite = np.isfinite(residual) & np.isfinite(samples.x) & np.isfinite(samples.y)
+    finite = np.isfinite(residual)
     grid = np.stack([np.floor(samples.x[finite] / CELL_SIZE), np.floor(samples.y[finite] / CELL_SIZE)], axis=1)
     unique, index = np.unique(grid, axis=0, return_inverse=True)
     cells = []
