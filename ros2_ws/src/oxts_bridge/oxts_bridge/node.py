@@ -39,7 +39,7 @@ PARAMETERS = (
     Parameter("odom_frame", "odom", "REP-105 frame between map and base; identical to map here"),
     Parameter("base_frame", "base_link", "frame of the vehicle: forward, left, up"),
     Parameter("ins_frame", "ins_link", "frame of the INS point, parallel to base_frame"),
-    Parameter("base_to_ins", [0.0, 0.0, 0.0], "INS point seen from base_frame: forward, left, up, in m"),
+    Parameter("base_to_ins", [0.0, 0.0, 0.0], "position of the INS point in base_frame: forward, left, up, in m"),
     Parameter("origin_source", FIRST_FIX, "origin of the map frame", choices=(FIRST_FIX, GIVEN, UNIT)),
     Parameter("origin_latitude", math.nan, "for origin_source given", "deg", -90.0, 90.0),
     Parameter("origin_longitude", math.nan, "for origin_source given", "deg", -180.0, 180.0),
