@@ -1,12 +1,13 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` describes in one line how an effect violates the requirement, or returns "".
+Each function in `REQUIREMENTS` describes in one line how an effect violates the requirement, or returns "": for a base
+model and that model with the effect at its initial values.
 The checks cover all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -33,98 +34,89 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
     """By requirement, the description of its violation, "" if it is fulfilled; an exception counts as a violation."""
-    problems = {}
+    docstring = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
+    problems = {"the equation is written in the file":
+                "" if docstring.strip() else "no docstring; write one with the equation, units and signs"}
     for text, find_violation in REQUIREMENTS.items():
         try:
             with np.errstate(all="ignore"):
-                problems[text] = find_violation(effect, vehicle)
+                violations = (find_violation(effect, vehicle, base, augment(base, [effect.name]))
+                              for base in MODELS.values() if base.name in effect.applies_to)
+                problems[text] = next(filter(None, violations), "")
         except Exception as error:
             kind = "" if isinstance(error, StCoreError) else f"{type(error).__name__}: "
             problems[text] = kind + " ".join(str(error).split())
     return problems
 
 
-def _check_docstring(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    text = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
-    return "" if text.strip() else "no docstring; write one with the equation, units and signs"
-
-
-def _check_null(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, active in _augment_bases(effect):
-        model = set_effects_to_null(active)
-        change = float(np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max())
-        if np.isnan(change) or change > 0.0:
-            return f"at null the path of {base.name} changes by {change:.3g}; it must not change, to the last bit"
-        readings = model.observe(READING), model.correct(READING)
-        if readings != (READING, READING) or model.effective_vehicle(vehicle) != vehicle:
-            return "at null it changes a reading or the vehicle parameters"
+def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
+    null = set_effects_to_null(model)
+    change = float(np.abs(_predict_floats(null, vehicle) - _predict_floats(base, vehicle)).max())
+    if np.isnan(change) or change > 0.0:
+        return f"at null the path of {base.name} changes by {change:.3g}; it must not change, to the last bit"
+    readings = null.observe(READING), null.correct(READING)
+    if readings != (READING, READING) or null.effective_vehicle(vehicle) != vehicle:
+        return "at null it changes a reading or the vehicle parameters"
     return ""
 
 
-def _check_change(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _augment_bases(effect):
-        time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
-        steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
-        changed = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
-                   np.abs(steered[0] - time).max(),
-                   np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
-        if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
-            return f"at its initial values it changes nothing in the {base.name} model"
+def _check_change(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
+    time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
+    steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
+    changed = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
+               np.abs(steered[0] - time).max(),
+               np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
+    if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
+        return f"at its initial values it changes nothing in the {base.name} model"
     return ""
 
 
-def _check_finite(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, start in _augment_bases(effect):
-        for p in (p for p in effect.parameters if p.fit):
-            for value in p.bounds:
-                model = start.with_values({effect.name: {p.name: value}})
-                for speed in STANDSTILL_SPEEDS:
-                    if not np.isfinite(_predict_floats(model, vehicle, speed, acceleration=0.0)).all():
-                        return f"{p.name} = {value:g}, {base.name}: not finite when started at {speed:g} m/s"
-                parameters = model.parameters(vehicle)
-                w = model.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(model).values()))
-                rates = model.rhs(model.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
-                if not np.isfinite([*rates, *model.observe(READING)]).all():
-                    return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
+def _check_finite(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
+    for p in (p for p in effect.parameters if p.fit):
+        for value in p.bounds:
+            changed = model.with_values({effect.name: {p.name: value}})
+            for speed in STANDSTILL_SPEEDS:
+                if not np.isfinite(_predict_floats(changed, vehicle, speed, acceleration=0.0)).all():
+                    return f"{p.name} = {value:g}, {base.name}: not finite when started at {speed:g} m/s"
+            parameters = changed.parameters(vehicle)
+            w = changed.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(changed).values()))
+            rates = changed.rhs(changed.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
+            if not np.isfinite([*rates, *changed.observe(READING)]).all():
+                return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
     return ""
 
 
-def _check_backends(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _augment_bases(effect):
-        floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
-        backends = ("numpy", "lanes") if has_numba() else ("numpy",)
-        others = {name: _predict_backend(model, vehicle, name) for name in backends}
-        if importlib.util.find_spec("casadi"):
-            others["CasADi"] = _predict_casadi(model, vehicle)
-        for name, path in others.items():
-            reference = floats if path.shape == floats.shape else floats[:, -1]
-            difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
-            if not (difference < ROUNDING).all():
-                return f"{name} and floats differ by {float(np.nanmax(difference)):.2g} in the {base.name} model"
+def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
+    floats = np.stack([_predict_floats(model, vehicle, speed) for speed in SPEEDS])
+    backends = ("numpy", "lanes") if has_numba() else ("numpy",)
+    others = {name: _predict_backend(model, vehicle, name) for name in backends}
+    if importlib.util.find_spec("casadi"):
+        others["CasADi"] = _predict_casadi(model, vehicle)
+    for name, path in others.items():
+        reference = floats if path.shape == floats.shape else floats[:, -1]
+        difference = np.abs(path - reference) / np.maximum(1.0, np.abs(reference))
+        if not (difference < ROUNDING).all():
+            return f"{name} and floats differ by {float(np.nanmax(difference)):.2g} in the {base.name} model"
     return ""
 
 
-def _check_mirror(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     if effect.kind == "surroundings":
         return ""  # surroundings depend on the map and are not symmetric
     flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
-    for base, model in _augment_bases(effect):
-        mirrored = model.with_values({effect.name: flipped}) if flipped else model
-        paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
-        readings = np.subtract(mirrored.observe(_mirror(READING)), _mirror(model.observe(READING)))
-        difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
-        if not difference < ROUNDING:
-            return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
-                    "if intended, set odd=True for the parameter that changes its sign")
+    mirrored = model.with_values({effect.name: flipped}) if flipped else model
+    paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
+    readings = np.subtract(mirrored.observe(_mirror(READING)), _mirror(model.observe(READING)))
+    difference = float(max(np.abs(paths).max(), np.abs(readings).max()))
+    if not difference < ROUNDING:
+        return (f"a left turn is not the mirror image of a right one in the {base.name} model ({difference:.2g}); "
+                "if intended, set odd=True for the parameter that changes its sign")
     return ""
 
 
-def _check_stability(effect: type[Effect], vehicle: VehicleParameters) -> str:
-    for base, model in _augment_bases(effect):
-        problem = describe_instability(base, model, vehicle, SPEEDS)
-        if problem:
-            return f"at its initial values, {base.name}: {problem}"
-    return ""
+def _check_stability(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
+    problem = describe_instability(base, model, vehicle, SPEEDS)
+    return f"at its initial values, {base.name}: {problem}" if problem else ""
 
 
 def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
@@ -142,10 +134,9 @@ def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, 
     return ""
 
 
-def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
+def _check_correction(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     if effect.observe is None:
         return ""
-    _, model = next(_augment_bases(effect))
     observed = np.array(model.observe(READING), float)
     back = np.array(model.correct(Measured(*observed)), float)
     error, change = np.abs(back - READING).max(), np.abs(observed - READING).max()
@@ -155,7 +146,6 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters) -> str:
 
 
 REQUIREMENTS = {
-    "the equation is written in the file": _check_docstring,
     "at null it changes nothing, to the last bit": _check_null,
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,
@@ -164,14 +154,7 @@ REQUIREMENTS = {
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }
-"""For each requirement, the function of effect and car that describes a violation."""
-
-
-def _augment_bases(effect: type[Effect]) -> Iterator[tuple[Model, AugmentedModel]]:
-    """(base, base with the effect at its initial values) for every base model to which the effect applies."""
-    for name, base in MODELS.items():
-        if name in effect.applies_to:
-            yield base, augment(base, [effect.name])
+"""For each requirement, the function of effect, car, base and model that describes a violation."""
 
 
 def _make_driver_inputs(side: float, acceleration: float) -> tuple[np.ndarray, np.ndarray]:

@@ -35,9 +35,6 @@ class RefusedRunError(RunError):
         sign = check_report.advise_steering_sign(findings, str(where))
         super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
 
-    def __reduce__(self):  # by default, exceptions are pickled with the arguments of their base class
-        return RefusedRunError, (self.path, self.findings)
-
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
               models: Sequence[str | Model] = (), step: float = STEP) -> DriveCheck:

@@ -31,7 +31,7 @@ from st_recordings.runs.raw import summarise_alignment
 
 from ..bands.bands_report import collect_intervals, sum_shares
 from ..bands.scoring import AdaptiveScorer, Scorer
-from ..checking.gate import RUN_ERRORS, RefusedRunError, check_for_use, describe_problem
+from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 from . import tables
 from .background import in_background
 from .drawing import FigureOutput, PageFigure
@@ -105,7 +105,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
-    with in_background(lambda: (_check_run(source, run, task, models), segment_drive(run.log, run.labels))) as checked:
+    with in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
+                                segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
         check_bands(task, models)
         bands = task.bands[1] if task.bands else None
@@ -123,8 +124,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                                       on_block=score, future_inputs=future_inputs)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
-            if isinstance(findings, RefusedRunError):
-                raise findings
+            refuse_errors(source.where, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
@@ -164,15 +164,6 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
     skipped = {**evaluation.skipped, **evaluation.incomplete}
     reasons = ", ".join(f"{reason} ({count} start{'s' * (count > 1)})" for reason, count in skipped.items())
     raise RunError(source.where, f"nothing to score: {reasons}", "`st check` reports gaps and invalid samples")
-
-
-def _check_run(source: RunSource, run: LoadedRun, task: Task,
-               models: Sequence[Model]) -> tuple[Finding, ...] | RefusedRunError:
-    """Findings of the checks, or the error for a refused run."""
-    try:
-        return check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
-    except RefusedRunError as error:
-        return error
 
 
 def load_models(task: Task) -> list[Model]:
