@@ -13,8 +13,6 @@ but is not a property of the car. An interval is a 95 % confidence interval, nul
 values and vehicle: a file that does not match its hash is refused as edited; a file without one is not checked.
 """
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +22,7 @@ from .augmented import AugmentedModel, augment
 from .effects import get_effect
 from .errors import ConfigurationError
 from .vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .yaml_text import check_keys, format_number, load, quote
+from .yaml_text import check_keys, format_number, hash_content, load, quote
 
 Interval = tuple[float, float] | None
 MAX_LISTED_DIFFERENCES = 3  # differences between two cars listed in a message
@@ -90,9 +88,9 @@ class ModelFile:
     @property
     def hash(self) -> str:
         """sha256 (hex) of base, values and vehicle; intervals, sources and provenance are not included."""
-        values = {effect: {name: float(estimate.value).hex() for name, estimate in sorted(estimates.items())}
-                  for effect, estimates in sorted(self.effects.items())}
-        return hashlib.sha256(json.dumps([self.base, values, self.vehicle_hash]).encode()).hexdigest()
+        values = {effect: {name: float(estimate.value).hex() for name, estimate in estimates.items()}
+                  for effect, estimates in self.effects.items()}
+        return hash_content([self.base, values, self.vehicle_hash])
 
     def to_yaml(self) -> str:
         """The text of a model file, from which `from_yaml` reads an equal ModelFile."""

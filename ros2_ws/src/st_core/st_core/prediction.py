@@ -1,7 +1,5 @@
 """Predicts trajectories, from a state and inputs or live from the newest measurements; the caller supplies the time."""
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,6 +17,7 @@ from .readings import ModelView
 from .timeseries import NANOSECOND, TimeSeries
 from .types import STATE_NAMES, ControlInput, InputSequence, InsSample, Trajectory, VehicleState, ins_to_cg
 from .vehicle import VehicleParameters
+from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
@@ -64,8 +63,7 @@ def configuration_hash(vehicle: VehicleParameters, settings: PredictionSettings,
     model_hash: hash of the model file, for a model from a file.
     """
     values = {key: float(value).hex() for key, value in asdict(settings).items()}
-    content = [vehicle.hash, values, *([model_hash] if model_hash else [])]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return hash_content([vehicle.hash, values, *([model_hash] if model_hash else [])])
 
 
 def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState, inputs: ControlInput | InputSequence,

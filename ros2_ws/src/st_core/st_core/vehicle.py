@@ -1,7 +1,5 @@
 """Vehicle parameters; reads, checks and writes vehicle files, in which each value has a unit and a source."""
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +9,7 @@ from typing import Annotated, Any, get_origin, get_type_hints
 from .errors import ConfigurationError
 from .types import Number
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
-from .yaml_text import check_keys, format_number, load, quote
+from .yaml_text import check_keys, format_number, hash_content, load, quote
 
 
 @dataclass(frozen=True)
@@ -293,8 +291,7 @@ class VehicleParameters:
         values = {key: getattr(self, key) for key in VEHICLE_QUANTITIES
                   if getattr(self, key) != getattr(VehicleParameters, key, None)}
         values |= {f"{tyre}.{key}": getattr(getattr(self, tyre), key) for tyre in TYRES for key in TYRE_QUANTITIES}
-        text = json.dumps({key: float(value).hex() for key, value in sorted(values.items())})
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hash_content({key: float(value).hex() for key, value in values.items()})
 
 
 VEHICLE_QUANTITIES: dict[str, Quantity] = {

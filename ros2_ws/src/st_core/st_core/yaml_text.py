@@ -5,6 +5,7 @@ billions of values), tags, duplicate keys (PyYAML silently uses the last one), s
 """
 
 import difflib
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -111,6 +112,11 @@ def format_number(value: float) -> str:
     """A number with all its digits, in a form that PyYAML reads as a number (1.0e-06, not 1e-06)."""
     text = repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
+
+
+def hash_content(content: Any) -> str:
+    """sha256 (hex) of mappings, lists and plain values; the order of the keys has no influence."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def quote(text: str) -> str:

@@ -14,7 +14,6 @@ Floors are in m, m, rad; coefficients give the natural logarithm of a scale in m
 dimensionless. A file with edited content is rejected by its hash.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -26,7 +25,7 @@ from ..errors import ConfigurationError
 from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
-from ..yaml_text import check_keys, format_number, load, quote
+from ..yaml_text import check_keys, format_number, hash_content, load, quote
 from .calibration import Band
 from .conditions import CalibrationDomain
 from .samples import ModelMode
@@ -116,7 +115,7 @@ class Bands:
             lines += [f"  {model}:", f"    configuration_hash: {_to_flow(entry['configuration_hash'])}"]
             for mode in (m for m in MODES if m in entry):
                 lines += [f"    {mode}:", *(f"      {k}: {_to_flow(v)}" for k, v in entry[mode].items())]
-        return "\n".join([*lines, f"hash: {_to_flow(_digest(document))}"]) + "\n"
+        return "\n".join([*lines, f"hash: {_to_flow(hash_content(document))}"]) + "\n"
 
     @classmethod
     def from_yaml(cls, text: str, origin: str = "bands") -> "Bands":
@@ -137,7 +136,7 @@ class Bands:
         if document["schema"] != SCHEMA:
             raise ConfigurationError(f"schema: {document['schema']} is not {SCHEMA}; calibrate again with this version")
         content = {key: document[key] for key in keys[2:-1]}
-        if _digest(content) != document["hash"]:
+        if hash_content(content) != document["hash"]:
             raise ConfigurationError("hash: the content was edited; run st calibrate again")
         settings = document["settings"]
         time = make_times(settings["horizon"], settings["step"])
@@ -179,7 +178,3 @@ def _to_flow(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(_to_flow, value)) + "]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
