@@ -13,11 +13,10 @@ from _cars import leaf
 from _drive import MODELS, POINTS, measure_alternately, pin_to_core, start_times, weaving_drive
 from _peers import STEP, STEPS, casadi_calls, commonroad_calls, compile_limit, compile_numba_scalar
 from st_core.backends import numba_lanes, numpy_batch
-from st_core.batch import LogBatch
+from st_core.batch import LogBatch, plan_blocks
 from st_core.log import LogSignals
 from st_core.models import MODELS as KNOWN
 from st_core.prediction import predict
-from st_core.start_grid import plan_blocks
 from st_core.types import InputSequence, VehicleState
 
 LAST = np.array([STEPS])

@@ -2,24 +2,29 @@
 
 A course is a set of passes: paths of recordings, split at pauses and sampled every SPACING metres. Laps, opposite
 directions and branches are not merged: a mean of slow and fast laps would fit neither. `Course.find_near` finds the
-passes near a position in a direction, and `course_tracker` weights them. Checked by: test_course.py.
+passes near a position in a direction, and `CourseTracker` weights them. Checked by: test_course.py.
 """
 
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
 from .errors import ConfigurationError, StCoreError
-from .log import DriveLog
-from .types import wrap_angle
+from .log import DriveLog, LogSignals
+from .planned_inputs import SLIP_FREE, path_inputs
+from .timeseries import NANOSECOND
+from .types import InputSequence, wrap_angle
+from .vehicle import VehicleParameters
 from .yaml_text import check_keys, load
 
 SPACING = 1.0  # m between points along the path: 8 points in a right-angle turn of the smallest radius, 5 m
@@ -193,3 +198,232 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
         raise StCoreError(f"{log.name}: no {MIN_LENGTH:g} m of continuous driving faster than {PAUSE_SPEED:g} m/s; "
                           "leave this recording out of the course")
     return passes
+
+
+RETURN_LENGTHS = (40.0, 100.0)  # l_1 and l_2 [m]: at 15 m/s a third of an offset remains after 10 s
+DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature": 0.01}
+"""Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
+MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
+RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
+BLEND_TIME = 0.3  # s, time constant from the measured to the predicted steering and acceleration: the lag of a driver
+DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
+FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
+INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
+"""Initial E [m^2], in the order of the forecasts of `CourseTracker`, from errors of real laps held out in turn."""
+SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
+MAX_JUMP = 2.0  # m, plus 0.1 of the distance driven: largest difference between it and the displacement, else a restart
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car; horizons of it that are used
+
+
+class EgoMotion(NamedTuple):
+    """Measured motion of the INS point at a start."""
+
+    time_ns: int  # ns
+    x: float  # m, map frame
+    y: float  # m, map frame
+    yaw: float  # rad, map frame
+    velocity_x: float  # m/s, body axes
+    velocity_y: float  # m/s, body axes
+    yaw_rate: float  # rad/s
+    velocity_x_dot: float  # m/s^2
+    road_wheel_angle: float  # rad
+
+    @property
+    def direction(self) -> float:
+        """Course angle of the INS point from east, counter-clockwise + [rad]."""
+        return self.yaw + math.atan2(self.velocity_y, self.velocity_x)
+
+    @property
+    def curvature(self) -> float:
+        """Curvature of the path [1/m], left +."""
+        return self.yaw_rate / max(self.velocity_x, PAUSE_SPEED)
+
+
+@dataclass(frozen=True, eq=False)
+class CourseForecast:
+    """Inputs predicted from a course."""
+
+    inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
+    curvature_share: float = 0.0  # weight of the course in the curvature, 0 to 1
+    speed_share: float = 0.0  # weight of the course in the speed, 0 to 1
+    reason: str = ""  # why the course is not used, or ""
+
+
+class _Candidate(NamedTuple):
+    """Prediction from one pass."""
+
+    squared_difference: float  # d^2
+    speed: np.ndarray  # m/s, every SPACING m ahead
+    curvature: np.ndarray  # 1/m, every SPACING m ahead
+
+
+class _PendingForecast(NamedTuple):
+    """Forecast to be scored when its horizon has ended."""
+
+    end_ns: int
+    distance: float  # driven before the start [m]
+    start: EgoMotion
+    distances: np.ndarray  # driven over the horizon, by each speed forecast [m]
+    path: np.ndarray  # predicted by the course, (points, 2) [m], SPACING apart
+
+
+class CourseTracker:
+    """Predicts inputs over the horizon from a recorded course, mixed with held inputs according to recent errors.
+
+    At every start the passes near the car are candidates. A candidate predicts, as functions of the distance s ahead,
+
+        v(s) = v_pass(s) v_now / v_pass(0),     k(s) = k_pass(s) + e''(s),    e(s) = A exp(-s / l_1) + B exp(-s / l_2)
+
+    e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the current offset and direction.
+    The weight of a candidate is exp(-d^2 / 2), with d^2 the sum of squared differences in position, direction, recent
+    speed and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed
+    with other forecasts:
+
+        curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
+        weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
+
+    A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance
+    driven. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
+    docs/manual/forecast.md.
+
+    `update` is called at every start, in order of time. horizon, step [s].
+
+    It restarts when time runs backward or pauses for longer than a horizon, and when the position jumps.
+    """
+
+    def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
+        self.course, self._vehicle = course, vehicle
+        self._time = 0.5 * step * np.arange(round(2.0 * horizon / step) + 1)
+        self._horizon_ns = round(horizon / NANOSECOND)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget past driving, pending forecasts and errors."""
+        self._distance = 0.0
+        self._past: deque[tuple[float, EgoMotion]] = deque()
+        self._pending: deque[_PendingForecast] = deque()
+        self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
+
+    def update(self, ego: EgoMotion) -> CourseForecast:
+        """The forecast from this start; without inputs if no pass fits, or if the car is slow or its motion unknown."""
+        if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
+            return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
+        elapsed = self._advance(ego)
+        self._score(ego, elapsed)
+        near = self.course.find_near(ego.x, ego.y, ego.direction)
+        candidates = [prediction for point in near if (prediction := self._predict_from_pass(point, ego))]
+        if not candidates:
+            return CourseForecast(None, reason="course: the earlier drives end within the horizon" if near else
+                                  "course: no earlier drive near the car in its direction")
+        squares = np.array([candidate.squared_difference for candidate in candidates])
+        if squares.min() > MAX_DIFFERENCE**2:
+            return CourseForecast(None, reason="course: no earlier drive has a similar path and speed")
+        weights = np.exp(-0.5 * squares)
+        return self._mix(candidates, weights / weights.sum(), ego)
+
+    def _advance(self, ego: EgoMotion) -> float:
+        """Add a start; returns the time since the previous one [s], 0 after a restart."""
+        elapsed = 0.0
+        if self._past:
+            last = self._past[-1][1]
+            elapsed = (ego.time_ns - last.time_ns) * NANOSECOND
+            driven = 0.5 * (ego.velocity_x + last.velocity_x) * elapsed
+            jumped = abs(math.hypot(ego.x - last.x, ego.y - last.y) - driven) > MAX_JUMP + 0.1 * driven
+            if not 0.0 < elapsed < self._horizon_ns * NANOSECOND or jumped:
+                self.restart()
+                elapsed = 0.0
+            else:
+                self._distance += driven
+        self._past.append((self._distance, ego))
+        while (ego.time_ns - self._past[0][1].time_ns) * NANOSECOND > RECENT_TIME:
+            self._past.popleft()
+        return elapsed
+
+    def _score(self, ego: EgoMotion, elapsed: float) -> None:
+        """Update the mean square errors with the errors of the forecasts that have ended."""
+        new_weight = min(elapsed / FORGETTING_TIME, 1.0)
+        while self._pending and self._pending[0].end_ns <= ego.time_ns:
+            _, distance, start, distances, path = self._pending.popleft()
+            driven = self._distance - distance
+            row = min(max(driven / SPACING, 0.0), len(path) - 1.001)
+            before, after = path[int(row)], path[int(row) + 1]
+            # With the held curvature, the car would have driven on an arc.
+            turn = start.curvature * driven
+            chord, length = start.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
+            held = start.x + length * math.cos(chord), start.y + length * math.sin(chord)
+            positions = np.array([held, before + (row - int(row)) * (after - before)])
+            squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - driven)
+            self._curvature_errors, self._speed_errors = (
+                (1.0 - new_weight) * errors + new_weight * np.clip(new, *SQUARED_ERROR_LIMITS)
+                for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
+
+    def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> _Candidate | None:
+        """The prediction from a pass; None if the pass ends too soon after the car."""
+        points = self.course.passes[point.pass_index].points
+        x, y, direction, curvature, speed = points[point.row:].T
+        speed = speed * (ego.velocity_x / speed[0])
+        arrival = np.cumsum(SPACING / speed)
+        if arrival[-1] < MIN_COVERAGE * self._time[-1]:
+            return None
+        count = int(np.searchsorted(arrival, MAX_COVERAGE * self._time[-1])) + 2
+        curvature, speed = curvature[:count], speed[:count]
+        distance_behind = np.array([self._distance - distance for distance, _ in self._past])
+        rows = np.round(point.row - distance_behind / SPACING).astype(int)
+        recorded = points[np.maximum(rows, 0)][rows >= 0]
+        driven = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
+        direction_error = float(wrap_angle(ego.direction - direction[0]))
+        differences = {"position": point.distance, "direction": direction_error,
+                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / recorded[:, 4])).mean())),
+                       "curvature": float(np.sqrt(np.square(driven[:, 1] - recorded[:, 3]).mean()))}
+        square = sum((differences[name] / scale) ** 2 for name, scale in DIFFERENCE_SCALES.items())
+        # e(0) [m] and e'(0) [rad] determine A and B of e(s).
+        lateral_offset = math.cos(direction[0]) * (ego.y - y[0]) - math.sin(direction[0]) * (ego.x - x[0])
+        (l_1, l_2), s = RETURN_LENGTHS, SPACING * np.arange(len(curvature))
+        b = (direction_error + lateral_offset / l_1) / (1.0 / l_1 - 1.0 / l_2)
+        curvature = curvature + (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
+        return _Candidate(square, speed, curvature)
+
+    def _mix(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
+        """The forecast from weighted candidates, mixed with the other forecasts by their errors."""
+        length = min(len(candidate.speed) for candidate in candidates)
+        course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
+                                   for name in ("speed", "curvature"))
+        arrival = np.concatenate([[0.0], np.cumsum(2.0 * SPACING / (course_speed[1:] + course_speed[:-1]))])
+        t, acceleration = self._time, ego.velocity_x_dot
+        speed_forecasts = np.stack([ego.velocity_x + acceleration * t, np.full_like(t, ego.velocity_x),
+                                    ego.velocity_x + acceleration * DECAY_TIME * (1.0 - np.exp(-t / DECAY_TIME)),
+                                    np.interp(t, arrival, course_speed)]).clip(0.0)
+        distances = 0.5 * (speed_forecasts[:, 1:] + speed_forecasts[:, :-1]) @ np.diff(t)
+        heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
+        positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
+                                                                      dx=SPACING, axis=0, initial=0.0)
+        curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
+                                          for errors in (self._curvature_errors, self._speed_errors))
+        end_ns = ego.time_ns + self._horizon_ns
+        self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
+        speed = speed_shares @ speed_forecasts
+        distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
+        mixed_curvature = (curvature_shares[0] * ego.curvature
+                           + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
+        share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
+        path = path_inputs(speed, mixed_curvature, t, self._vehicle)
+        inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
+                               acceleration + share * (path.velocity_x_dot - acceleration),
+                               {name: angle + share * (values - angle) for name, values in path.signals.items()})
+        return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]))
+
+
+def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
+                  step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+    """A course as inputs of `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
+
+    def predict_inputs(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
+        tracker = CourseTracker(course, vehicle, horizon, step)
+        columns = [*signals.ins_at(starts_ns, *EgoMotion._fields[1:-1]), signals.road_wheel_angle_at(starts_ns)]
+        inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
+        for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
+            if (future := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
+                inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE]
+        return tuple(inputs)
+
+    return predict_inputs

@@ -60,8 +60,9 @@ class Evaluator:
     """Scores every prediction once its horizon has passed in the measurements.
 
     span [s]: length of the stored measurements; at least two horizons. models: from model files, in addition to MODELS.
-    runners: compiled replacements of `predict`, by name of the model, for predictions with these settings (see
-    compiled.py). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as incomplete.
+    runners: compiled replacements of `predict`, by name of the model, for predictions with these settings
+    (`prediction.CompiledModel`). At most MAXIMUM_PENDING predictions wait; beyond that the oldest are scored as
+    incomplete.
     """
 
     SIGNAL_TIMEOUT = 1.0  # s after the end of a horizon, by which a late signal must have arrived

@@ -200,7 +200,7 @@ def test_lanes_compile_to_vector_instructions(leaf, name):
 @needs_numba
 def test_numba_operations_equal_python_to_rounding():
     import numba
-    from st_core.backends.numba_ops import FLAGS
+    from st_core.backends.numba_lanes import FLAGS
 
     @numba.njit(fastmath=set(FLAGS), error_model="numpy")
     def all_of(x, limit, out):

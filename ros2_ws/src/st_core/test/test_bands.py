@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, compute_highest_level
-from st_core.bands.calibration import compute_conformal_factors, count_runs_needed
+from st_core.bands.calibration import (
+    compute_conformal_factors,
+    compute_error_samples,
+    count_runs_needed,
+    to_predicted_frame,
+)
 from st_core.bands.file import hash_configuration, make_times
-from st_core.bands.samples import compute_error_samples, to_predicted_frame
 from st_core.bands.scale import compute_floor, fit_scale
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from st_core.bands import AdaptiveBand, AdaptiveBands, Band
-from st_core.bands.adaptive import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WARM_UP
+from st_core.bands.live import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WARM_UP
 from st_core.bands.scale import Scale, compute_features, make_knots
 from st_core.evaluation import make_score
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from batched import predict_log
-from st_core import integrate, start_grid
+from st_core import batch as batch_module
+from st_core import integrate
 from st_core.augmented import augment
 from st_core.backends import get_backend, has_numba
-from st_core.batch import LogBatch
+from st_core.batch import LogBatch, plan_blocks
 from st_core.errors import ConfigurationError
 from st_core.evaluation import Evaluator
 from st_core.integrate import StepTooLongWarning
@@ -17,7 +18,6 @@ from st_core.log import DriveLog, LogSignals
 from st_core.models import MODELS
 from st_core.prediction import PredictionSettings, predict
 from st_core.readings import correct_log
-from st_core.start_grid import plan_blocks
 from st_core.types import ControlInput, InputSequence, InsSample, Trajectory, VehicleState
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
@@ -131,8 +131,8 @@ def test_model_with_extra_states_equals_individual_predictions(leaf, log, backen
 def test_block_size_does_not_change_the_result(leaf, log, backend, monkeypatch):
     starts = [regular_starts(500, 150), regular_starts(500, 150) + np.arange(150)]
     whole = [predict_log("linear", leaf, log, s, 1.0, backend=backend) for s in starts]
-    monkeypatch.setattr(start_grid, "SHARED_BLOCK", 20)
-    monkeypatch.setattr(start_grid, "SEPARATE_BLOCK", 500)
+    monkeypatch.setattr(batch_module, "SHARED_BLOCK", 20)
+    monkeypatch.setattr(batch_module, "SEPARATE_BLOCK", 500)
     for s, expected in zip(starts, whole, strict=True):
         states = predict_log("linear", leaf, log, s, 1.0, backend=backend)
         np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
@@ -226,7 +226,7 @@ def test_starts_on_a_common_grid_share_its_instants():
     assert block.shared and block.count == 1000 and len(block.start_columns) == 960
     blocks = list(plan_blocks(regular_starts(0, 1000) + np.arange(1000), instants, 1))
     assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
-    assert max(b.times_ns.size for b in blocks) <= start_grid.SEPARATE_BLOCK
+    assert max(b.times_ns.size for b in blocks) <= batch_module.SEPARATE_BLOCK
     hours_apart = np.concatenate([regular_starts(0, 1000), regular_starts(10**7 + 3, 1000)])
     block, = plan_blocks(hours_apart, instants, 48)
     assert block.shared and block.count == 1000 + 50 + 1000
@@ -248,9 +248,9 @@ def test_numba_lanes_are_the_default_backend():
 
 def test_sparse_starts_with_long_horizons_are_covered_once():
     """The common grid between two of these starts is longer than a block."""
-    instants_ns = 25 * MS * np.arange(2 * start_grid.SHARED_BLOCK + 2)
-    starts_ns = T0 + 25 * MS * np.array([0, 1, 2 * start_grid.SHARED_BLOCK + 1])
-    for lanes in (1, 4 * start_grid.SHARED_BLOCK):  # the latter permits the shared grid
+    instants_ns = 25 * MS * np.arange(2 * batch_module.SHARED_BLOCK + 2)
+    starts_ns = T0 + 25 * MS * np.array([0, 1, 2 * batch_module.SHARED_BLOCK + 1])
+    for lanes in (1, 4 * batch_module.SHARED_BLOCK):  # the latter permits the shared grid
         blocks = list(plan_blocks(starts_ns, instants_ns, lanes))
         assert [block.rows.start for block in blocks] == [0, *(block.rows.stop for block in blocks[:-1])]
         assert np.array_equal(np.concatenate([block.starts_ns[block.start_columns] for block in blocks]), starts_ns)

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core import backends, compiled
+from st_core import backends, prediction
 from st_core.augmented import augment
-from st_core.compiled import compile_model, compile_models
 from st_core.errors import ConfigurationError
 from st_core.models import MODELS
-from st_core.prediction import PredictionSettings, Predictor, Start, predict
+from st_core.prediction import PredictionSettings, Predictor, Start, compile_model, compile_models, predict
 from st_core.types import ControlInput, InputSequence, VehicleState
 
 SETTINGS = PredictionSettings()
@@ -60,20 +59,20 @@ def test_predictor_uses_compiled_models(leaf):
 @needs_numba
 def test_compiled_model_that_differs_from_floats_is_not_used(leaf, monkeypatch):
     """With an inexact compiled result the model runs on floats, and the message gives the reason."""
-    exact_call = compiled.CompiledModel.__call__
+    exact_call = prediction.CompiledModel.__call__
 
     def inexact(self, state, inputs):
         trajectory = exact_call(self, state, inputs)
         return replace(trajectory, states=trajectory.states + 1e-6 * (self._model.name == "linear"))
 
-    monkeypatch.setattr(compiled.CompiledModel, "__call__", inexact)
+    monkeypatch.setattr(prediction.CompiledModel, "__call__", inexact)
     runners, message = compile_models(list(MODELS.values()), leaf, SETTINGS)
     assert set(runners) == {"kinematic", "nonlinear"}
     assert message.startswith("compiled and checked: kinematic, nonlinear; not compiled: linear (the compiled ")
 
 
 def test_without_numba_all_models_run_on_floats(leaf, monkeypatch):
-    monkeypatch.setattr(compiled, "has_numba", lambda: False)
+    monkeypatch.setattr(prediction, "has_numba", lambda: False)
     assert compile_models(list(MODELS.values()), leaf, SETTINGS) == (
         {}, "not compiled: kinematic, linear, nonlinear (numba is not installed)")
     with pytest.raises(ConfigurationError, match="numba is not installed"):

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from st_core.course import Course, Pass, split_into_passes
-from st_core.course_tracker import CourseTracker, EgoMotion, course_inputs
+from st_core.course import Course, CourseTracker, EgoMotion, Pass, course_inputs, split_into_passes
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_log

@@ -9,7 +9,7 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 
 import rclpy
 from rclpy.time import Time
-from st_core.bands.adaptive import WARM_UP
+from st_core.bands.live import WARM_UP
 from st_core.types import InsSample
 from st_predictor.nodes.predictor import PredictorNode
 from support import LEAF

@@ -5,8 +5,18 @@ hindsight it covers the error of the model alone, in a forecast also the error o
 calibrated on errors of recorded drives (`compute_error_samples`, `calibrate`) and stored in a file (`Bands`).
 """
 
-from .adaptive import AdaptiveBand
-from .calibration import LEVELS, RELIABILITY_LEVELS, Band, calibrate, compute_highest_level
+from .calibration import (
+    LEVELS,
+    RELIABILITY_LEVELS,
+    Band,
+    ErrorSamples,
+    NotFiniteError,
+    calibrate,
+    compute_error_samples,
+    compute_highest_level,
+    join_runs,
+    to_predicted_frame,
+)
 from .conditions import (
     CONDITIONS,
     CalibrationDomain,
@@ -16,8 +26,7 @@ from .conditions import (
     steering_activity,
 )
 from .file import Bands
-from .live import AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
-from .samples import ErrorSamples, NotFiniteError, compute_error_samples, join_runs, to_predicted_frame
+from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
 
 __all__ = ["CONDITIONS", "LEVELS", "RELIABILITY_LEVELS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage",
            "Bands", "CalibratedBands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError",

@@ -26,9 +26,8 @@ from ..log_evaluation import MODES, EvaluationSettings
 from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, format_number, hash_content, load, quote
-from .calibration import Band
+from .calibration import Band, ModelMode
 from .conditions import CalibrationDomain
-from .samples import ModelMode
 from .scale import Scale, compute_features, make_knots
 
 SCHEMA = 2

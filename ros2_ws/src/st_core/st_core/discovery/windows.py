@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..batch import LogBatch, Recording
+from ..batch import GridBlock, LogBatch, Recording
 from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
@@ -25,7 +25,6 @@ from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_faultless_readings
 from ..sideslip import steady_velocity_y
-from ..start_grid import GridBlock
 from ..timeseries import NANOSECOND, Neighbours, moving_average
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings

@@ -13,17 +13,15 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from st_core.bands import CONDITIONS, ErrorSamples, NotFiniteError, calibrate
-from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_highest_level
+from st_core.bands.calibration import MIN_CALIBRATION_RUNS, compute_error_samples, compute_highest_level
 from st_core.bands.file import make_times
-from st_core.bands.samples import compute_error_samples
 from st_core.batch import LogBatch
-from st_core.compiled import compile_models
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.integrate import StepTooLongWarning
 from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, SPEED_EDGES, EvaluationSettings, regular_starts, usable_starts
 from st_core.models import Model
-from st_core.prediction import predict
+from st_core.prediction import compile_models, predict
 from st_core.types import ControlInput, VehicleState
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import RunError, RunSource, read

@@ -13,8 +13,7 @@ import numpy as np
 from oxts_bridge.geometry import compute_origin_offset
 from st_core.bands import Bands
 from st_core.checks import Finding
-from st_core.course import Course
-from st_core.course_tracker import course_inputs
+from st_core.course import Course, course_inputs
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 from st_core.bands import AdaptiveBands, BandCoverage, Bands, CalibratedBands, CoverageMonitor, conditions_now
+from st_core.bands.calibration import ModelMode
 from st_core.bands.live import HalfWidths
-from st_core.bands.samples import ModelMode
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
 from st_core.measurement_history import MeasurementHistory

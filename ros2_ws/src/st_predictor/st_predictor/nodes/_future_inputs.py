@@ -6,8 +6,7 @@ from oxts_bridge.geometry import compute_origin_offset
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import NavSatFix
-from st_core.course import Course
-from st_core.course_tracker import CourseForecast, CourseTracker, EgoMotion
+from st_core.course import Course, CourseForecast, CourseTracker, EgoMotion
 from st_core.errors import StCoreError
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Predictor, Start

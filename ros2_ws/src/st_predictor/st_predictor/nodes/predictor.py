@@ -10,12 +10,11 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from st_core.compiled import compile_models
 from st_core.course import Course
 from st_core.evaluation import Mode
 from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
-from st_core.prediction import Predictor, Skip, Start, configuration_hash
+from st_core.prediction import Predictor, Skip, Start, compile_models, configuration_hash
 from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, InsSample, Trajectory
 from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
