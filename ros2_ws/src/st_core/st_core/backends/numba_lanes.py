@@ -126,14 +126,14 @@ def _atan(x):
     return (base + t) + t * z * p
 
 
-for _function, _compiled in {
+for _function, _implementation in {
         ops.sin: _sin, ops.cos: _cos, ops.tan: lambda x: ops.sin(x) / ops.cos(x), ops.atan: _atan,
         ops.sqrt: lambda x: math.sqrt(x),  # noqa: PLW0108  # numba needs a Python function
         ops.sign: lambda x: 1.0 if x > 0.0 else -1.0 if x < 0.0 else x,
         ops.absolute: lambda x: _from_bits(_to_bits(x) & MAGNITUDE),
         ops.maximum: lambda x, limit: limit if x < limit else x,
         ops.minimum: lambda x, limit: limit if x > limit else x}.items():
-    inline(_function, _compiled)
+    inline(_function, _implementation)
 
 
 # A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does not vectorise the
