@@ -32,8 +32,14 @@ from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model, get_model
 from st_core.vehicle import VehicleParameters
-from st_offline.bands.bands_report import make_share_rows, sum_shares, summarise_shares
-from st_offline.bands.scoring import pool_sums, sum_band_scores, summarise_bands
+from st_offline.bands.bands_report import (
+    make_share_rows,
+    pool_sums,
+    sum_band_scores,
+    sum_shares,
+    summarise_bands,
+    summarise_shares,
+)
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs, read
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from st_core.checks.agreement import compare_series
 from st_core.checks.finding import SYSTEMATIC_UNCERTAINTY
+from st_core.checks.inertial import compare_series
 from st_core.checks.regression import Estimate, Regression, add_systematic_uncertainty
 
 RUNS, FEW_RUNS = 200, 50

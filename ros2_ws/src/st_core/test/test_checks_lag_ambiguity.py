@@ -7,7 +7,7 @@ import pytest
 from exact_drive import Noise, Sines, delay, exact_drive
 from exact_faults import findings_by_name
 from st_core.checks import Severity, check, compare_runs
-from st_core.checks.agreement import compare_series
+from st_core.checks.inertial import compare_series
 from st_core.sideslip import with_steady_sideslip
 
 SLALOM = {  # cornering drag varies the forward acceleration twice in each period of 2 s: 0.06 m/s^2

@@ -11,8 +11,13 @@ from st_core import __version__
 from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
 from st_core.bands import LEVELS, Band, Bands
-from st_core.bands.conditions import compute_magnitudes
-from st_core.bands.scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
+from st_core.bands.scale import (
+    MAX_LOG_SCALE,
+    compute_floor,
+    compute_magnitudes,
+    compute_scalar_features,
+    make_interpolation_matrix,
+)
 from st_core.errors import ConfigurationError
 from st_core.integrate import lowest_stable_speed
 from st_core.models import Model

@@ -2,8 +2,7 @@
 
 import numpy as np
 from st_core.bands.calibration import RELIABILITY_LEVELS, Band
-from st_offline.bands.bands_report import draw_bands, make_band_rows
-from st_offline.bands.scoring import sum_band_scores, summarise_bands
+from st_offline.bands.bands_report import draw_bands, make_band_rows, sum_band_scores, summarise_bands
 from st_offline.evaluation.drawing import FigureOutput
 
 TIME = np.array([0.5, 1.0])

@@ -13,6 +13,7 @@ from st_core.checks import Advice, Channel, Comparison, DriveCheck, Finding, Sev
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
+from st_offline.checking.check_command import append_corrections, check_file_name, run_yaml
 from st_offline.checking.check_page import page_summary, page_title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
@@ -25,7 +26,6 @@ from st_offline.checking.check_report import (
     print_runs,
 )
 from st_offline.checking.gate import RefusedRunError
-from st_offline.checking.run_corrections import append_corrections, check_file_name, run_yaml
 from st_recordings.paths import OutputError
 from st_recordings.runs import ReadSettings, RunSource
 from st_recordings.runs.columns import Layout

@@ -17,7 +17,9 @@ from .calibration import (
     join_runs,
     to_predicted_frame,
 )
-from .conditions import (
+from .file import Bands
+from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
+from .scale import (
     CONDITIONS,
     CalibrationDomain,
     activity_instants,
@@ -25,8 +27,6 @@ from .conditions import (
     conditions_at,
     steering_activity,
 )
-from .file import Bands
-from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
 
 __all__ = ["CONDITIONS", "LEVELS", "RELIABILITY_LEVELS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage",
            "Bands", "CalibratedBands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError",

@@ -27,8 +27,7 @@ from ..models import Model
 from ..readings import correct_log
 from ..timeseries import NANOSECOND, half_step_grid
 from ..vehicle import VehicleParameters
-from .conditions import CalibrationDomain, conditions_at
-from .scale import Scale, fit_scale, select_evenly
+from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
 MAX_STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
 ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
@@ -43,7 +42,7 @@ class ErrorSamples:
     """Error curves of the starts of one run, without the point at time 0, where errors are 0."""
 
     name: str
-    conditions: np.ndarray  # (n, 4) as `conditions.CONDITIONS`
+    conditions: np.ndarray  # (n, 4) as `scale.CONDITIONS`
     errors: dict[ModelMode, np.ndarray]  # (n, points, 3), float32, see `to_predicted_frame`
 
 

@@ -27,8 +27,7 @@ from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, format_number, hash_content, load, quote
 from .calibration import Band, ModelMode
-from .conditions import CalibrationDomain
-from .scale import Scale, compute_features, make_knots
+from .scale import CalibrationDomain, Scale, compute_features, make_knots
 
 SCHEMA = 2
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"

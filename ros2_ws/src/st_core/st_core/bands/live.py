@@ -27,9 +27,16 @@ from ..log_evaluation import MODES
 from ..measurement_history import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementHistory
 from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
-from .conditions import activity_instants, compute_magnitudes, steering_activity
 from .file import Bands
-from .scale import MAX_LOG_SCALE, compute_floor, compute_scalar_features, make_interpolation_matrix
+from .scale import (
+    MAX_LOG_SCALE,
+    activity_instants,
+    compute_floor,
+    compute_magnitudes,
+    compute_scalar_features,
+    make_interpolation_matrix,
+    steering_activity,
+)
 
 GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
@@ -158,7 +165,7 @@ HalfWidths = dict[tuple[str, float], np.ndarray]
 
 
 def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ...]:
-    """The four `conditions.CONDITIONS` at an instant [ns], like `conditions_at` for recorded drives; NaN if unknown."""
+    """The four `scale.CONDITIONS` at an instant [ns], like `conditions_at` for recorded drives; NaN if unknown."""
     row = history.ins.row_at(time_ns)
     activity = float(steering_activity(history.steering.sample(activity_instants(time_ns))[:, 0]))
     velocity, rate, acceleration = (math.nan if row is None else row[k] for k in (VELOCITY_X, YAW_RATE, DERIVATIVE))

@@ -9,13 +9,12 @@ from ..log import INS_SIGNALS, STEERING, DriveLog
 from ..sideslip import has_derived_yaw_rate
 from ..vehicle import VehicleParameters
 from . import inertial, position, sampling, vehicle_relations
-from .agreement import Agreement
 from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Comparison, DriveCheck, Finding, Severity
-from .inertial import CheckResult
+from .inertial import Agreement, CheckResult
 from .motion import MIN_MOVING_SPEED, Motion, is_driven
 from .plausibility import drop_implausible, find_broken_channels
+from .position import check_position_steps
 from .regression import Estimate, add_systematic_uncertainty
-from .steps import check_position_steps
 from .trial import try_corrections
 from .units_and_axes import check_nominal_rate, check_time_unit, correct_units, shifted_yaw_fits_better
 

@@ -19,9 +19,8 @@ import numpy as np
 from ..handling import MAX_UNDERSTEER, linear_system, rear_slip_coefficient, stability_factor
 from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .agreement import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, compare_series
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
-from .inertial import CheckResult, format_alternative_lags
+from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
 from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty

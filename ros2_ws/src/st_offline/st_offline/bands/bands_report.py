@@ -1,4 +1,5 @@
-"""Reports the scores of bands, and the shares of causes in the prediction error, as tables and figures."""
+"""Scores bands against the errors of runs (coverage, interval score, CRPS, half-width), and reports these scores and
+the shares of causes in the prediction error as tables and figures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,18 +8,226 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
+from st_core.bands import CONDITIONS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS
+from st_core.bands.file import make_times
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
 from st_core.log import LogSignals
-from st_core.log_evaluation import AXES, EvaluationSettings
+from st_core.log_evaluation import (
+    AXES,
+    LATERAL_ACCELERATION_EDGES,
+    SPEED_EDGES,
+    STEERING_RATE_EDGES,
+    Block,
+    EvaluationSettings,
+)
 from st_core.model_file import ModelFile
 from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR
+from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 
 from ..evaluation.drawing import WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from ..evaluation.run_figures import get_line_style
 from ..terminal import make_table, print_line
-from .scoring import Sums, pool_sums, summarise_adaptive, summarise_bands
+
+Sums = dict[str, Any]
+MIN_STARTS = 200  # in a cell; if starts were independent, the standard error of a coverage of 90 % would be 2 %
+CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
+                   "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
+_HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
+_PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LEVELS])
+
+
+class Scorer:
+    """Accumulates the scores of bands on one run; errors are rotated into the predicted frame of the bands. files: of
+    the run, sha256 by path."""
+
+    def __init__(self, bands: Bands, signals: LogSignals, files: Mapping[str, str]):
+        self._bands, self._signals = bands, signals
+        known = set(bands.recordings.values())
+        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in known]}]
+
+    def add(self, starts_ns: np.ndarray, block: Block) -> None:
+        """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted."""
+        conditions = conditions_at(self._signals, starts_ns)
+        inside = self._bands.domain.contains(conditions)
+        for (model, mode), errors in block.errors.items():
+            if (model, mode) not in self._bands.bands:
+                continue
+            scored = np.isfinite(errors).all(axis=(1, 2))
+            rows = scored & inside
+            band = self._bands.bands[model, mode]
+            entry = sum_band_scores(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
+            entry["without_band"] = int((scored & ~inside).sum())
+            self._sums.append({"models": {model: {mode: entry}}})
+
+    def get_sums(self) -> Sums:
+        """Sums over all blocks; known_recordings: files that were used in the calibration."""
+        return pool_sums(self._sums)
+
+
+class AdaptiveScorer:
+    """Accumulates the coverage of adaptive bands on one run. bands: calibrated bands from which they start, or None."""
+
+    LATE = 120.0  # s after the first start; coverage from then on is counted separately
+
+    def __init__(self, bands: Bands | None, signals: LogSignals, prediction: PredictionSettings):
+        self._bands, self._signals = bands, signals
+        self._time = make_times(prediction.horizon, prediction.step)
+        self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
+        self._first: int | None = None
+        self._sums: list[Sums] = []
+
+    def add(self, starts_ns: np.ndarray, block: Block) -> None:
+        """Add one block of an evaluation; blocks must be added in time order."""
+        if not len(starts_ns):
+            return
+        self._first = int(starts_ns[0]) if self._first is None else self._first
+        conditions = conditions_at(self._signals, starts_ns)
+        inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain.contains(conditions)
+        late = (starts_ns - self._first) * 1e-9 >= self.LATE
+        for (model, mode), errors in block.errors.items():
+            band = None if self._bands is None else self._bands.bands.get((model, mode))
+            adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
+            rotated = to_predicted_frame(errors[inside][:, 1:])
+            factors, scales = adaptive.replay(starts_ns[inside], conditions[inside], rotated)
+            scored = np.isfinite(rotated).all(axis=(1, 2))
+            score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
+            covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}
+            late_rows = late[inside][scored]
+            entry = {"starts": len(score), "coverage": {level: int(rows.sum()) for level, rows in covered.items()},
+                     "late_starts": int(late_rows.sum()),
+                     "late_coverage": {level: int(rows[late_rows].sum()) for level, rows in covered.items()}}
+            self._sums.append({model: {mode: entry}})
+
+    def get_sums(self) -> Sums:
+        """{"adaptive": {model: {mode: counts}}}."""
+        return {"adaptive": pool_sums(self._sums)}
+
+
+def summarise_adaptive(sums: Sums) -> dict[str, Any]:
+    """{model: {mode: starts, coverage, late_starts, late_coverage}}, coverage by level, None without starts."""
+    return {model: {mode: {**counts, "coverage": _divide(counts["coverage"], counts["starts"]),
+                           "late_coverage": _divide(counts["late_coverage"], counts["late_starts"])}
+                    for mode, counts in modes.items()} for model, modes in sums.get("adaptive", {}).items()}
+
+
+def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
+    """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
+
+    Levels: those of LEVELS that the band has, and its highest up to LEVELS[-1]; for reliability, all. coverage,
+    reliability: number of paths entirely inside, by level; axes: for each axis alone; conditions: by one condition;
+    seconds: number inside throughout each second; cells: the same by speed, lateral acceleration and second. Each
+    [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at each.
+    """
+    import scoringrules  # slow to import, and needed only where bands are scored
+
+    scale = band.scale(conditions)
+    ratio = np.abs(errors) / scale
+    time, known = band.scale.time, [level for level in band.factors if level <= LEVELS[-1]]
+    levels = sorted({*(level for level in LEVELS if level in known), max(known)})
+    # Rounded, because 297 steps of 1/99 s are 3.0000000000000004 s in floats.
+    second = np.ceil(np.round(time, 6)).astype(int)
+    at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
+    by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
+    highest, within = by_point.max(axis=1, initial=0.0), {}
+    sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
+                  "conditions": {}, "cells": {},
+                  "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
+                  "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
+    for level in levels:
+        key, c = f"{level:g}", band.factors[level]
+        within[key] = highest <= c
+        sums["coverage"][key] = int(within[key].sum())
+        sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
+        score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
+        sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
+        sums["half_width"][key] = {f"{time[k]:g}": _name_axes(c * scale[:, k].sum(axis=0)) for k in at_seconds}
+    inside = {f"{level:g}": np.stack([(by_point[:, second == s] <= band.factors[level]).all(axis=1)
+                                      for s in np.unique(second)], axis=1) for level in levels}
+    sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
+                       for key, rows in inside.items()}
+    cells = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
+              for name, (edges, _) in CONDITION_EDGES.items()}
+    for name, cell in cells.items():
+        sums["conditions"][name.replace("_", " ")] = {
+            _label_cell(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
+    for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
+        rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
+        for column, s in enumerate(np.unique(second)):
+            name = f"{_label_cell('speed', v)}, {_label_cell('lateral_acceleration', a)}, second {s}"
+            sums["cells"][name] = _count_coverage(rows, {key: values[:, column] for key, values in inside.items()})
+    return sums
+
+
+def _sum_crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(3,) CRPS of the symmetric distribution with the quantiles of the band: mean over points, summed over starts."""
+    import scoringrules
+
+    crps = np.zeros(errors.shape[2])
+    for axis, ratios in enumerate(band.ratios):
+        quantiles = np.concatenate([-ratios[::-1], [0.0], ratios])
+        score = scoringrules.crps_quantile(errors[:, :, axis], scale[:, :, axis, None] * quantiles, _PROBABILITIES,
+                                           backend="numpy")
+        crps[axis] = score.mean(axis=1).sum() if score.size else 0.0
+    return crps
+
+
+def _count_coverage(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
+    return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in within.items()}}
+
+
+def _name_axes(values: np.ndarray) -> dict[str, float]:
+    return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
+
+
+def _label_cell(name: str, cell: int) -> str:
+    edges, unit = CONDITION_EDGES[name]
+    if cell + 1 == len(edges):
+        return f"above {edges[-1]:g} {unit}"
+    return f"{edges[cell]:g} to {edges[cell + 1]:g} {unit}"
+
+
+def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:
+    """Add nested sums, key by key; lists are concatenated."""
+    total: Sums = {}
+    for key, value in (item for entry in entries for item in entry.items()):
+        if isinstance(value, Mapping):
+            total[key] = pool_sums([total.get(key, {}), value])
+        else:
+            total[key] = total.get(key, [] if isinstance(value, list) else 0) + value
+    return total
+
+
+def summarise_bands(sums: Sums) -> dict[str, Any]:
+    """models: shares and means by model and mode, None without starts; known_recordings: see `Scorer.get_sums`."""
+    return {"known_recordings": sums.get("known_recordings", []),
+            "models": {model: {mode: _summarise_scores(scores) for mode, scores in modes.items()}
+                       for model, modes in sums.get("models", {}).items()}}
+
+
+def _summarise_scores(sums: Sums) -> dict[str, Any]:
+    count = sums["starts"]
+    means = _divide({key: sums[key] for key in ("coverage", "axes", "seconds", "interval_score", "crps", "half_width",
+                                                "reliability")}, count)
+    conditions = [{"quantity": quantity, "label": label, "starts": counts["starts"],
+                   "coverage": _divide(counts["coverage"], counts["starts"])}
+                  for quantity, labels in sums["conditions"].items() for label, counts in labels.items()]
+    level = max(sums["coverage"], key=float)
+    cells = [{"coverage": cell["coverage"][level] / cell["starts"], "cell": name, "starts": cell["starts"]}
+             for name, cell in sums["cells"].items() if cell["starts"] >= MIN_STARTS]
+    worst_cell = min(cells, key=lambda cell: tuple(cell.values()), default=None)
+    return {"starts": count, "without_band": sums["without_band"], **means, "conditions": conditions,
+            "worst_cell": worst_cell}
+
+
+def _divide(value: Any, count: int) -> Any:
+    """Divide a number, or all numbers of a nested mapping, by `count`; None for a count of 0."""
+    if isinstance(value, Mapping):
+        return {key: _divide(part, count) for key, part in value.items()}
+    return value / count if count else None
+
 
 MODE_TITLES = {"hindsight": "hindsight (measured inputs)", "forecast": "forecast (inputs held)"}
 NO_BANDS = ("[dim]no bands were given: calibrate them on other runs of this car with `st calibrate RUN… --vehicle FILE "

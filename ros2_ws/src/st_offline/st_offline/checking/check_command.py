@@ -1,26 +1,34 @@
-"""The command `st check`: checks runs, prints and writes the findings."""
+"""The command `st check`: checks runs, prints and writes the findings, and a run.yaml with the corrections."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
+import yaml
 from rich.console import Console
 from rich.markup import escape
-from st_core.checks import Severity, compare_runs
+from st_core.checks import Finding, Severity, compare_runs
+from st_core.corrections import Correction
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
-from st_recordings.paths import json_text, new_folder
+from st_recordings.paths import OutputError, json_text, new_folder
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import read_metadata_records
-from st_recordings.runs.errors import join_problems
+from st_recordings.runs.columns import Layout
+from st_recordings.runs.csv import add_steering_column
+from st_recordings.runs.errors import escape_unprintable, join_problems
 from st_recordings.runs.raw import summarise_alignment
+from st_recordings.runs.readers import READERS
+from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 
 from ..terminal import list_files, make_progress_bars, print_line, report_problem
+from . import check_report
 from .check_page import write_page
 from .check_report import CheckedRun, document, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
-from .run_corrections import check_file_name, run_yaml
 
 MODELS = ("linear", "nonlinear")  # checked for stable integration
 
@@ -100,3 +108,134 @@ def write_results(checked_runs: Sequence[CheckedRun], unreadable: Mapping[str, s
         numbers.parent.mkdir(parents=True, exist_ok=True)
         numbers.write_text(json_text(content), encoding="utf-8")
     return {page: "one page, with the findings and figures", numbers: "all numbers; keys in docs/manual/checks.md"}
+
+
+CSV_KEYS = {"columns", "units"}  # apply only to tables
+HEADER = "# Proposed by st check. Every command that reads it lists the corrections.\n"
+
+
+def check_file_name(file: Path) -> None:
+    """Raise OutputError for a file name that no command reads, and for an existing file."""
+    if file.name != RUN_FILE and not file.name.endswith(RUN_SUFFIX):
+        raise OutputError(f"--propose-correction {file}: name it run.yaml or NAME.run.yaml; commands read only these")
+    if file.exists():
+        raise OutputError(f"--propose-correction {file}: exists; choose another name (existing files are not "
+                          "overwritten)")
+
+
+def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
+    """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. A
+    correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
+    earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`."""
+    corrections: dict[str, Any] = {}
+    lines = [HEADER]
+    for finding in findings:
+        lines.append(f"# {finding.severity.value}: {finding.name}: {escape_unprintable(finding.text)}\n")
+        advice = finding.advice
+        if advice is None:
+            continue
+        if advice.kind != "run.yaml":
+            comment = check_report.describe_correction(advice)
+        elif finding.severity is Severity.NOTE:
+            comment = f"not applied, negligible: {advice.line}"
+        elif not READERS[source.kind].is_table and CSV_KEYS & advice.entry.keys():
+            comment = f"not applied, only a {' or '.join(TABLE_KEYS)} has columns and units: {advice.line}"
+        elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
+            comment = f"not applied, an earlier finding has another value: {advice.line}"
+        else:
+            corrections = merged
+            continue
+        lines.append(f"#   {escape_unprintable(comment)}\n")
+    if options := _format_steering_options(read):
+        lines.append(f"# read with {options}\n")
+    settings = append_corrections(_settings(source, file, read), corrections)
+    parts = [_relative(path, file) for path in source.files]
+    files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
+             **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
+    content = {"name": source.name, **files, **settings}
+    return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
+
+
+def _format_steering_options(read: ReadSettings) -> str:
+    options = []
+    if (steering := read.steering) is not None:
+        options = [*([f"--steering-topic {steering.topic}"] if steering.topic else []),
+                   f"--steering-field {steering.field!r} --steering-is {steering.quantity}"]
+    if read.steering_sign != 1 or read.steering_latency:
+        options.append(f"--steering-sign {read.steering_sign} --steering-latency {read.steering_latency:g}")
+    return escape_unprintable(" ".join(options))
+
+
+def append_corrections(settings: Mapping[str, Any], corrections: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run.yaml with further corrections (2), which act after its own (1):
+
+        scale = scale2 scale1,  add = scale2 add1 + add2,  earlier = earlier1 + earlier2,  ahead = ahead1 + ahead2
+    """
+    result = {**settings}
+    for key, value in corrections.items():
+        present = result.get(key)
+        if key == "correct":
+            result[key] = {channel: _combine((present or {}).get(channel, {}), value.get(channel, {}))
+                           for channel in {**(present or {}), **value}}
+        elif isinstance(value, list):
+            result[key] = [*(present or ()), *value]
+        else:
+            result[key] = {**(present or {}), **value} if isinstance(value, Mapping) else value
+    return result
+
+
+def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    scale = second.get("scale", 1.0)
+    combined = {"scale": first.get("scale", 1.0) * scale, "add": scale * first.get("add", 0.0) + second.get("add", 0.0),
+                **{key: first.get(key, 0.0) + second.get(key, 0.0) for key in ("earlier", "ahead")}}
+    return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
+
+
+def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
+    """`known` with the values of a further entry; None if a value contradicts it. Lists are joined."""
+    merged = {**known}
+    for key, value in entry.items():
+        present = known.get(key)
+        if isinstance(value, list):
+            merged[key] = [*(present or ()), *(item for item in value if item not in (present or ()))]
+        else:
+            merged[key] = _merge(present or {}, value) if isinstance(value, Mapping) else value
+            if merged[key] is None or (present is not None and not isinstance(value, Mapping) and present != value):
+                return None
+    return merged
+
+
+def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
+    """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml has no sign of a
+    steering column: with --steering-sign -1 it does not name the column."""
+    # A car whose recordings are tables has neither DBC nor signal table.
+    bus = {"dbc": read.dbc, "signals": read.signals}
+    given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,
+             "ins_can_latency": list(read.ins_can_latency) if read.ins_can_latency else None}
+    settings = {**source.settings, **{key: value for key, value in given.items() if value is not None}}
+    layout = settings.pop("layout", None)
+    if read.steering is not None and read.steering.sign == 1 and source.kind in TABLE_KEYS:
+        layout = add_steering_column(layout or Layout(), read.steering)
+    result = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
+             for key, value in settings.items()}
+    if layout is not None:
+        result |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
+    if source.labels:
+        result["labels"] = [{"name": label.name, "start": label.start, "end": label.end} for label in source.labels]
+    return result
+
+
+def as_yaml_values(value: Any) -> Any:
+    """Mappings, sequences, corrections and numbers as plain values for YAML; floats with 15 significant digits."""
+    if isinstance(value, Correction):
+        return {field.name: as_yaml_values(getattr(value, field.name)) for field in fields(value)
+                if getattr(value, field.name) != field.default}
+    if isinstance(value, Mapping):
+        return {str(key): as_yaml_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_yaml_values(item) for item in value]
+    return float(f"{value:.15g}") if isinstance(value, float) else value
+
+
+def _relative(path: Path, file: Path) -> str:
+    return Path(os.path.relpath(path.absolute(), file.absolute().parent)).as_posix()

@@ -13,8 +13,16 @@ from st_core.palette import MODEL_COLOUR
 from st_recordings.paths import json_text
 from st_recordings.results import collect_versions
 
-from ..bands.bands_report import draw_bands, make_adaptive_rows, make_band_rows, make_share_rows, summarise_shares
-from ..bands.scoring import pool_sums, summarise_adaptive, summarise_bands
+from ..bands.bands_report import (
+    draw_bands,
+    make_adaptive_rows,
+    make_band_rows,
+    make_share_rows,
+    pool_sums,
+    summarise_adaptive,
+    summarise_bands,
+    summarise_shares,
+)
 from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_findings
 from ..pages import load_template
 from . import tables

@@ -28,8 +28,7 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.raw import summarise_alignment
 
-from ..bands.bands_report import collect_intervals, sum_shares
-from ..bands.scoring import AdaptiveScorer, Scorer
+from ..bands.bands_report import AdaptiveScorer, Scorer, collect_intervals, sum_shares
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 from . import tables
 from .background import in_background
@@ -70,7 +69,7 @@ class Task:
 class RunReport:
     """Results of one run, picklable. problem: why the run was not evaluated; then only `findings`, those of the checks,
     are set. ranking: of the models, in one sentence. about: provenance, counts, alignment, warnings. bands: sums of
-    bands.scoring. seconds: wall time [s] of reading, predicting and drawing."""
+    bands_report. seconds: wall time [s] of reading, predicting and drawing."""
 
     name: str
     problem: str = ""
