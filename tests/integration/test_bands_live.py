@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed in range(10):
         road(base / "calibration" / f"road_{seed}.csv", 40.0, seed)
     run_st("calibrate", base / "calibration", "--vehicle", LEAF, "--output", base / "bands.yaml")
-    for name, seconds, offset in (("same", 20.0, 0.0), ("offset", 50.0, 0.5)):
+    for name, seconds, offset in (("same", 20.0, 0.0), ("offset", 44.0, 0.5)):
         run_st("demo", "--drive", road(base / f"{name}.csv", seconds, 20, offset), "--bands", base / "bands.yaml",
            "--no-adaptive", "--output", base / name)
     return base

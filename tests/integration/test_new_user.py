@@ -24,7 +24,7 @@ def discovery(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new_user")
     guess = {"yaw_inertia": 2500.0, "cornering_stiffness_front": 112e3, "cornering_stiffness_rear": 128e3,
              "cg_height": 0.52}
-    drives = tuple((road, 2.5, 75.0) for road in ROADS[:5])
+    drives = tuple((road, 2.5, 60.0) for road in ROADS[:4])
     truth = write_case(Case("new_user", "hatchback", {"ratio": RATIO_ERROR}, guess, {}, drives, seed=3), folder)
     file = folder / "car" / "vehicle.yaml"
     vehicle = read_vehicle(file)
