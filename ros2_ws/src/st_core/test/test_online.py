@@ -77,7 +77,7 @@ def record_lagging_slalom(leaf, speeds):
 
 def test_slalom_at_one_speed_does_not_determine_the_ratio(leaf):
     ratio = track(leaf, record_lagging_slalom(leaf, [(12.0, 0.045)])).make_estimates()[1]
-    assert ratio.status == "unestimated" and "1 of 2 speeds" in ratio.reason
+    assert ratio.status == "unestimated" and "1 of 2 ranges of speed" in ratio.reason
 
 
 def test_slalom_at_two_speeds_gives_the_true_ratio_despite_lag(leaf):
@@ -100,7 +100,7 @@ def test_slow_and_hard_driving_is_rejected_and_counted(leaf, road):
     tracker = track(leaf, slow.tolist())
     driving_time = tracker.driving_time
     assert driving_time.used == 0.0 and driving_time.rejected["too slow"] == pytest.approx(100.0, abs=0.3)
-    assert track(leaf, hard[:3000].tolist()).driving_time.rejected["a_y"] > 3.0
+    assert track(leaf, hard[:3000].tolist()).driving_time.rejected["lateral acceleration too high"] > 3.0
 
 
 @pytest.mark.slow

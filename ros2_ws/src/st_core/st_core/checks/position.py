@@ -153,7 +153,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
             "the wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
     of_positions = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
-                      interval=scale.interval, advice=advice)
+                           interval=scale.interval, advice=advice)
     factor = {"scale": scale_error.value}
     return (motion.corrected({"correct": {"position": factor, "velocity": factor}}),
             [of_positions if finding is scale_error else finding for finding in findings])

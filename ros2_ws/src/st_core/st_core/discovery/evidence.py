@@ -231,8 +231,8 @@ def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivitie
 
 
 def error_reductions(reduction: np.ndarray, condition: Partition | None) -> tuple[float, float]:
-    """(mean reduction of an error, largest lower 95 % bound of the mean in one driving condition; without conditions,
-    the mean). reduction: (n,) by window."""
+    """(mean reduction of an error, largest one-sided lower 95 % bound of the mean in one driving condition; without
+    conditions, the mean). reduction: (n,) by window."""
     finite = np.isfinite(reduction)
     if not finite.any():
         return 0.0, 0.0

@@ -43,8 +43,8 @@ PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to th
 MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
 MIN_YAW_RATE = 0.02  # rad/s; smallest divisor of the residual, for driving with few bends
 SPEED_BINS = (5.0, 7.0, 10.0, 14.0, 20.0)  # m/s; lower edges
-MIN_BEND_ANGLE = 0.02  # rad; minimum |l r / v| in a bend
-MIN_LOADED_ACCELERATION = 1.5  # m/s^2; minimum |v r| with a significant load on the tyres
+MIN_BEND_ANGLE = 0.02  # rad; minimum |L r / v| in a bend, L: wheelbase
+MIN_LOADED_ACCELERATION = 1.5  # m/s^2; minimum |v r| with significant lateral tyre forces
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class DrivingTime:
     """Duration of the driving so far [s], by kind."""
 
     used: float = 0.0  # neither too slow nor above the lateral acceleration of SETTINGS
-    straight: float = 0.0  # |l r / v| below a quarter of MIN_BEND_ANGLE
-    left: float = 0.0  # l r / v above MIN_BEND_ANGLE
-    right: float = 0.0  # l r / v below -MIN_BEND_ANGLE
-    loaded_left: float = 0.0  # above MIN_LOADED_ACCELERATION
-    loaded_right: float = 0.0  # above MIN_LOADED_ACCELERATION
+    straight: float = 0.0  # |L r / v| below a quarter of MIN_BEND_ANGLE
+    left: float = 0.0  # L r / v above MIN_BEND_ANGLE
+    right: float = 0.0  # L r / v below -MIN_BEND_ANGLE
+    loaded_left: float = 0.0  # v r above MIN_LOADED_ACCELERATION
+    loaded_right: float = 0.0  # v r below -MIN_LOADED_ACCELERATION
     speeds: list[float] = field(default_factory=lambda: [0.0] * len(SPEED_BINS))  # by speed bin
     rejected: dict[str, float] = field(default_factory=dict)  # by reason
 
@@ -185,7 +185,7 @@ class OnlineIdentifier:
     def _add_driving_time(self, sample: InsSample, time: float) -> None:
         speed, rate, driven = sample.velocity_x, sample.yaw_rate, self.driving_time
         rejected = "too slow" if speed < SETTINGS.minimum_speed else (
-            "a_y" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
+            "lateral acceleration too high" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
         if rejected:
             driven.rejected[rejected] = driven.rejected.get(rejected, 0.0) + time
             return
@@ -208,10 +208,10 @@ class OnlineIdentifier:
                                       (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
             "steering_ratio": [(times.left, 5.0, "left bends"), (times.right, 5.0, "right bends"),
-                               (filled, 2, "speeds, 5 s each")],
+                               (filled, 2, "ranges of speed, 5 s each")],
             "stiffness_scale": [(times.loaded_left, 3.0, "left bends above 1.5 m/s^2"),
                                 (times.loaded_right, 3.0, "right bends above 1.5 m/s^2"),
-                                (filled, 2, "speeds, 5 s each")],
+                                (filled, 2, "ranges of speed, 5 s each")],
         }
         return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
                                 for driven, needed, kind in rows if driven < needed) for name, rows in needs.items()}
