@@ -1,31 +1,65 @@
-"""Serves the passenger's page of a running suite, and writes a Rerun recording of the run after its end."""
+"""Shows runs in the browser: the passenger's page of a running suite, and Rerun recordings of finished runs.
+
+Rerun's page requests four external addresses (a font, usage data, a release check, an example list). A proxy adds
+a Content-Security-Policy that makes the browser block them.
+"""
 
 import atexit
+import http.client
+import importlib.metadata
+import importlib.util
 import json
+import shutil
 import socket
 import sys
 import threading
 import time
+import webbrowser
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+from urllib.parse import quote
 
 from rich.console import Console
 from rich.markup import escape
+from st_ros.scheduling import BACKGROUND_NICE, lower_priority
 
-from .rerun_server import LOOPBACK, READY_TIMEOUT, STOP_TIMEOUT, check_new_rerun_file, show_address
 from .suite import Child, Processes, SuiteError
 
+LOOPBACK, ALL_ADDRESSES = "127.0.0.1", "0.0.0.0"
+READY_TIMEOUT = 20.0  # s until a server must accept connections
+STOP_TIMEOUT = 3.0  # s until a process that ignores SIGINT is killed
 PAGE = Path(__file__).with_name("passenger.html")
 # The page is a single file; the browser may fetch only frames and clock from this server, and nothing else.
-POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
-          "img-src data:; base-uri 'none'; form-action 'none'")
+PAGE_POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
+               "img-src data:; base-uri 'none'; form-action 'none'")
 MAX_CLIENTS = 16
 CLIENT_TIMEOUT = 10.0  # s until a client that neither requests nor reads anything is dropped
 KEEP_ALIVE_PERIOD = 2.0  # s without a frame until a comment is sent, which fails if the client has left
 SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips frames instead of showing old ones
-ALL_ADDRESSES = "0.0.0.0"
+
+REQUEST_TIMEOUT = 30.0  # s until Rerun's server must respond
+RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
+                 "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
+NOT_FORWARDED = {"connection", "keep-alive", "transfer-encoding", "date", "server"}  # headers the proxy sets itself
+RERUN_POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
+                "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+                "worker-src 'self' blob:")
+RECORDING = "/recording.rrd"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Handler of requests, which does not log them."""
+
+    def send_head(self, headers: Mapping[str, str], status: int = 200) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """Do not log requests."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -37,7 +71,7 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, address: str, port: int, settings: Mapping[str, Any]):
-        super().__init__((address, port), _Handler)
+        super().__init__((address, port), _PageHandler)
         script = json.dumps(settings).replace("<", "\\u003c")  # so that no title can end the script
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
         self.ended = False
@@ -74,7 +108,7 @@ class PageServer(ThreadingHTTPServer):
         self.server_close()
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _PageHandler(_Handler):
     server: PageServer
     timeout = CLIENT_TIMEOUT
     disable_nagle_algorithm = True
@@ -94,12 +128,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def _send_content(self, content: bytes, content_type: str) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", content_type)
-        self.send_header("Content-Length", str(len(content)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Content-Security-Policy", POLICY)
-        self.end_headers()
+        self.send_head({"Content-Type": content_type, "Content-Length": str(len(content)), "Cache-Control": "no-store",
+                        "Content-Security-Policy": PAGE_POLICY})
         self.wfile.write(content)
 
     def _send_frames(self) -> None:
@@ -112,10 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-            self.send_response(200)
-            self.send_header("Content-Type", "text/event-stream")
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
+            self.send_head({"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
             number = 0
             while not server.ended:
                 data, number = server.wait_for_frame(number)
@@ -125,9 +152,6 @@ class _Handler(BaseHTTPRequestHandler):
         finally:
             with server.condition:
                 server.clients -= 1
-
-    def log_message(self, *_: object) -> None:
-        """Do not log requests."""
 
 
 class LiveView:
@@ -192,3 +216,113 @@ def _find_reachable_address(host: str) -> str:
             return probe.getsockname()[0]
         except OSError:
             return LOOPBACK
+
+
+class _RerunHandler(_Handler):
+    protocol_version = "HTTP/1.1"
+    rerun_port: ClassVar[int]
+    recording: ClassVar[Path]
+
+    def do_GET(self) -> None:
+        if self.path.partition("?")[0] == RECORDING:
+            with self.recording.open("rb") as stream:
+                self.send_head({"Content-Type": "application/octet-stream",
+                                "Content-Length": str(self.recording.stat().st_size)})
+                shutil.copyfileobj(stream, self.wfile)
+            return
+        try:
+            connection = http.client.HTTPConnection(LOOPBACK, self.rerun_port, timeout=REQUEST_TIMEOUT)
+            connection.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
+            response = connection.getresponse()
+        except OSError as error:
+            self.send_error(502, f"the server of Rerun does not respond: {error}")
+            return
+        headers = {name: value for name, value in response.getheaders() if name.lower() not in NOT_FORWARDED}
+        if response.length is None:
+            headers["Connection"] = "close"
+            self.close_connection = True
+        self.send_head(headers | {"Content-Security-Policy": RERUN_POLICY}, response.status)
+        shutil.copyfileobj(response, self.wfile)
+        connection.close()
+
+
+def show_recording(folder: Path, file: Path, console: Console) -> None:
+    """Serve a recording (.rrd), show its address, and wait for Ctrl-C or the end of Rerun.
+
+    folder: for settings and logs. Raises SuiteError if the start fails; call `check_rerun` first.
+    """
+    lower_priority(BACKGROUND_NICE)
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        rerun_port = probe.getsockname()[1]
+    handler = type("Handler", (_RerunHandler,), {"rerun_port": rerun_port, "recording": file})
+    page, processes = ThreadingHTTPServer((LOOPBACK, 0), handler), Processes(folder)
+    threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
+    recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING}"
+    try:
+        rerun = _start_rerun(processes, recording, rerun_port)
+        show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
+        console.print("Ctrl-C ends the view.")
+        rerun.process.wait()
+    except KeyboardInterrupt:
+        console.print()
+    finally:
+        processes.stop(timeout=STOP_TIMEOUT)
+        page.shutdown()
+
+
+def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
+    """Start Rerun with the address of a recording and wait until its page is available at a port."""
+    # Rerun stores its own files in this folder and sends no usage data.
+    settings = processes.folder / "settings" / "rerun"
+    settings.mkdir(parents=True, exist_ok=True)
+    (settings / "analytics.json").write_text(json.dumps({
+        "analytics_enabled": False, "analytics_id": "", "metadata": {},
+        "config_file_path": str(settings / "analytics.json"), "data_dir_path": str(settings)}))
+    processes.environment |= dict.fromkeys(
+        ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"), str(settings.parent))
+    # The executable is started directly, because it would survive the end of its wrapper script `rerun`. Given a URL,
+    # Rerun starts no server for recordings, which would use 3 % of a core while idle.
+    executable = importlib.metadata.distribution("rerun-sdk").locate_file("rerun_cli/rerun")
+    rerun = processes.start("rerun", [
+        str(executable), recording, "--serve-web", "--bind", LOOPBACK,
+        "--web-viewer-port", str(port), "--hide-welcome-screen"])
+    end = time.monotonic() + READY_TIMEOUT
+    while not _accepts_connections(port):
+        if rerun.process.poll() is not None or time.monotonic() > end:
+            output = rerun.read_last_lines() or "no output"
+            raise SuiteError(f"the server of the view did not start: {output} (log: {rerun.log})")
+        time.sleep(0.1)
+    return rerun
+
+
+def _accepts_connections(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((LOOPBACK, port)) == 0
+
+
+def check_rerun(option: str) -> None:
+    """Raises SuiteError if rerun-sdk is not installed."""
+    if importlib.util.find_spec("rerun") is None:
+        raise SuiteError(f"{option}: {RERUN_MISSING}")
+
+
+def show_address(url: str, console: Console) -> None:
+    """Print the address of a view and, on a terminal, open it in the browser."""
+    console.out(f"view: {url}", highlight=False)
+    if console.is_terminal:
+        webbrowser.open(url)
+
+
+def check_new_rerun_file(option: str, file: Path) -> None:
+    """Raises SuiteError for a file that is not .rrd, exists, or cannot be written, and without rerun-sdk."""
+    check_rerun(option)
+    if file.suffix != ".rrd":
+        raise SuiteError(f"{option} {file}: a Rerun recording ends in .rrd")
+    try:
+        file.touch(exist_ok=False)
+    except FileExistsError:
+        raise SuiteError(f"{option} {file}: exists already and is not overwritten") from None
+    except OSError as error:
+        raise SuiteError(f"{option} {file}: cannot be written: {error.strerror}") from None
+    file.unlink()

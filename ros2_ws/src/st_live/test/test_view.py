@@ -20,9 +20,8 @@ from nav_msgs.msg import Odometry
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.nodes.passenger import PassengerFrames
-from st_live.page import PAGE, LiveView, PageServer, check_new_rerun_file
+from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import format_errors, make_grid_lines, to_screen
-from st_live.rerun_server import POLICY
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
@@ -135,7 +134,7 @@ def test_error_table_has_a_row_per_model_and_mode_and_lists_faults() -> None:
 
 
 def test_policy_of_the_rerun_page_allows_no_external_requests() -> None:
-    for directive in POLICY.split("; "):
+    for directive in RERUN_POLICY.split("; "):
         for source in directive.split()[1:]:
             assert source.startswith("'") or source in ("data:", "blob:"), directive
 

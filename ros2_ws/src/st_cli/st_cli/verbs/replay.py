@@ -84,7 +84,7 @@ def view(
     save: Path | None = typer.Option(None, help="Only write the view to this file (.rrd)."),
 ) -> None:
     """Show a recorded run in the browser, forwards and backwards in time, until Ctrl-C."""
-    from st_live.rerun_server import check_new_rerun_file, check_rerun, show_recording
+    from st_live.page import check_new_rerun_file, check_rerun, show_recording
     from st_live.suite import SuiteError
 
     # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
