@@ -22,7 +22,7 @@ from st_recordings.car import read_model
 from st_recordings.paths import config, new_folder
 from st_sim.path import lane_shift, straight
 from st_sim.scenarios import Plan, RoadPlan, load_plan
-from st_sim.settings import SimulationError, read_vehicle, resolve_settings
+from st_sim.settings import read_vehicle, resolve_settings
 
 MODELS = ["kinematic", "linear", "nonlinear"]
 HORIZONS = [0.5, 1.0, 2.0, 3.0]  # s
@@ -52,7 +52,7 @@ def main() -> int:
             # --vehicle is the plant; a model file may contain an identified vehicle for its model.
             model, model_vehicle = read_model(name, vehicle, str(options.vehicle), vehicle_is_given=False)
             models[model.name] = model, model_vehicle
-    except (OSError, StCoreError, SimulationError) as error:
+    except (OSError, StCoreError) as error:
         print(f"nmpc.py: {error}", file=sys.stderr)
         return 2
     tuning, rows, tables = Tuning(), [], {}

@@ -19,7 +19,6 @@ from st_recordings.paths import config, project_root
 from st_recordings.recorded_results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
 from st_sim.run import check_arguments
-from st_sim.settings import SimulationError
 
 from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp_port, merge_parameters
 
@@ -100,8 +99,8 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
 def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Path) -> dict[str, str]:
     """Parameters that add a model file to the models of predictor and evaluator; empty without a file.
 
-    effects: folder of user-defined effects of the model file. Raises SuiteError, StCoreError and RunError for a file
-    that is not a model or belongs to a car other than `vehicle`, and for effects without a model file.
+    effects: folder of user-defined effects of the model file. Raises StCoreError and RunError for a file that is not a
+    model or belongs to a car other than `vehicle`, and for effects without a model file.
     """
     load_model(model, effects, read_vehicle(vehicle), str(vehicle))
     if model is None:
@@ -112,8 +111,8 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
     """The model in a model file (.yaml), nonlinear without one. effects: folder of its user-defined effects.
 
-    origin: source of `car`, for errors. Raises SuiteError and StCoreError for a file that is not a model or belongs to
-    another car, and for effects without a model file.
+    origin: source of `car`, for errors. Raises StCoreError for a file that is not a model or belongs to another
+    car, and for effects without a model file.
     """
     if model is None:
         if effects is not None:
@@ -179,7 +178,7 @@ class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
     vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated: vehicle file of
-    the simulated car, by default `vehicle`. Raises SuiteError for invalid options.
+    the simulated car, by default `vehicle`. Raises SimulationError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
@@ -189,10 +188,7 @@ class VirtualCar:
         own = {"--vehicle": simulated or vehicle, "--config": project_root() / "config", "--ncom-port": self.port,
                "--can-interface": "udp_multicast", "--can-channel": self.channel}
         self._arguments = [*options, *(str(part) for option in own.items() for part in option)]
-        try:
-            check_arguments(self._arguments)
-        except SimulationError as error:
-            raise SuiteError(str(error)) from None
+        check_arguments(self._arguments)
 
     def make_bridge_parameters(self) -> dict[str, dict[str, Any]]:
         # config/nodes.yaml may contain sign and latency of a real sensor; the virtual one follows the signal table.

@@ -21,7 +21,7 @@ from typing import Any, Self
 
 import yaml
 from st_core import yaml_text
-from st_core.errors import ConfigurationError
+from st_core.errors import ConfigurationError, StCoreError
 from st_recordings.paths import config
 
 STOP_TIMEOUT = 20.0  # s until a child that ignores SIGINT is killed
@@ -38,7 +38,7 @@ REALTIME_PERMISSION = ('echo "$USER - rtprio 30" | sudo tee /etc/security/limits
 Parameters = Mapping[str, Mapping[str, Any]]
 
 
-class SuiteError(RuntimeError):
+class SuiteError(StCoreError):
     """The suite cannot start or continue; the message gives the reason, and the log of a process that has ended."""
 
 

@@ -68,12 +68,25 @@ class PathBuilder:
 
 
 def make_prediction_message(start: Start, model: str, trajectory: Trajectory, vehicle: VehicleParameters,
-                            map_frame: str, configuration_hash: str) -> Prediction:
-    """Message of a prediction with held inputs; the caller sets issued_at, compute_time and bands."""
-    message = Prediction(model=model, configuration_hash=configuration_hash,
-                         road_wheel_angle=float(start.inputs.road_wheel_angle),
-                         velocity_x_dot=float(start.inputs.velocity_x_dot))
-    _fill_trajectory(message, start, trajectory, vehicle, map_frame)
+                            map_frame: str, configuration_hash: str, planned: InputSequence | None = None,
+                            plan_ns: int = 0) -> Prediction | PlannedPrediction:
+    """Message of a prediction with held inputs, or with the inputs of a plan or course at half steps.
+
+    plan_ns: stamp of the plan [ns], 0 for a course. The caller sets issued_at, compute_time and bands.
+    """
+    if planned is None:
+        message = Prediction(road_wheel_angle=float(start.inputs.road_wheel_angle),
+                             velocity_x_dot=float(start.inputs.velocity_x_dot))
+    else:
+        message = PlannedPrediction(plan_stamp=from_nanoseconds(plan_ns),
+                                    road_wheel_angle=_to_array(planned.road_wheel_angle),
+                                    velocity_x_dot=_to_array(planned.velocity_x_dot))
+    message.header.stamp = from_nanoseconds(start.time_ns)
+    message.header.frame_id = map_frame
+    message.model, message.configuration_hash, message.step = model, configuration_hash, trajectory.step
+    message.cg_to_ins_x, message.cg_to_ins_y = float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y)
+    message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
+        _to_array, trajectory.states.T)
     return message
 
 
@@ -96,26 +109,6 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
     if lengths[0][0]:
         return PlannedInputs(issued_ns, time_ns, first, second)
     return PlannedInputs.from_path(issued_ns, time_ns, first, second, vehicle)
-
-
-def make_planned_message(start: Start, model: str, plan_ns: int, inputs: InputSequence, trajectory: Trajectory,
-                         vehicle: VehicleParameters, map_frame: str, configuration_hash: str) -> PlannedPrediction:
-    """As `make_prediction_message`, for planned inputs at half steps. plan_ns: stamp of the plan, 0 for a course."""
-    message = PlannedPrediction(
-        model=model, configuration_hash=configuration_hash, plan_stamp=from_nanoseconds(plan_ns),
-        road_wheel_angle=_to_array(inputs.road_wheel_angle), velocity_x_dot=_to_array(inputs.velocity_x_dot))
-    _fill_trajectory(message, start, trajectory, vehicle, map_frame)
-    return message
-
-
-def _fill_trajectory(message: Prediction | PlannedPrediction, start: Start, trajectory: Trajectory,
-                     vehicle: VehicleParameters, map_frame: str) -> None:
-    message.header.stamp = from_nanoseconds(start.time_ns)
-    message.header.frame_id = map_frame
-    message.step = trajectory.step
-    message.cg_to_ins_x, message.cg_to_ins_y = float(vehicle.cg_to_ins_x), float(vehicle.cg_to_ins_y)
-    message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate = map(
-        _to_array, trajectory.states.T)
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:

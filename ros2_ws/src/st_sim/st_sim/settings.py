@@ -11,13 +11,13 @@ from types import MappingProxyType
 from typing import Any
 
 from st_core import yaml_text
-from st_core.errors import ConfigurationError
+from st_core.errors import ConfigurationError, StCoreError
 from st_core.vehicle import VehicleParameters
 
 Settings = Mapping[str, float]
 
 
-class SimulationError(ValueError):
+class SimulationError(StCoreError):
     """Invalid argument or file; the one-line message names the file or option, the key and the limit."""
 
 

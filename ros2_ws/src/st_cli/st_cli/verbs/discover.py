@@ -104,7 +104,6 @@ def identify(
     """
     from rich.table import Table
     from st_live.configuration import load_model
-    from st_live.suite import SuiteError
     from st_offline.identification.experiment import IdentificationJob
     from st_offline.identification.identify_command import EXPERIMENTS, run_command
     from st_recordings.paths import new_folder
@@ -118,7 +117,7 @@ def identify(
     if what not in EXPERIMENTS:
         typer.echo(f"st identify: unknown experiment {what!r}; use {', '.join(EXPERIMENTS)}", err=True)
         raise typer.Exit(2)
-    with shared.report_errors(f"identify {what}", SuiteError):
+    with shared.report_errors(f"identify {what}"):
         vehicle, read_settings = read_options.resolve()
         parameters, file = shared.load_vehicle_or_default(vehicle)
         folder = new_folder(output, f"identify-{what}", create=False)

@@ -36,7 +36,6 @@ def demo(
 ) -> None:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, session
-    from st_live.suite import SuiteError
 
     title = drive.stem if drive else Path(scenario or "S6").stem
     if duration is None and drive is None:
@@ -47,7 +46,7 @@ def demo(
     # The car drives on while the predictor stops, so that every prediction up to the end has inputs.
     options += ["--duration", str(duration + EXTRA_DRIVING)] if duration else []
     options += [part for setting in effect for part in ("--effect", setting)]
-    with shared.report_errors("demo", SuiteError):
+    with shared.report_errors("demo"):
         car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
         what, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
@@ -76,11 +75,10 @@ def live(
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     from st_live import configuration, session
-    from st_live.suite import SuiteError
 
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     can = {"interface": can_interface, "channel": can_channel}
-    with shared.report_errors("live", SuiteError):
+    with shared.report_errors("live"):
         car = car_options.fill_in_car(complete=True)
         vehicle = configuration.resolve_vehicle_file(car.vehicle)
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
@@ -98,7 +96,7 @@ def _run(name: str, about: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
 
     name: start of the name of the default output folder. about: entries of summary.json. bridges: parameters of the
     bridges. reports_car: whether to report that the Leaf's file is used. arguments: further arguments of `session.run`.
-    Raises SuiteError, StCoreError and RunError.
+    Raises StCoreError and RunError.
     """
     from st_live import configuration, report, session
     from st_recordings.paths import new_folder

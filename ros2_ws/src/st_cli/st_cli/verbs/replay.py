@@ -26,12 +26,11 @@ def replay(
     from st_live.configuration import find_bag
     from st_live.replaying import replay_bag
     from st_live.report import report_results
-    from st_live.suite import SuiteError
     from st_offline.checking.check_report import findings_as_json, print_findings
     from st_offline.checking.gate import check_bag
     from st_recordings.paths import new_folder
 
-    with shared.report_errors("replay", SuiteError):
+    with shared.report_errors("replay"):
         vehicle, read_settings = read_options.resolve()
         bag = find_bag(bag)
         view = run_options.make_view()
@@ -64,12 +63,11 @@ def verify(
     2 nothing to compare.
     """
     from st_live.configuration import find_bag
-    from st_live.suite import SuiteError
     from st_live.verification import verify_command
     from st_offline.checking.check_report import print_findings
     from st_offline.checking.gate import check_bag
 
-    with shared.report_errors("verify", SuiteError):
+    with shared.report_errors("verify"):
         vehicle, read_settings = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
@@ -89,7 +87,7 @@ def view(
 
     # SIGTERM acts like Ctrl-C, so that the server is stopped and the temporary folder removed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with shared.report_errors("view", SuiteError), tempfile.TemporaryDirectory(prefix="st-view-") as name:
+    with shared.report_errors("view"), tempfile.TemporaryDirectory(prefix="st-view-") as name:
         check_rerun("st view")
         vehicle = shared.ReadOptions(car, vehicle).fill_in_car().vehicle
         if save:
@@ -118,10 +116,10 @@ def foxglove(
 ) -> None:
     """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; open config/foxglove/st.json there."""
     from st_live.configuration import resolve_vehicle_file
-    from st_live.suite import Suite, SuiteError, merge_parameters, read_domain_id
+    from st_live.suite import Suite, merge_parameters, read_domain_id
     from st_recordings.paths import config
 
-    with shared.report_errors("foxglove", SuiteError):
+    with shared.report_errors("foxglove"):
         car = resolve_vehicle_file(vehicle)
         domain = read_domain_id() if domain is None else domain
         markers = merge_parameters(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]

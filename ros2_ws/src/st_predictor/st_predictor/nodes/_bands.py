@@ -85,12 +85,10 @@ class PredictionBands:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
 
-    def add_predictions(self, start: Start, issued: Mapping[str, Mapping[Mode, Trajectory]]) -> None:
-        """Store the predictions just issued, by model and mode, until their horizon has passed; only if adaptive."""
-        if not self._adaptive:
-            return
-        for model, by_mode in issued.items():
-            for mode, trajectory in by_mode.items():
+    def add_predictions(self, start: Start, issued: Mapping[Mode, Mapping[str, Trajectory]]) -> None:
+        """Store the predictions just issued, by mode and model, until their horizon has passed; only if adaptive."""
+        for mode, trajectories in issued.items() if self._adaptive else ():
+            for model, trajectory in trajectories.items():
                 self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 
     def make_check(self) -> Check:

@@ -2,13 +2,13 @@
 
 import math
 import time
+from collections.abc import Mapping
 from statistics import median
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from st_core.course import Course
 from st_core.evaluation import Mode
@@ -17,7 +17,7 @@ from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, compile_models, configuration_hash
 from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, InsSample, Trajectory
-from st_msgs.msg import PlannedPrediction, Prediction, PredictorStatus
+from st_msgs.msg import Band, PlannedPrediction, Prediction, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import LATCHED, create_steady_timer
@@ -128,13 +128,13 @@ class PredictorNode(Node):
 
     def _make_publishers(self) -> None:
         qos = QoSProfile(depth=REPLAY_DEPTH if self._simulated else LIVE_DEPTH)
-        self._outputs: dict[str, tuple[Publisher, Publisher]] = {
-            model: (self.create_publisher(PathMessage, f"predictor/{model}/path", qos),
-                    self.create_publisher(Prediction, f"predictor/{model}/prediction", qos))
-            for model in self._core.models}
-        self._planned_outputs = {
-            (mode, model): self.create_publisher(PlannedPrediction, f"predictor/{model}/{mode}", qos)
-            for mode in PLANNED_MODES for model in self._core.models}
+        types: dict[Mode, type] = {"forecast": Prediction, **dict.fromkeys(PLANNED_MODES, PlannedPrediction)}
+        self._prediction_publishers = {
+            (mode, model): self.create_publisher(
+                kind, f"predictor/{model}/{'prediction' if mode == 'forecast' else mode}", qos)
+            for mode, kind in types.items() for model in self._core.models}
+        self._path_publishers = {model: self.create_publisher(PathMessage, f"predictor/{model}/path", qos)
+                                 for model in self._core.models}
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
 
     def _add_ins(self, sample: InsSample) -> bool:
@@ -180,34 +180,18 @@ class PredictorNode(Node):
     def _predict(self, start: Start) -> None:
         self._plan.drain()
         previous_state = bool(self._plan.problem), self._course.is_used
-        issued: dict[str, dict[Mode, Trajectory]] = {model: {} for model in self._outputs}
-        modes: list[Mode] = ["forecast", "hindsight"]
+        issued: dict[Mode, dict[str, Trajectory]] = {}
         if planned := self._plan.find_inputs(self._core, start):
-            self._publish_planned(start, "plan", *planned, issued)
-            modes.append("plan")
+            issued["plan"] = self._publish_predictions(start, "plan", *planned)
         if (inputs := self._course.find_inputs(self._core, start)) is not None:
-            self._publish_planned(start, "course", inputs, 0, issued)
-            modes.append("course")
-        paths, bands = [], self._bands.make_messages(self._core.history, start.time_ns, modes)
-        for model, (path_publisher, prediction_publisher) in self._outputs.items():
-            run_started = time.perf_counter()
-            trajectory = self._core.run(start, model)
-            compute_time = time.perf_counter() - run_started
-            car = self._core.car(model)
-            message = convert.make_prediction_message(
-                start, model, trajectory, car, self._map_frame, self._hashes[model])
-            message.compute_time = compute_time
-            message.bands = bands.get(model, [])
-            now = self.get_clock().now()
-            message.issued_at = now.to_msg()
-            prediction_publisher.publish(message)
-            self._state_ages.append((now.nanoseconds - start.time_ns) * NANOSECOND)
-            issued[model]["forecast"] = trajectory
-            paths.append((model, path_publisher, trajectory, car))
+            issued["course"] = self._publish_predictions(start, "course", inputs)
+        issued["forecast"] = self._publish_predictions(start, "forecast", bands=self._bands.make_messages(
+            self._core.history, start.time_ns, ("forecast", "hindsight", *issued)))
         # Paths are published last: only viewers read them, and filling one takes longer than running all models.
-        for model, path_publisher, trajectory, car in paths:
+        for model, trajectory in issued["forecast"].items():
             if np.isfinite(trajectory.states).all():
-                path_publisher.publish(self._path_builder.fill(start.time_ns, trajectory, car))
+                path = self._path_builder.fill(start.time_ns, trajectory, self._core.car(model))
+                self._path_publishers[model].publish(path)
                 self._diverged.discard(model)
             else:
                 self._diverged.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
@@ -215,20 +199,27 @@ class PredictorNode(Node):
         if previous_state != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
 
-    def _publish_planned(self, start: Start, mode: Mode, inputs: InputSequence, plan_ns: int,
-                         issued: dict[str, dict[Mode, Trajectory]]) -> None:
-        """Publish predictions of all models with the inputs of a plan or course, and add them to `issued`."""
-        for model in self._outputs:
+    def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,
+                             bands: Mapping[str, list[Band]] = MappingProxyType({})) -> dict[str, Trajectory]:
+        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: held."""
+        trajectories = {}
+        for model in self._core.models:
             run_started = time.perf_counter()
-            model_inputs = self._core.select_inputs(model, inputs)
-            trajectory = self._core.run(start, model, model_inputs)
+            model_inputs = None if inputs is None else self._core.select_inputs(model, inputs)
+            trajectories[model] = self._core.run(start, model, model_inputs)
             compute_time = time.perf_counter() - run_started
-            message = convert.make_planned_message(start, model, plan_ns, model_inputs, trajectory,
-                                                   self._core.car(model), self._map_frame, self._hashes[model])
+            message = convert.make_prediction_message(
+                start, model, trajectories[model], self._core.car(model), self._map_frame, self._hashes[model],
+                model_inputs, plan_ns)
             message.compute_time = compute_time
-            message.issued_at = self.get_clock().now().to_msg()
-            self._planned_outputs[mode, model].publish(message)
-            issued[model][mode] = trajectory
+            if mode == "forecast":
+                message.bands = bands.get(model, [])
+            now = self.get_clock().now()
+            message.issued_at = now.to_msg()
+            self._prediction_publishers[mode, model].publish(message)
+            if mode == "forecast":
+                self._state_ages.append((now.nanoseconds - start.time_ns) * NANOSECOND)
+        return trajectories
 
     def _publish_status(self) -> None:
         ages, self._state_ages = self._state_ages, []
