@@ -15,7 +15,7 @@ from . import ncom
 from .channels import UTC_CHANNEL, decode_event_time, decode_utc_offset
 from .ncom import BATCH_S, PACKET_SIZE, STATUS_RULES, Counters, NcomError, Packet, find_next_packet, is_valid_position
 
-CAPTURE_MARKS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
+CAPTURE_MAGIC = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
 """First bytes of a network capture: pcap in either byte order with times in us or ns, and pcapng."""
 KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
@@ -247,7 +247,7 @@ def _describe_missing_packet(name: str, data: bytes) -> str:
     head = data[:4]
     capture = "a network capture without complete NCOM packets: record whole datagrams of port 3000 (tcpdump -s 0)"
     content = {
-        **dict.fromkeys(CAPTURE_MARKS, capture),
+        **dict.fromkeys(CAPTURE_MAGIC, capture),
         b"OggS": "an Ogg container (if it is an .xcom file, export NCOM from it first)",
         b"\x7fELF": "an executable",
         b"PK\x03\x04": "a zip archive",

@@ -25,7 +25,7 @@ NCOM, RECEIVE = "ncom", "receive"
 
 PARAMETERS = (
     Parameter("autostart", True, "configure and activate at start; false: wait for a lifecycle manager"),
-    Parameter("bind_address", "127.0.0.1", "local address to listen on; 0.0.0.0: all networks of this host"),
+    Parameter("bind_address", "127.0.0.1", "local address to listen on; 0.0.0.0: all interfaces of this host"),
     Parameter("udp_port", 3000, "UDP port the unit sends to", "", 1, 65535),
     Parameter("sender_filter", "", "IP address of the unit; empty: the first one that sends NCOM"),
     Parameter("replay_file", "", "NCOM file to replay instead of listening"),

@@ -86,7 +86,7 @@ def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
         drive.write_text("\n".join([first, *(",".join(row) for row in cells)]) + "\n")
     with_nan(slice(100, 150))
     read = read_drive(find_runs([drive])[0], load_vehicle(LEAF), ReadSettings())
-    assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) have no number" in read.about["warnings"][0]
+    assert "yaw_rate (column yaw_rate): 50 of 400 rows (12 %) have no number" in read.metadata["warnings"][0]
     with_nan(slice(None))
     result = discover(drive, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "fewer than two usable rows" in result.output
@@ -95,9 +95,9 @@ def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
 def test_deviations_of_aligned_clocks_are_collected(drive):
     read = read_drive(find_runs([drive])[0], load_vehicle(LEAF), ReadSettings())
     assert clock_deviations([read]) == {}  # one clock
-    poor = replace(read, about={**read.about, "clock_deviation_s": 0.039})
+    poor = replace(read, metadata={**read.metadata, "clock_deviation_s": 0.039})
     assert clock_deviations([replace(read, name="other"), poor]) == {read.name: 0.039}
-    assert clock_deviations([replace(poor, log=None), replace(poor, about={"clock_deviation_s": None})]) == {}
+    assert clock_deviations([replace(poor, log=None), replace(poor, metadata={"clock_deviation_s": None})]) == {}
 
 
 def test_drive_is_refused_as_its_own_reference(drive, tmp_path):
@@ -113,7 +113,7 @@ def test_reference_of_another_car_is_refused(drive, tmp_path):
     def read_with_car(car_name, file):
         read = read_drive(find_runs([write_drive(tmp_path / file, weave(9.0))])[0], load_vehicle(LEAF), ReadSettings())
         digest = {"files": {file: file}, "vehicle": car_name}
-        return replace(read, name=file, about={**read.about, **digest})
+        return replace(read, name=file, metadata={**read.metadata, **digest})
     leaf, genesis, unknown = (read_with_car(name, file) for name, file in (
         ("Leaf", "a.csv"), ("Genesis", "b.csv"), ("", "c.csv")))
     with pytest.raises(ConfigurationError, match=r"--reference b\.csv was recorded with 'Genesis', a\.csv"):
@@ -136,7 +136,7 @@ def test_sensor_estimates_of_the_checks_are_pooled_over_runs(tmp_path):
     files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
     one, two = read_drives(find_runs(files), load_vehicle(LEAF), ReadSettings(), 1, lambda: None)
     alone, both = sensor_estimates([one]), sensor_estimates([one, two])
-    assert alone["yaw_rate_bias"] == tuple(one.about["estimates"]["yaw_rate_bias"])
+    assert alone["yaw_rate_bias"] == tuple(one.metadata["estimates"]["yaw_rate_bias"])
     value, low, high = both["yaw_rate_bias"]
     assert low <= value <= high and set(both) >= set(alone)
 

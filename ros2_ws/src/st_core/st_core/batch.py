@@ -256,7 +256,7 @@ class LogBatch:
         """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
         if self._substeps == "auto":
             return integrate.substeps_needed(model, vehicle, self._speeds, self.step)
-        integrate.warn_if_too_long(model, vehicle, self._speeds, self.step / self._substeps)
+        integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 
     def _plan_blocks(self, count: int, separate: bool) -> Iterable[GridBlock]:

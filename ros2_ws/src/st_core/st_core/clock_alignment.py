@@ -53,7 +53,7 @@ class ClockStep(NamedTuple):
 
 
 class _Prepared(NamedTuple):
-    """The usable signals of two recordings, resampled. Times as floats count from the first sample of the first usable
+    """The usable signals of two recordings, resampled. Float times are relative to the first sample of the first usable
     signal in each recording."""
 
     coarse: list[Pair]  # at COARSE_CUTOFF

@@ -155,7 +155,7 @@ def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters,
     return next(tenths for tenths in range(low, coarse[stable] + 1) if is_stable(tenths)) / 10.0
 
 
-def warn_if_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
+def warn_if_step_too_long(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> None:
     """Issue StepTooLongWarning, once per model, car and step, if a step [s] is unstable at one of the speeds [m/s]."""
     model = get_model(model)
     key = (model.name, vehicle.name, step)

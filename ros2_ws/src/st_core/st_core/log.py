@@ -15,7 +15,7 @@ from .vehicle import VehicleParameters
 INS_SIGNALS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
 OPTIONAL_INS_SIGNALS = ("acceleration_x", "acceleration_y")
 STEERING = ("road_wheel_angle", "steering_wheel_angle")  # signals on the time base of the steering
-Acceleration = Literal["causal", "zero_phase"]
+FilterMode = Literal["causal", "zero_phase"]
 SLOPE_HALF_WIDTH = 0.025  # s; a longer time would attenuate 2.5 Hz by over 2.5 %, a shorter one would amplify noise
 
 
@@ -143,11 +143,11 @@ class LogSignals:
     """
 
     def __init__(self, log: DriveLog, maximum_gap: float = 0.1, filter_cutoff: float = 5.0,
-                 acceleration: Acceleration = "causal"):
+                 acceleration: FilterMode = "causal"):
         self.log = log
         self.maximum_gap = maximum_gap
         self._gap_ns = round(maximum_gap / NANOSECOND)
-        self._filter: tuple[float, Acceleration] = (filter_cutoff, acceleration)
+        self._filter: tuple[float, FilterMode] = (filter_cutoff, acceleration)
         _, self.velocity_x_dot = filtered_derivative(
             log.ins_time_ns, log.velocity_x, filter_cutoff, maximum_gap, acceleration)
 

@@ -19,7 +19,7 @@ from . import integrate
 from .batch import LogBatch
 from .errors import ConfigurationError
 from .evaluation import Mode
-from .log import Acceleration, DriveLog, LogSignals
+from .log import DriveLog, FilterMode, LogSignals
 from .models import Model, get_model
 from .prediction import PredictionSettings
 from .readings import correct_log, reading_errors
@@ -57,7 +57,7 @@ class EvaluationSettings:
 
     prediction: PredictionSettings = field(default_factory=PredictionSettings)  # stale_after is not used
     interval: float = 0.1  # time between starts [s]
-    acceleration: Acceleration = "causal"  # filter of the forward speed before its derivative
+    acceleration: FilterMode = "causal"  # filter of the forward speed before its derivative
     inputs: Literal["interpolate", "hold"] = "interpolate"
 
     def __post_init__(self) -> None:

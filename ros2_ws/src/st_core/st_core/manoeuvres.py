@@ -129,7 +129,7 @@ def there_and_back(speed: float, lateral: float) -> Manoeuvre:
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,
-                     description=f"straight there and straight back at {speed:g} m/s")
+                     description=f"straights in opposite directions at {speed:g} m/s")
 
 
 def figure_eight() -> Manoeuvre:

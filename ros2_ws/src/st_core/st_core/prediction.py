@@ -11,7 +11,7 @@ import numpy as np
 from . import integrate
 from .backends import get_backend, has_numba
 from .errors import ConfigurationError, StCoreError
-from .integrate import warn_if_too_long
+from .integrate import warn_if_step_too_long
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, apply_steering_dynamics, find_plan_problem, select_inputs
@@ -148,7 +148,7 @@ class Predictor:
         for model in resolved:
             if model.signals:
                 raise ConfigurationError(f"model {model.name}: needs {model.signals[0]}, which is not measured live")
-            warn_if_too_long(model, vehicle, [self.settings.minimum_speed], self.settings.step)
+            warn_if_step_too_long(model, vehicle, [self.settings.minimum_speed], self.settings.step)
         span = max(self.SPAN, 2.0 * self.settings.stale_after + 2.0 * self.settings.maximum_gap)
         span = ModelView.extend_span(resolved, span)
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)

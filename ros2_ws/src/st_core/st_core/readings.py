@@ -192,7 +192,7 @@ class ModelView:
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         held = np.full(len(grid), now.road_wheel_angle)
         angle = predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, held,
-                                              series.maximum_gap_ns * NANOSECOND)
+                                         series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def read_inputs(self, times_ns: np.ndarray) -> InputSequence:

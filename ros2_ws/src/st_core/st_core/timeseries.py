@@ -9,8 +9,8 @@ noise:
     y_dot_k = (y_k - y_{k-1}) / dt
 
 At an even 100 Hz the results agree with scipy.signal.butter(1, 5, fs=100) to a thousandth. The backward difference
-belongs to the middle of the last interval, so slow changes are late by tau + dt / 2: at 5 Hz and 100 Hz sampling
-31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u; the derivative there is NaN.
+belongs to the middle of the last interval, so slow changes are delayed by tau + dt / 2: at 5 Hz and 100 Hz
+sampling 31.8 + 5 = 37 ms. The filter restarts at the first sample and after every gap with y = u and derivative NaN.
 Source: paper, section on the models' inputs. Checked by: test_filtering.py, test_timeseries.py.
 """
 

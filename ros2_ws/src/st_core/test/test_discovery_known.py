@@ -40,7 +40,7 @@ def test_effect_is_linked_to_the_file_quantity_it_changes(leaf, base, effect, ke
 def test_load_is_added_to_the_mass_in_the_file(leaf):
     space = Space("nonlinear", DiscoverySettings())
     i = space.indices("load")[0]
-    assert find_file_quantities(space, leaf)[i] is None and space.additions == ("load",)
+    assert find_file_quantities(space, leaf)[i] is None and space.payloads == ("load",)
     assert space.deviation[i] * space.scale[i] == 250.0 and np.isinf(np.delete(space.deviation, i)).all()
 
 

@@ -87,7 +87,7 @@ def test_substeps_restore_stability_and_accuracy(stiff_car):
 def test_warning_is_issued_once_with_the_remedy(stiff_car):
     with pytest.warns(StepTooLongWarning) as caught:
         for _ in range(3):
-            integrate.warn_if_too_long("linear", stiff_car, [2.0, 20.0], STEP)
+            integrate.warn_if_step_too_long("linear", stiff_car, [2.0, 20.0], STEP)
     assert len(caught) == 1
     floor = slip_speed_needed(["linear"], stiff_car, [2.0, 20.0], STEP)
     count = substeps_needed("linear", stiff_car, [2.0], STEP)
@@ -100,9 +100,9 @@ def test_no_warning_for_stable_steps(car, stiff_car):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Predictor(car, ("kinematic", "linear", "nonlinear"))
-        integrate.warn_if_too_long("linear", stiff_car, [5.0, 30.0], STEP)
-        integrate.warn_if_too_long("kinematic", stiff_car, [0.1], STEP)
-        integrate.warn_if_too_long("linear", stiff_car, [], STEP)
+        integrate.warn_if_step_too_long("linear", stiff_car, [5.0, 30.0], STEP)
+        integrate.warn_if_step_too_long("kinematic", stiff_car, [0.1], STEP)
+        integrate.warn_if_step_too_long("linear", stiff_car, [], STEP)
 
 
 def test_live_predictor_warns_at_construction(stiff_car):

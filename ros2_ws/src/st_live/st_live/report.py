@@ -23,10 +23,10 @@ MAX_LINE_GAP = 1.0  # s between scored starts; no line is drawn across a longer 
 INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 
 
-def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], console: Console) -> int:
+def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    about: further entries of summary.json, with the title `what`. Status 0: every process ended normally, and a horizon
+    extra: entries of summary.json, with the title `what`. Status 0: every process ended normally, and a horizon
     was scored or the user ended the run; 130: the user ended the run before all nodes were up; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:
@@ -39,10 +39,10 @@ def report_results(folder: Path, outcome: Outcome, about: dict[str, Any], consol
         except RunError as error:
             console.out(error, style="red", highlight=False)
             return 1
-        summary = summarise(results, {**about, "exit_statuses": outcome.statuses})
+        summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
         write_summary(folder / "summary.json", summary)
-        draw_paths(results, f"{about['what']}: {make_headline(summary)}", folder / "paths.png")
-    title = f"{about['what']}: mean error over each horizon, at the INS point"
+        draw_paths(results, f"{extra['what']}: {make_headline(summary)}", folder / "paths.png")
+    title = f"{extra['what']}: mean error over each horizon, at the INS point"
     console.print(make_error_table(summary["models"], title))
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)

@@ -88,7 +88,7 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
         ax.set(xticks=[], yticks=[])
         return
     ax.axhline(0, color="k", lw=0.6)
-    # `lags` counts from at_ns on the CAN clock, the other panels from the first INS measurement.
+    # The lags are at times relative to at_ns on the CAN clock, the other panels begin at the first INS measurement.
     start = (alignment.at_ns + alignment.offset_ns - int(signals[0].reference_time_ns[0])) * 1e-9
     time = [start + w.time for w in lags]
     if len(lags) == 1:

@@ -141,7 +141,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
     return segments
 
 
-def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
+def summarise(results: Results, extra: dict[str, Any]) -> dict[str, Any]:
     """Content of summary.json: statistics of the horizon means of complete scores, band coverage, ticks."""
     models: dict[str, Any] = {}
     for model in results.models():
@@ -150,7 +150,7 @@ def summarise(results: Results, about: dict[str, Any]) -> dict[str, Any]:
     for row in results.bands:
         models[row.model][row.mode]["bands"] = {"n": row.n_bands, "0.5": row.coverage_50, "0.9": row.coverage_90}
     units = {"longitudinal": "m", "lateral": "m", "yaw": "rad"}
-    return {**about, "units": units, "models": models, "ticks": results.ticks,
+    return {**extra, "units": units, "models": models, "ticks": results.ticks,
             "configuration_hash": results.configuration_hash, "versions": collect_versions()}
 
 

@@ -52,7 +52,7 @@ class Driver:
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
-            # Decision times count from the first call, so that a drive does not depend on its start time.
+            # Decision times are relative to the first call, so that a drive does not depend on its start time.
             self._next_decision = time + SAMPLING_TIME
             self._decide(plant, time)
         move = (self._target + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME

@@ -51,22 +51,22 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
 
 
 class TruthFile:
-    """The file truth.mcap with the true states, for scoring.
+    """The file truth.mcap in a folder, with the true states, for scoring.
 
-    Channel /truth with JSON messages, logged at the UTC of the true state. about: content of the metadata record `run`.
+    Channel /truth with JSON messages, logged at the UTC of the true state. metadata: content of the record `run`.
     fault: why the file is incomplete; empty if it is complete.
     """
 
-    def __init__(self, path: Path, start_ns: int, settings: Settings, about: Mapping[str, object]):
+    def __init__(self, folder: Path, start_ns: int, settings: Settings, metadata: Mapping[str, object]):
         self._start_ns = start_ns
         self.fault = ""
-        self._stream = path.open("wb")
+        self._stream = (folder / "truth.mcap").open("wb")
         self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE)
         self._writer.start(profile="", library="st_sim")
         schema = self._writer.register_schema("st_sim/Truth", "jsonschema", json.dumps(TRUTH_SCHEMA).encode())
         self._channel = self._writer.register_channel(TRUTH_TOPIC, "json", schema)
         self._writer.add_metadata("settings", {name: repr(value) for name, value in settings.items()})
-        self._writer.add_metadata("run", {name: str(value) for name, value in about.items()})
+        self._writer.add_metadata("run", {name: str(value) for name, value in metadata.items()})
 
     def write(self, truth: Truth) -> None:
         """Add a record. A write error, for example on a full disk, ends the file but not the drive."""

@@ -34,8 +34,8 @@ DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
 class Truth:
     """True motion at the CG in a simulated or recorded drive [SI]; time since the start of the drive.
 
-    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each of body
-    plus road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
+    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each the
+    sum of body and road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
     acceleration_x, _y: of the motion, not the specific force. wheel_speed and, in wheel axes and only of a simulated
     car, lateral and longitudinal force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
     """

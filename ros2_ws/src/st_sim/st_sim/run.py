@@ -77,7 +77,7 @@ def _watch_signals() -> Callable[[], bool]:
 
 
 class _Run:
-    """Checked inputs of a run. about: content of the metadata record `run` in truth.mcap."""
+    """Checked inputs of a run. metadata: content of the metadata record `run` in truth.mcap."""
 
     def __init__(self, options: argparse.Namespace):
         if not options.vehicle:
@@ -95,7 +95,7 @@ class _Run:
             raise SimulationError(f"--duration {self.duration:g}: must be above 0 and at most {MAX_DURATION:.0f} s")
         if drive_duration is not None:
             self.duration = min(self.duration, drive_duration)
-        self.about = {
+        self.metadata = {
             "scenario": "" if options.drive else options.scenario, "drive": options.drive.name if options.drive else "",
             "vehicle": self._car.name, "plant": options.plant or "", "seed": options.seed,
             "ncom_rate": options.ncom_rate, "changed_settings": json.dumps(find_overrides(self.settings))}
@@ -163,7 +163,7 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         started = monotonic + (start_ns - now_ns) / 1e9
         truth = None
         if options.output:
-            truth = TruthFile(make_folder("--output", options.output) / "truth.mcap", start_ns, run.settings, run.about)
+            truth = TruthFile(make_folder("--output", options.output), start_ns, run.settings, run.metadata)
             resources.callback(truth.close)
         outputs = run.generate_outputs(start_ns)
         # A higher priority, if permitted, helps to keep the deadlines.
@@ -188,7 +188,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
         ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
         files.callback(frames.close)
-        truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.about)
+        truth = TruthFile(folder, start_ns, run.settings, run.metadata)
         files.callback(truth.close)
         last_due = send(
             run.generate_outputs(start_ns), ncom.write,

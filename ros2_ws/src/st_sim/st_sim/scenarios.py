@@ -56,7 +56,7 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s], -1: at no speed. steer: see Demand."""
+    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s] (-1: never). steer: see Demand."""
 
     steer: str
     acceleration: float = 0.0

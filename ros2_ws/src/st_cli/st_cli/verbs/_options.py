@@ -59,7 +59,7 @@ EffectsOfModel = Annotated[Path | None, typer.Option(
 
 @contextmanager
 def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
-    """Report errors in the inputs of a command in one line, with exit status 2. additional: more types of them."""
+    """Report errors in the inputs of a command in one line, with exit status 2. additional: further error types."""
     from st_core.errors import StCoreError
     from st_recordings.paths import OutputError
     from st_recordings.runs.errors import RunError

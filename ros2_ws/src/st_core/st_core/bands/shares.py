@@ -5,9 +5,9 @@
 p: parameters of vehicle and model file with a known uncertainty, assumed independent. s: the six states at the start
 and the measured pose at t, with the white noise of this recording. The derivatives are central differences of whole
 predictions with steps of one standard deviation, along and across the predicted heading; the errors are along and
-across the measured one, which differs little. The residual contains the
-structure of the model, parameters without an uncertainty, slow errors of the sensors, and noise of the inputs; it is
-negative if the uncertainties exceed the errors. Only hindsight is decomposed. Checked by: test_bands_shares.py.
+across the measured one, which differs little. The residual contains errors of the
+model structure, parameters without an uncertainty, slow errors of the sensors, and noise of the inputs; it is negative
+if the uncertainties exceed the errors. Only hindsight is decomposed. Checked by: test_bands_shares.py.
 """
 
 import contextlib

@@ -12,7 +12,7 @@ from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
 CONFIDENCE = 0.95  # of the tests of consistency
-MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - faultless value|
+MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class RunComparison:
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
     """Comparisons of the quantities of findings that at least MIN_COMPARED_RUNS runs estimate, most often reported
-    first; without quantities that are consistent and whose interval contains the faultless value."""
+    first; without quantities that are consistent and whose interval contains the neutral value."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():

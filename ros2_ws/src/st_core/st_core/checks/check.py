@@ -198,10 +198,10 @@ def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
-    yaw_is_wrong = shifted_yaw_fits_better(motion, motion.with_earlier(-lag, "yaw"))
+    yaw_is_wrong = shifted_yaw_fits_better(motion, motion.shifted_earlier(-lag, "yaw"))
     name, seconds = ("yaw", -lag) if yaw_is_wrong else ("yaw_rate", lag)
-    aligned, findings = correct_units(motion.with_earlier(seconds, name))
-    return aligned.with_earlier(-seconds, name), findings
+    aligned, findings = correct_units(motion.shifted_earlier(seconds, name))
+    return aligned.shifted_earlier(-seconds, name), findings
 
 
 def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion, list[Finding]]:
@@ -210,7 +210,7 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
             or abs(agreement.lag.value) < LIMITS.lag):
         return motion, []
     lag = add_systematic_uncertainty("yaw_lag", agreement.lag.scaled(-1.0))
-    corrected = motion.with_earlier(lag.value, "yaw")
+    corrected = motion.shifted_earlier(lag.value, "yaw")
     if not position.positions_confirm_yaw_lag(motion, corrected, lag.value):
         return motion, []
     effect = abs(lag.value) * float(np.std(motion.yaw_rate)) * float(np.median(motion.speed)) * HORIZON

@@ -27,7 +27,7 @@ LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger b
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
 MIN_RESIDUAL_SHARE = 1e-4  # fraction of the variance; interpolation and filters cause a residual of 1 % of a signal
-GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds a minimum beside it
+GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds the minimum next to it
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
 
@@ -331,7 +331,7 @@ def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
         return motion
     if agreement.correlation >= GYRO_CORRELATION:
         motion = replace(motion, yaw_rate=(motion.yaw_rate - agreement.bias.value) / agreement.scale.value)
-    return motion.with_earlier(agreement.lag.value, "yaw_rate") if agreement.has_lag else motion
+    return motion.shifted_earlier(agreement.lag.value, "yaw_rate") if agreement.has_lag else motion
 
 
 def check_accelerations(motion: Motion) -> list[CheckResult]:

@@ -70,8 +70,8 @@ class Motion:
                 signals[name] = values.get("scale", 1.0) * recorded + values.get("add", 0.0)
         return replace(self, **signals)
 
-    def with_earlier(self, seconds: float, *names: str) -> "Motion":
-        """The motion with INS channels moved to earlier times; beyond the recorded time, the value at its end."""
+    def shifted_earlier(self, seconds: float, *names: str) -> "Motion":
+        """The motion with INS channels shifted to earlier times; beyond the recorded time, the value at its end."""
         return replace(self, **{name: np.interp(self.time + seconds, self.time, getattr(self, name)) for name in names})
 
     def select_ins(self, mask: np.ndarray) -> "Motion":

@@ -296,7 +296,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
                      velocity_x=motion.velocity_x * scale - value["velocity_x_bias"],
                      velocity_y=motion.velocity_y * scale - value["velocity_y_bias"])
     for cause in {"position_lag", "velocity_lag"} & causes.keys():
-        motion = motion.with_earlier(value[cause], *CAUSES[cause].channels)
+        motion = motion.shifted_earlier(value[cause], *CAUSES[cause].channels)
     return motion
 
 

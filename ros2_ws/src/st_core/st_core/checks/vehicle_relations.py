@@ -248,7 +248,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     findings += [point_or_sign] if point_or_sign else []
     motion_of_axle = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
-                       "velocity_y", "rear axle at the distance of the vehicle file", windows.time[usable], lateral,
+                       "velocity_y", "from yaw rate and INS position of the file", windows.time[usable], lateral,
                        declared * rate + motion_of_axle, ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 

@@ -50,9 +50,9 @@ class Axles:
         self.model = problem.space.at(fit.vector)
         self.has_sideslip = "velocity_y" in problem.errors.windows.settings.channels
         # Measured slip and force of both axles, corrected only for fitted effects of steering, sensors and load.
-        logs, additions = [], problem.space.additions
+        logs, payloads = [], problem.space.payloads
         corrected = self.model.select_effects(e for e in self.model.effects
-                                              if e.kind == "sensors" or e.slot == "steering" or e.name in additions)
+                                              if e.kind == "sensors" or e.slot == "steering" or e.name in payloads)
         car = corrected.effective_vehicle(vehicle)
         for run in runs:
             log = correct_log(corrected, run)
@@ -118,7 +118,7 @@ class Axles:
         """Axles whose measured forces agree less with the model than with the vehicle file; none without measured
         sideslip or with low excitation. leave_one_out: see `Discovery`."""
         space, contradicting = self.problem.space, []
-        base = base.with_values({name: space.values(name, self.fit.vector) for name in space.additions})
+        base = base.with_values({name: space.values(name, self.fit.vector) for name in space.payloads})
         for regression in self.regressions if self.has_sideslip else ():
             if not regression.usable:
                 continue

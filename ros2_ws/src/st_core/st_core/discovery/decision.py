@@ -83,7 +83,7 @@ def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
     return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
                   f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); with "
-                  f"probability {a.p_absent:.2g} it is absent or of opposite sign in a new part")
+                  f"probability {a.p_absent:.2g} it is absent or of opposite sign in another one")
 
 
 def _format_with_unit(number: float, unit: str) -> str:

@@ -130,11 +130,11 @@ class Problem:
         self._cached_sensitivities: list[Sensitivities] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """Set the quantity of the vehicle file that each parameter changes. Priors of additions to the car, such as a
-        load, apply only without reference drives, since reference drives already include the load."""
+        """Set the quantity of the vehicle file that each parameter changes. Priors of payloads
+        apply only without reference drives, since reference drives already include the load."""
         self.quantities = quantities
-        addition_deviation = self.space.deviation if self.prior is None else np.inf
-        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), addition_deviation)
+        payload_deviation = self.space.deviation if self.prior is None else np.inf
+        self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), payload_deviation)
 
     @cached_property
     def baseline_rms(self) -> np.ndarray:

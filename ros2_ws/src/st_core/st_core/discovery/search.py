@@ -66,14 +66,14 @@ class Search:
         self._fits_tried: list[tuple[np.ndarray, NearSet, float]] = []
 
     def run(self) -> SearchState:
-        """Find the best set from three starts: the empty set, the set found from it plus all physical effects, and the
-        library without composites; without additions and forward-only effects in the last two."""
+        """Find the best set from three starts: the empty set; the set found from it plus all physical effects; the
+        library without composites. The last two contain no payload and no effect for driving forward only."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
         assert first is not None  # no set was visited before
         candidates: list[SearchState | None] = [first]
-        library = [n for n in p.space.hypotheses if n not in p.space.additions and not get_effect(n).forward_only]
+        library = [n for n in p.space.hypotheses if n not in p.space.payloads and not get_effect(n).forward_only]
         physics = [n for n in library if get_effect(n).kind == "physics"]
         for names in ([*first.fit.names, *physics], [n for n in library if not get_effect(n).members]):
             scale, design_effect = p.loss.scale, p.design_effect
@@ -108,7 +108,7 @@ class Search:
         parameter scales is tried.
         Bands of axle forces include the laden car; intervals of values apply to the car without a load."""
         p, names = self.problem, state.fit.names
-        for other in (n for n in p.space.additions if names and n not in names and not p.space.overlaps(n, names)):
+        for other in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
                 # The load is fixed at this start value: its prior mean where all parameters are free (reference).
                 laden, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
@@ -208,9 +208,9 @@ class Search:
         gains = state.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
         required = CONTENDER_SHARE * max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
-        # Additions, such as a load, are tried only as rivals of effects already in the set.
+        # A payload is tried only as a rival of effects already in the set.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
-                  if gains[e][0].sum() > required and e not in p.space.additions]
+                  if gains[e][0].sum() > required and e not in p.space.payloads]
         # Significant effects are preferred: with much noise, others can gain more by chance.
         library, by_effect = len(p.space.hypotheses), state.scores.by_effect
         significant = [e for e in ranked if library_p_value(by_effect[e], gains[e][0], state.scores, library)

@@ -29,9 +29,8 @@ class Space:
     hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
     drive has. free: (effect name, parameter) of all parameters but the last. null: (p,) vector of the base model.
     scale: (p,) parameter scales > 0, typical deviations from the null, and units of steps and distances. sign: (p,)
-    sign of initial - null. low, high: (p,) bounds. additions: names of the effects that add something to the measured
-    car, such as a load. deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all
-    other parameters.
+    sign of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the
+    measured car. deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others.
     """
 
     def __init__(self, base: str | Model, settings: DiscoverySettings, not_searched: Sequence[str] = (),
@@ -50,7 +49,7 @@ class Space:
         self.sign = np.array([*(1.0 if p.initial > p.null else -1.0 for _, p in self.free), 1.0])
         self.low, self.high = np.array([*(p.bounds for _, p in self.free), GAIN_BOUNDS]).T
         self.deviation = np.array([*(p.deviation for _, p in self.free), np.inf]) / self.scale
-        self.additions = tuple(n for n in self.hypotheses
+        self.payloads = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
         self.effect_of = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
         self._indices = {name: np.flatnonzero(self.effect_of == name).tolist() for name in {*self.effect_of}}

@@ -6,7 +6,7 @@ from ._base import Effect, Parameter, register
 @register
 class YawRateBias(Effect):
     physics = "measured r = r + bias; the heading of the INS is unchanged"
-    excited_by = "any driving, also straight, with measured heading"
+    excited_by = "any driving, even straight, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     confounded_with = ("steering_offset", "crosswind")

@@ -63,8 +63,8 @@ simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 %
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                      settings: DrivingFitSettings = DrivingFitSettings(), *, also: Sequence[str] = (),
-                      nuisance: Sequence[str] = NUISANCE) -> Identification:
+                  settings: DrivingFitSettings = DrivingFitSettings(), *, also: Sequence[str] = (),
+                  nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.

@@ -13,7 +13,7 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.recorded_results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.bag import is_own_can_log, may_carry_steering
+from st_recordings.runs.bag import may_carry_steering, may_need_can_frames
 from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import CAN_MSGS_FRAME
 
@@ -55,7 +55,7 @@ def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Check a bag that is to be replayed, with its stored models and step; the vehicle is `vehicle`, the stored one, or
     else the default. Raises RefusedRunError, and RunError for a bag that cannot be read or has no steering topic."""
-    if not (settings and settings.steering) and is_own_can_log(bag):
+    if not (settings and settings.steering) and may_need_can_frames(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""
         raise RunError(bag, f"its steering is only in CAN frames ({CAN_MSGS_FRAME}), which the nodes do not receive",

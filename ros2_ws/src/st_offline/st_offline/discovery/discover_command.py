@@ -110,14 +110,14 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
     """Raise ConfigurationError for a drive given both as run and as reference, and for a reference of another car."""
-    used = {digest for d in suspect if d.log is not None for digest in d.about["files"].values()}
-    cars = {d.about["vehicle"]: d.name for d in suspect if d.log is not None and d.about["vehicle"]}
+    used = {digest for d in suspect if d.log is not None for digest in d.metadata["files"].values()}
+    cars = {d.metadata["vehicle"]: d.name for d in suspect if d.log is not None and d.metadata["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
-        if used & set(drive.about["files"].values()):
+        if used & set(drive.metadata["files"].values()):
             raise ConfigurationError(f"{drive.name} is given as a run and as --reference: remove it from one list")
-        if drive.about["vehicle"] and cars and drive.about["vehicle"] not in cars:
+        if (recorded := drive.metadata["vehicle"]) and cars and recorded not in cars:
             car, name = next(iter(cars.items()))
-            raise ConfigurationError(f"--reference {drive.name} was recorded with {drive.about['vehicle']!r}, {name} "
+            raise ConfigurationError(f"--reference {drive.name} was recorded with {recorded!r}, {name} "
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
@@ -148,7 +148,7 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
 
 def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
     """Sensor errors estimated by the checks and pooled over the drives, (value, ends of its 95 % interval) by name."""
-    return pool_estimates([{name: value for name, value in d.about["estimates"].items() if None not in value}
+    return pool_estimates([{name: value for name, value in d.metadata["estimates"].items() if None not in value}
                            for d in drives if d.log is not None])
 
 

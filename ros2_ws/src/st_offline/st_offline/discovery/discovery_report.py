@@ -52,7 +52,7 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
 
 def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Inputs, settings and versions needed to repeat the discovery."""
-    runs, reference = ({d.name: {**d.about, "findings": findings_as_json(d.findings)} for d in drives if d.log}
+    runs, reference = ({d.name: {**d.metadata, "findings": findings_as_json(d.findings)} for d in drives if d.log}
                        for drives in (request.drives, request.reference_drives))
     return {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -84,9 +84,9 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
             intervals[named_effect.name, name] = (min(low, total), max(high, total))
     companion = f", for the vehicle.yaml that contains {', '.join(update.folded)}" if update.folded else ""
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
-    about = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
+    provenance = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
     named = {e.name: e.parameters for e in discovery.effects}
-    complete = ModelFile.of(update.model, update.vehicle, about, intervals, "st discover: found in the runs")
+    complete = ModelFile.of(update.model, update.vehicle, provenance, intervals, "st discover: found in the runs")
     base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives
                    else "part of the base model")
     minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}
@@ -108,7 +108,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
                          if p.fit else complete.effects[name][p.name] for p in effect.parameters}
     if not effects:
         return None
-    return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, about)
+    return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, provenance)
 
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],

@@ -32,12 +32,12 @@ RESULT_FORMAT = 3  # version of the format of cached results; other versions are
 
 @dataclass(frozen=True)
 class Drive:
-    """One run. log: None if a problem prevents its use. about: data for the report, including estimates of the checks
-    and the name of the recorded car ("" if unknown); empty if the run cannot be used. findings: of the checks."""
+    """One run. log: None if a problem prevents its use. metadata: for the report, including estimates of the checks and
+    the name of the recorded car ("" if unknown); empty if the run cannot be used. findings: of the checks."""
 
     name: str
     log: DriveLog | None
-    about: dict[str, Any]
+    metadata: dict[str, Any]
     problem: str = ""
     findings: tuple[Finding, ...] = ()
 
@@ -82,7 +82,7 @@ class Request:
     def file_hashes(self) -> dict[str, str]:
         """sha256 of each file of the used drives, by "drive: file name"."""
         return {f"{drive.name}: {Path(file).name}": digest for drive in self.all_drives if drive.log is not None
-                for file, digest in drive.about["files"].items()}
+                for file, digest in drive.metadata["files"].items()}
 
 
 def read_drives(sources: Sequence[RunSource], vehicle: VehicleParameters, settings: ReadSettings, jobs: int,
@@ -113,12 +113,12 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         checked = check_log(run.log, vehicle, run.auxiliary)
         recorded = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
         car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
-        about = {"files": run.provenance["files"], "duration_s": run.log.duration,
-                 "alignment": run.alignment.verdict.value,
-                 "clock_deviation_s": json_ready(run.alignment.offset_deviation),
-                 "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
+        metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
+                    "alignment": run.alignment.verdict.value,
+                    "clock_deviation_s": json_ready(run.alignment.offset_deviation),
+                    "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
         refuse_errors(source.where, checked.findings, force)
-        return Drive(source.name, run.log, about, findings=checked.findings)
+        return Drive(source.name, run.log, metadata, findings=checked.findings)
     except RefusedRunError as error:
         return Drive(source.name, None, {}, str(error), error.findings)
     except RUN_ERRORS as error:
@@ -127,7 +127,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
     """Standard deviation of the offset of the steering clock [s], by run whose offset was estimated."""
-    return {d.name: s for d in drives if d.log is not None and (s := d.about.get("clock_deviation_s"))}
+    return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
 
 
 def cache_folder() -> Path | None:

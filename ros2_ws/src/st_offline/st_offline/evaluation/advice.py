@@ -196,7 +196,7 @@ def measure_runs(sources: Sequence[RunSource],
                     except StCoreError:  # no start with a complete horizon, for any model and step
                         continue
         if longest is None:
-            raise ConfigurationError("--advise: no run can be read and is as long as the horizon; give longer runs")
+            raise ConfigurationError("--advise: no readable run is as long as the horizon; give longer runs")
         costs = measure_costs(models, task.vehicle, longest, settings)
     accuracies = {}
     for (name, step), runs in samples.items():

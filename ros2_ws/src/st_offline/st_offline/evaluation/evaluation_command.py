@@ -54,7 +54,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
 
         advise([s for s, report in zip(sources, reports, strict=True) if not report.problem], task, tolerance, console)
     for report in good:
-        if text := describe_clock(report.about["alignment"]):
+        if text := describe_clock(report.metadata["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}", console)
     print_findings({report.name: report.findings for report in reports}, console)
     list_files({files[key]: description for key, description in FILE_DESCRIPTIONS.items()}, console)
@@ -63,7 +63,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
         report_problem(report.name, report.problem, console)
     times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
                       for part in ("read", "predict", "draw"))
-    hours = sum(r.about["duration"] for r in good) / 3600.0
+    hours = sum(r.metadata["duration"] for r in good) / 3600.0
     console.print(f"[dim]{format_count(len(good), 'run')}, {hours:.2f} h of driving in "
                   f"{time.perf_counter() - began:.1f} s ({times})[/dim]", highlight=False)
     return 1 if failed else 0

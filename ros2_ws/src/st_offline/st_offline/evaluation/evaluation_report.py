@@ -69,7 +69,7 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
         "bins_all_runs": pool_bins(good),
         "manoeuvres": {r.name: r.manoeuvres for r in good},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
-        "about": {r.name: {**r.about, "findings": findings_as_json(r.findings)} for r in good},
+        "about": {r.name: {**r.metadata, "findings": findings_as_json(r.findings)} for r in good},
         **_summarise_bands(good, task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
@@ -110,9 +110,9 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
     settings = describe_settings(task)
-    about = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
+    note = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
              f"{settings['measured inputs']}.")
-    files["latex"].write_text(tables.make_latex_table(good, task.over, about))
+    files["latex"].write_text(tables.make_latex_table(good, task.over, note))
     output = FigureOutput(folder, task.formats)
     overview = draw_overview(good, task.over, output)
     band_figures = draw_bands(content.get("bands_all_runs", {}), output)
@@ -184,11 +184,11 @@ def make_summary(reports: Sequence[RunReport], task: Task) -> list[str]:
     best = min(models, key=lambda m: get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"] or math.inf)
     errors = ", ".join(f"{label}{format_error(get_axis_statistics(models, best, mode, 'lateral', over)['rmse'])} m"
                        for mode, label in FORECAST_LABELS.items() if mode in models[best])
-    minutes = sum(r.about["duration"] for r in reports) / 60.0
+    minutes = sum(r.metadata["duration"] for r in reports) / 60.0
     groups = group_findings({r.name: r.findings for r in reports})
     faults = "; ".join(f"{finding.name} in {', '.join(names)} ({describe_effect(finding) or finding.text})"
                        for finding, names in groups if finding.severity is not Severity.NOTE)
-    steering = describe_clocks({report.name: report.about["alignment"] for report in reports})
+    steering = describe_clocks({report.name: report.metadata["alignment"] for report in reports})
     return [f"{minutes:.1f} minutes of driving, predictions over {task.settings.prediction.horizon:g} s. With the "
             "measured inputs (hindsight), the error is due to the model; with the inputs of the start held (forecast), "
             f"it also contains the effect of the driver's later inputs: the lateral RMSE of {best} is then {errors}.",

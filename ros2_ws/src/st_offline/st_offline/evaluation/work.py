@@ -68,13 +68,13 @@ class Task:
 @dataclass(frozen=True)
 class RunReport:
     """Results of one run, picklable. problem: why the run was not evaluated; then only `findings`, those of the checks,
-    are set. ranking: of the models, in one sentence. about: provenance, counts, alignment, warnings. bands: sums of
+    are set. ranking: of the models, in one sentence. metadata: provenance, counts, alignment, warnings. bands: sums of
     bands_report. seconds: wall time [s] of reading, predicting and drawing."""
 
     name: str
     problem: str = ""
     ranking: str = ""
-    about: dict[str, Any] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict)
     models: dict[str, Any] = field(default_factory=dict)
     seconds_ahead: dict[str, Any] = field(default_factory=dict)
     bins: list[dict[str, Any]] = field(default_factory=list)
@@ -128,7 +128,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
                                   _make_figure_output(task, source.name, evaluation)))
     times.append(time.perf_counter())
-    about = {
+    metadata = {
         "duration": run.log.duration, "overlap": run.log.overlap, "n_predictions": len(evaluation.starts_ns),
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
@@ -137,7 +137,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     if bands:
         sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
-    return RunReport(source.name, "", describe_ranking(evaluation), about, tables.summarise_by_model(evaluation),
+    return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
 

@@ -221,7 +221,7 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
         if not used:
             raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
         outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if predicts else {}))
-        warnings = dict.fromkeys(warning for d in used for warning in d.about["warnings"])  # each once, in order
+        warnings = dict.fromkeys(warning for d in used for warning in d.metadata["warnings"])  # each once, in order
         return (replace(outcome, experiment=name, rejected=(*failed.items(), *outcome.rejected),
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)

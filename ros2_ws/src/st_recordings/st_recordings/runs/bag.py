@@ -72,7 +72,7 @@ def lacks_steering(path: Path) -> bool:
     return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
 
 
-def is_own_can_log(path: Path) -> bool:
+def may_need_can_frames(path: Path) -> bool:
     """Whether the steering of a bag may be in its own CAN frames (can_msgs/Frame), recorded by another bridge."""
     types = _read_types(path)
     return types >= {ODOMETRY, CAN_MSGS_FRAME} and not types & {STEERING, CAN_FRAMES}

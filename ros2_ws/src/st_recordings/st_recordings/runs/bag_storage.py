@@ -29,7 +29,7 @@ from .cdr import READ_ERRORS, Block, CdrLayout, add_definitions, get_field, load
 from .errors import RunError, check_readable, format_share, shorten
 
 EXTENSIONS = (".mcap", ".db3")
-ZSTD_MARK = b"\x28\xb5\x2f\xfd"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
 
 
@@ -324,7 +324,7 @@ class SqliteStorage(Storage):
 
 def _decompress(data: bytes) -> bytes:
     """A message, decompressed if its first bytes mark it as compressed: metadata.yaml may be missing."""
-    if data[:4] != ZSTD_MARK:
+    if data[:4] != ZSTD_MAGIC:
         return data
     try:
         return zstandard.decompress(data)

@@ -1,7 +1,7 @@
 """Reads tables from MDF files of measured signals (version 3 or 4, as ETAS INCA, Vector CANape and asammdf write them),
 and from files of MATLAB (.mat up to version 7) and Apache Arrow (.parquet, .feather).
 
-They become text as of a CSV file, so that names, units, times and rates are handled in the same way.
+They become text like that of a CSV file, so that names, units, times and rates are handled in the same way.
 """
 
 import mmap
@@ -176,8 +176,8 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
     """(header, rows separated by commas) of the signals that are channels of a drive or named by the layout.
 
     Each time at which a signal was measured has a row, in which the other signals are nan; of several samples at one
-    time, the first is used. Times are UTC, or count from the start of a measurement without a date. An array appears as
-    text. Appends a warning about each name with several signals. Raises RunError for a file that asammdf cannot read.
+    time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array appears
+    as text. Appends a warning about each name with several signals. Raises RunError if asammdf cannot read the file.
     """
     import pandas as pd
 

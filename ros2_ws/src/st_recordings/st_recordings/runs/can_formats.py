@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .binary_table import is_signal_table
-from .errors import COMPRESSED_MARKS, format_share, shorten
+from .errors import COMPRESSED_MAGIC, format_share, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
@@ -151,7 +151,7 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
             try:
                 return super()._datetime_to_timestamp(text)
             except ValueError:
-                note = f"its date {text[:40]!r} cannot be read, so its times count from the start of the log"
+                note = f"its date {text[:40]!r} cannot be read, so its times are relative to the start"
                 if note not in notes:
                     notes.append(note)
                 return 0.0
@@ -161,7 +161,7 @@ def _read_asc(lines: Lines, notes: list[str]) -> Any:
 
 class _AscLines(Lines):
     header = "\n"
-    _are_relative, _seconds = False, 0.0  # whether times count from the previous line; last time since the start
+    _are_relative, _seconds = False, 0.0  # whether times are relative to the previous line; last time since the start
 
     def convert(self, line: str) -> str:
         """Writes times since the start and English months, and removes a.m. or p.m. from hours outside 1 to 12."""
@@ -284,4 +284,4 @@ def is_can_log(file: Path) -> bool:
     except OSError:
         head = b""
     return is_mdf(head) or any(kind.matches(head) for kind in FORMATS) or (
-        extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MARKS))))
+        extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

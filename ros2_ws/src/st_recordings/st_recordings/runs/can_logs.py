@@ -24,7 +24,7 @@ from .mf4 import MF4_EXTENSIONS, is_mdf, parse_session, read_mf4, reject_unreada
 _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc", "data")  # of can_msgs/Frame
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
-FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times count from the start of the log
+FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_SHARE = 0.2
 """Times in a candump that begins at 0 are relative to the previous frame if more of them decrease, or none changes."""
 
@@ -45,8 +45,8 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used_files = tuple(log.files[0] for log in logs)
     if len({log.absolute for log in logs}) > 1:
-        raise RunError(used_files[0], "some logs of the run have UTC times, but in others the times count from the "
-                       "start", "read them with separate commands")
+        raise RunError(used_files[0], "some logs of the run have UTC times, but the times of others are relative to "
+                       "the start", "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
     frames, repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
     if repeated:
@@ -69,7 +69,7 @@ def _read_log(file: Path) -> CanLog:
     kind = next((f for f in FORMATS if f.matches(head)), None)
     if kind is None:
         if file.suffix.lower() in MF4_EXTENSIONS:
-            raise RunError(file, "this is not an MF4 file (no MDF mark at its start)",
+            raise RunError(file, "this is not an MF4 file (it does not start with MDF)",
                            "correct its extension, or remove it from the command")
         if UNSTAMPED_LINE.search(head):
             raise RunError(file, "this output of candump has no time stamps", "record again with candump -l")

@@ -269,7 +269,7 @@ def find_times(names: Sequence[str]) -> list[ColumnSource]:
             if (meaning := _identify_channel(name)) and meaning.channel == "t"]
 
 
-def find_rivals(names: Sequence[str]) -> dict[str, list[str]]:
+def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
     """Channel -> names of its columns, for the channels that have several columns with equally good names."""
     return {channel: [source.name for source in sources] for channel, sources in _find_best_columns(names).items()
             if len(sources) > 1}

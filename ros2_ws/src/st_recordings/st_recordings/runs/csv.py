@@ -12,7 +12,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
-from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous_steering, find_columns, find_rivals
+from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_share
 from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_from_quaternion
@@ -192,8 +192,8 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")
-    if missing and (channel := next((name for name in candidates if name in (rivals := find_rivals(table.names))), "")):
-        raise RunError(table.file, f"columns {' and '.join(rivals[channel])[:200]} may each be {channel}",
+    if missing and (channel := next((n for n in candidates if n in (found := find_ambiguous(table.names))), "")):
+        raise RunError(table.file, f"columns {' and '.join(found[channel])[:200]} may each be {channel}",
                        f"name the right one in a run.yaml, as columns: {{{channel}: NAME}}")
     if missing:
         texts = [f"{name} (or {ALTERNATIVES[name]})" if name in ALTERNATIVES else name for name in missing]

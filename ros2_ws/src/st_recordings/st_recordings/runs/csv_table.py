@@ -220,7 +220,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
     warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]
     warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
-                 for channel, rivals in column_names.find_rivals(names).items() if channel not in sources]
+                 for channel, rivals in column_names.find_ambiguous(names).items() if channel not in sources]
     rows = [line.split(delimiter) for line in body.split("\n", ROWS_OF_TIMES)[:ROWS_OF_TIMES]]
 
     def count_times(source: ColumnSource) -> int:
@@ -434,7 +434,7 @@ def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: 
         except ValueError as parse_error:
             error = parse_error
     raise RunError(file, f"a row cannot be read ({shorten(error).partition('; use')[0]})", "correct or remove that row "
-                   "(rows count from 0 after the header)") from None
+                   "(rows are numbered from 0 after the header)") from None
 
 
 def _parse_rows(lines: list[str], delimiter: str, width: int) -> np.ndarray:

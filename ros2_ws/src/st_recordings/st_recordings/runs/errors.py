@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
-COMPRESSED_MARKS = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
+COMPRESSED_MAGIC = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
                     b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of a compressed file -> its kind."""
 _LOGGER = logging.getLogger("st_recordings")
@@ -99,7 +99,7 @@ def check_readable(path: Path) -> None:
             head = stream.read(6)
             if not head:
                 raise RunError(path, "the file is empty", "remove it from the command")
-            if kind := next((name for mark, name in COMPRESSED_MARKS.items() if head.startswith(mark)), None):
+            if kind := next((name for magic, name in COMPRESSED_MAGIC.items() if head.startswith(magic)), None):
                 raise RunError(path, f"this is a compressed file ({kind})", "unpack it first")
     except OSError as error:
         raise RunError(path, f"cannot be read: {error.strerror}") from None

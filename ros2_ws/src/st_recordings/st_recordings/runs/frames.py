@@ -44,7 +44,7 @@ class CanLog:
     frames: Frames
     files: tuple[Path, ...]
     start_ns: int  # start of the first session from its header, or else time of the first frame
-    absolute: bool = True  # whether times are UTC on the logger's clock; otherwise they count from the start of the log
+    absolute: bool = True  # whether times are UTC on the logger's clock; otherwise relative to the start of the log
     warnings: tuple[str, ...] = ()
     steps: tuple[tuple[int, float], ...] = ()  # clock steps as returned by `remove_clock_steps`
 

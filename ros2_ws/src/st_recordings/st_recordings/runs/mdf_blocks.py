@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 Buffer = bytes | mmap.mmap
 _HEADER = 24  # bytes of a block before its links: name, reserved, length, number of links
-_UNFINISHED_MARK = b"UnFinMF "
+_UNFINISHED_MAGIC = b"UnFinMF "
 _COUNTERS_UNFINISHED, _LENGTH_UNFINISHED, _LIST_UNFINISHED = 1, 4, 16  # flags of an unfinalised file
 _MAX_INFLATION = 1032  # largest ratio of unpacked to packed bytes with deflate
 _MAX_COMPRESSION_METHOD = 5  # odd methods transpose the records first
@@ -68,7 +68,7 @@ class _BlockChecker:
 
     def __init__(self, data: Buffer):
         self._data, self._size = data, len(data)
-        self._is_unfinished = data[:8] == _UNFINISHED_MARK
+        self._is_unfinished = data[:8] == _UNFINISHED_MAGIC
         # Since MDF 4.10, flags mark the unfinished parts, which asammdf completes.
         self._unfinished_parts = struct.unpack_from("<H", data, 60)[0] if data[8:12] >= b"4.10" else 0
         self._visited: set[int] = set()

@@ -79,7 +79,7 @@ def read_ncom(file: Path) -> NcomLog:
 def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     lost = []
     with file.open("rb") as stream:
-        is_capture = stream.read(4) in file_decoder.CAPTURE_MARKS  # a capture has headers between the packets
+        is_capture = stream.read(4) in file_decoder.CAPTURE_MAGIC  # a capture has headers between the packets
     if columns.skipped_bytes and not is_capture:
         lost.append(f"{format_share(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if columns.checksum_errors:

@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..paths import config, json_ready
 from . import csv
-from .bag import is_own_can_log
+from .bag import may_need_can_frames
 from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
@@ -221,7 +221,7 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         if run.problem is not None:
             raise run.problem
     if [run.kind for run in runs] == ["bag"] and not runs[0].can:
-        if is_own_can_log(runs[0].where) and (settings.search or settings.offset is not None):
+        if may_need_can_frames(runs[0].where) and (settings.search or settings.offset is not None):
             return runs[0]
         raise RunError(runs[0].where, "all its messages are on one clock, so there is nothing to align")
     raw = [run for run in runs if run.can]

@@ -14,7 +14,7 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
-    if steering is None and any(map(bag.is_own_can_log, source.files)):
+    if steering is None and any(map(bag.may_need_can_frames, source.files)):
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
