@@ -64,7 +64,7 @@ class Score:
         """Adapts a band over a drive. band: calibrated band at the start, None without one; domain: its domain."""
         rows = np.isfinite(drive.conditions).all(axis=1)
         if domain is not None:
-            rows[rows] = domain(drive.conditions[rows])
+            rows[rows] = domain.contains(drive.conditions[rows])
         adaptive = AdaptiveBand(self._time, band)
         errors, initial = drive.errors[self._pair][rows].astype(float), adaptive.factors
         factors, scales = adaptive.replay(drive.starts_ns[rows], drive.conditions[rows], errors)

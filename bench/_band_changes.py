@@ -56,7 +56,7 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
     warned = dict.fromkeys(bands, False)
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, SETTINGS):
         conditions = conditions_at(signals, starts[rows])
-        in_domain = domain(conditions)
+        in_domain = domain.contains(conditions)
         widths = {key: {level: np.pad(factor * band.scale(conditions[in_domain]), ((0, 0), (1, 0), (0, 0)))
                         for level, factor in band.factors.items() if level in (0.5, 0.9)}
                   for key, band in bands.items()}

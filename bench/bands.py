@@ -161,7 +161,7 @@ def score_days(runs: Runs) -> list[Row]:
             known = [one for other, one in days.items() if other != day]
             band = calibrate(known, pair, TIME, stated)
             domain = CalibrationDomain.of([one.conditions for one in known])
-            kept = domain(new.conditions)
+            kept = domain.contains(new.conditions)
             if not kept.any():
                 continue
             errors = np.abs(new.errors[pair][kept].astype(float))
@@ -297,7 +297,7 @@ def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSam
     """Sums for `summarise_bands` for each new run."""
     domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
     for one in new:
-        rows = domain(one.conditions)
+        rows = domain.contains(one.conditions)
         sums = sum_band_scores(band, one.conditions[rows], one.errors[pair][rows].astype(float))
         entries.append(sums | {"without_band": int((~rows).sum())})
     return entries

@@ -377,6 +377,11 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
 
 def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
     """Bins between consecutive edges, and an open bin above the last edge."""
-    bounded = [Bin(quantity, f"{low:g} to {high:g} {unit}", low, high, (values >= low) & (values < high))
-               for low, high in pairwise(edges)]
-    return [*bounded, Bin(quantity, f"above {edges[-1]:g} {unit}", edges[-1], None, values >= edges[-1])]
+    bounded = [Bin(quantity, label_bin(edges, unit, k), low, high, (values >= low) & (values < high))
+               for k, (low, high) in enumerate(pairwise(edges))]
+    return [*bounded, Bin(quantity, label_bin(edges, unit, len(bounded)), edges[-1], None, values >= edges[-1])]
+
+
+def label_bin(edges: Sequence[float], unit: str, k: int) -> str:
+    """Label of the bin above edge k, such as "3 to 6 m/s"."""
+    return f"{edges[k]:g} to {edges[k + 1]:g} {unit}" if k + 1 < len(edges) else f"above {edges[-1]:g} {unit}"

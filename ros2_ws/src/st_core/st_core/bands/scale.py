@@ -24,7 +24,7 @@ import numpy as np
 
 from ..errors import StCoreError
 from ..log import LogSignals
-from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES
+from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
 from ..timeseries import NANOSECOND
 
 CONDITIONS = ("speed", "lateral_acceleration", "forward_acceleration", "steering_activity")
@@ -70,15 +70,18 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 
 MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
 MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
-CELL_EDGES = {CONDITIONS.index("speed"): SPEED_EDGES,
-              CONDITIONS.index("lateral_acceleration"): LATERAL_ACCELERATION_EDGES}
-"""Edges of the cells by column of the conditions."""
+EDGES = {"speed": SPEED_EDGES, "lateral_acceleration": LATERAL_ACCELERATION_EDGES,
+         "steering_activity": STEERING_RATE_EDGES}  # of bins; those of the first two are the cells
 
 
 def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cells of conditions (n, 4): indices (n,) of the bins of speed, and of lateral acceleration."""
-    row, column = (np.searchsorted(edges, conditions[:, k], side="right") - 1 for k, edges in CELL_EDGES.items())
-    return row, column
+    return find_bins(conditions, "speed"), find_bins(conditions, "lateral_acceleration")
+
+
+def find_bins(conditions: np.ndarray, name: str) -> np.ndarray:
+    """Indices (n,) of the bins of one of the conditions (n, 4); see EDGES."""
+    return np.searchsorted(EDGES[name], conditions[:, CONDITIONS.index(name)], side="right") - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,7 @@ class CalibrationDomain:
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
         """The domain of conditions (n, 4), one array for each run."""
-        starts = np.zeros((len(conditions), *map(len, CELL_EDGES.values())), int)
+        starts = np.zeros((len(conditions), len(SPEED_EDGES), len(LATERAL_ACCELERATION_EDGES)), int)
         for run, counts in zip(conditions, starts, strict=True):
             np.add.at(counts, find_cells(run), 1)
         enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS_IN_CELL

@@ -8,19 +8,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
-from st_core.bands import CONDITIONS, AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
+from st_core.bands import AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
 from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS
 from st_core.bands.file import make_times
+from st_core.bands.scale import EDGES, UNITS, find_bins
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions
 from st_core.log import LogSignals
-from st_core.log_evaluation import (
-    AXES,
-    LATERAL_ACCELERATION_EDGES,
-    SPEED_EDGES,
-    STEERING_RATE_EDGES,
-    Block,
-    EvaluationSettings,
-)
+from st_core.log_evaluation import AXES, Block, EvaluationSettings, label_bin
 from st_core.model_file import ModelFile
 from st_core.models import Model
 from st_core.palette import MEASURED_COLOUR
@@ -33,77 +27,56 @@ from ..terminal import make_table, print_line
 
 Sums = dict[str, Any]
 MIN_STARTS = 200  # in a cell; if starts were independent, the standard error of a coverage of 90 % would be 2 %
-CONDITION_EDGES = {"speed": (SPEED_EDGES, "m/s"), "lateral_acceleration": (LATERAL_ACCELERATION_EDGES, "m/s²"),
-                   "steering_activity": (STEERING_RATE_EDGES, "rad/s")}
 _HALF_LEVELS = 0.5 * np.array(RELIABILITY_LEVELS)
 _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LEVELS])
 
 
 class Scorer:
-    """Accumulates the scores of bands on one run; errors are rotated into the predicted frame of the bands. files: of
-    the run, sha256 by path."""
+    """Accumulates the scores of bands on one run, with errors in the predicted frame. bands: calibrated, or None.
+    adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: of the run, sha256 by
+    path."""
 
-    def __init__(self, bands: Bands, signals: LogSignals, files: Mapping[str, str]):
-        self._bands, self._signals = bands, signals
-        known = set(bands.recordings.values())
-        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in known]}]
+    LATE = 120.0  # s after the first start; the coverage of adaptive bands from then on is counted separately
 
-    def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted."""
-        conditions = conditions_at(self._signals, starts_ns)
-        inside = self._bands.domain.contains(conditions)
-        for (model, mode), errors in block.errors.items():
-            if (model, mode) not in self._bands.bands:
-                continue
-            scored = np.isfinite(errors).all(axis=(1, 2))
-            rows = scored & inside
-            band = self._bands.bands[model, mode]
-            entry = sum_band_scores(band, conditions[rows], to_predicted_frame(errors[rows][:, 1:]))
-            entry["without_band"] = int((scored & ~inside).sum())
-            self._sums.append({"models": {model: {mode: entry}}})
-
-    def get_sums(self) -> Sums:
-        """Sums over all blocks; known_recordings: files that were used in the calibration."""
-        return pool_sums(self._sums)
-
-
-class AdaptiveScorer:
-    """Accumulates the coverage of adaptive bands on one run. bands: calibrated bands from which they start, or None."""
-
-    LATE = 120.0  # s after the first start; coverage from then on is counted separately
-
-    def __init__(self, bands: Bands | None, signals: LogSignals, prediction: PredictionSettings):
-        self._bands, self._signals = bands, signals
+    def __init__(self, bands: Bands | None, adaptive: bool, signals: LogSignals, files: Mapping[str, str],
+                 prediction: PredictionSettings):
+        self._bands, self._is_adaptive, self._signals = bands, adaptive, signals
         self._time = make_times(prediction.horizon, prediction.step)
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
         self._first: int | None = None
-        self._sums: list[Sums] = []
+        known = set(bands.recordings.values()) if bands else set()
+        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in known]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation; blocks must be added in time order."""
-        if not len(starts_ns):
+        """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted.
+        Blocks must be added in time order."""
+        if not len(starts_ns) or not (self._bands or self._is_adaptive):
             return
         self._first = int(starts_ns[0]) if self._first is None else self._first
         conditions = conditions_at(self._signals, starts_ns)
         inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain.contains(conditions)
-        late = (starts_ns - self._first) * 1e-9 >= self.LATE
+        starts_ns, conditions = starts_ns[inside], conditions[inside]
         for (model, mode), errors in block.errors.items():
             band = None if self._bands is None else self._bands.bands.get((model, mode))
-            adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
-            rotated = to_predicted_frame(errors[inside][:, 1:])
-            factors, scales = adaptive.replay(starts_ns[inside], conditions[inside], rotated)
-            scored = np.isfinite(rotated).all(axis=(1, 2))
-            score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
-            covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}
-            late_rows = late[inside][scored]
-            entry = {"starts": len(score), "coverage": {level: int(rows.sum()) for level, rows in covered.items()},
-                     "late_starts": int(late_rows.sum()),
-                     "late_coverage": {level: int(rows[late_rows].sum()) for level, rows in covered.items()}}
-            self._sums.append({model: {mode: entry}})
+            complete = np.isfinite(errors).all(axis=(1, 2))
+            rotated, scored = to_predicted_frame(errors[inside][:, 1:]), complete[inside]
+            if band is not None:
+                entry = sum_band_scores(band, conditions[scored], rotated[scored])
+                entry["without_band"] = int((complete & ~inside).sum())
+                self._sums.append({"models": {model: {mode: entry}}})
+            if self._is_adaptive:
+                adaptive = self._adaptive.setdefault((model, mode), AdaptiveBand(self._time, band))
+                factors, scales = adaptive.replay(starts_ns, conditions, rotated)
+                score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
+                covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}
+                late = (starts_ns[scored] - self._first) * 1e-9 >= self.LATE
+                entry = _count_coverage(np.ones(len(score), bool), covered)
+                entry |= {f"late_{key}": value for key, value in _count_coverage(late, covered).items()}
+                self._sums.append({"adaptive": {model: {mode: entry}}})
 
     def get_sums(self) -> Sums:
-        """{"adaptive": {model: {mode: counts}}}."""
-        return {"adaptive": pool_sums(self._sums)}
+        """Sums over all blocks; known_recordings: files that were used in the calibration."""
+        return pool_sums(self._sums)
 
 
 def summarise_adaptive(sums: Sums) -> dict[str, Any]:
@@ -148,15 +121,14 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
                                       for s in np.unique(second)], axis=1) for level in levels}
     sums["seconds"] = {key: {str(s): int(count) for s, count in zip(np.unique(second), rows.sum(axis=0), strict=True)}
                        for key, rows in inside.items()}
-    cells = {name: np.searchsorted(np.array(edges), conditions[:, CONDITIONS.index(name)], side="right") - 1
-              for name, (edges, _) in CONDITION_EDGES.items()}
+    cells = {name: find_bins(conditions, name) for name in EDGES}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
-            _label_cell(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
+            _label_bin(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
     for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
         rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
-            name = f"{_label_cell('speed', v)}, {_label_cell('lateral_acceleration', a)}, second {s}"
+            name = f"{_label_bin('speed', v)}, {_label_bin('lateral_acceleration', a)}, second {s}"
             sums["cells"][name] = _count_coverage(rows, {key: values[:, column] for key, values in inside.items()})
     return sums
 
@@ -182,11 +154,8 @@ def _name_axes(values: np.ndarray) -> dict[str, float]:
     return dict(zip(AXES, np.asarray(values).tolist(), strict=True))
 
 
-def _label_cell(name: str, cell: int) -> str:
-    edges, unit = CONDITION_EDGES[name]
-    if cell + 1 == len(edges):
-        return f"above {edges[-1]:g} {unit}"
-    return f"{edges[cell]:g} to {edges[cell + 1]:g} {unit}"
+def _label_bin(name: str, k: int) -> str:
+    return label_bin(EDGES[name], UNITS[name].replace("^2", "²"), k)
 
 
 def pool_sums(entries: Sequence[Mapping[str, Any]]) -> Sums:

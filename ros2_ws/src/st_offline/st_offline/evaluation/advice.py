@@ -1,6 +1,5 @@
 """Measures processor time and accuracy of each model at several integration steps, for `st evaluate --advise`."""
 
-import itertools
 import math
 import time
 import warnings
@@ -19,7 +18,7 @@ from st_core.batch import LogBatch
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.integrate import StepTooLongWarning
 from st_core.log import LogSignals
-from st_core.log_evaluation import AXES, SPEED_EDGES, EvaluationSettings, regular_starts, usable_starts
+from st_core.log_evaluation import AXES, SPEED_EDGES, EvaluationSettings, label_bin, regular_starts, usable_starts
 from st_core.models import Model
 from st_core.prediction import compile_models, predict
 from st_core.types import ControlInput, VehicleState
@@ -239,8 +238,7 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
 
 def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed, one column for each second ahead."""
-    labels = {low: f"{low:g} to {high:g} m/s" for low, high in itertools.pairwise(SPEED_EDGES)}
-    return [{"speed": labels.get(low, f"above {low:g} m/s")}
+    return [{"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
 

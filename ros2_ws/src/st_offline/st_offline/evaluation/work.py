@@ -19,7 +19,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from st_core.evaluation import Mode
 from st_core.integrate import StepTooLongWarning
 from st_core.log import LogSignals
-from st_core.log_evaluation import AXES, Block, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
+from st_core.log_evaluation import AXES, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
 from st_core.planned_inputs import SLIP_FREE, path_inputs, recorded_plan
@@ -28,7 +28,7 @@ from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, rea
 from st_recordings.runs.csv_table import read_header
 from st_recordings.runs.raw import summarise_alignment
 
-from ..bands.bands_report import AdaptiveScorer, Scorer, collect_intervals, sum_shares
+from ..bands.bands_report import Scorer, collect_intervals, sum_shares
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 from . import tables
 from .background import in_background
@@ -108,18 +108,11 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         signals = task.settings.signals(run.log)
         check_bands(task, models)
         bands = task.bands[1] if task.bands else None
-        scorers: list[Scorer | AdaptiveScorer] = [Scorer(bands, signals, run.provenance["files"])] if bands else []
-        if task.adaptive:
-            scorers.append(AdaptiveScorer(bands, signals, prediction))
-
-        def score(starts: np.ndarray, block: Block) -> None:
-            for scorer in scorers:
-                scorer.add(starts, block)
-
+        scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
         try:
             future_inputs = make_future_inputs(run, signals, task)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
-                                      on_block=score, future_inputs=future_inputs)
+                                      on_block=scorer.add, future_inputs=future_inputs)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
             refuse_errors(source.where, findings, task.force)
@@ -133,7 +126,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "skipped": evaluation.skipped, "incomplete": evaluation.incomplete,
         "labels": "given" if run.labels else "detected", "alignment": summarise_alignment(run.alignment),
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
-    sums = {key: value for scorer in scorers for key, value in scorer.get_sums().items()}
+    sums = scorer.get_sums()
     if bands:
         sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
