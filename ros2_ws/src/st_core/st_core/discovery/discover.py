@@ -341,11 +341,15 @@ class _Analysis:
             summed=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
-        """Effective corrections: the effects of `fit` that are not in `state.fit`."""
-        horizon_errors = waterfall.HorizonErrors(problem, self.settings.seed)
-        return tuple(result.FoundEffect(n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
-                                        horizon_errors.position_increase_without(fit, n), {})
-                     for n in fit.names if n not in state.fit.names)
+        """Effective corrections: the effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is not
+        held out, and the other effects are unchanged."""
+        def mean_position_error(vector: np.ndarray) -> float:
+            return float(np.nanmean(problem.position_error(problem.errors.at(vector))))
+
+        return tuple(result.FoundEffect(
+            n, get_effect(n).kind, waterfall.estimate_parameters(problem, fit, n, {}), (),
+            mean_position_error(problem.vector_without(fit, n)) - mean_position_error(fit.vector), {})
+            for n in fit.names if n not in state.fit.names)
 
     def _find_varying(self, state: SearchState,
                       parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:

@@ -90,16 +90,13 @@ class Search:
         state = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
         state.near_optimal = self._find_near_sets(state)
-        state.rivals = {name: [replace(r, added=self._added_share(state, r)) for r in rivals]
-                        for name, rivals in state.rivals.items()}
+        # A rival that gains as much in addition to an effect as in its place explains other errors.
+        added = {name: max(float(gains.sum()), 0.0) for name, (gains, _) in state.scores.gains.items()}
+        for name, rivals in state.rivals.items():
+            gain = max(self._gain(state.without[name], state.fit), 1e-12)
+            state.rivals[name] = [replace(r, added=added.get(r.name, 0.0) / gain) for r in rivals]
         self._add_load_rivals(state)
         return state
-
-    def _added_share(self, state: SearchState, rival: Rival) -> float:
-        """`Rival.added`. A rival that gains as much in addition to an effect as in its place explains other errors."""
-        added = state.scores.gains.get(rival.name, (np.zeros(1), None))[0]
-        gain = self._gain(state.without[rival.replaces], state.fit)
-        return max(float(added.sum()), 0.0) / max(gain, 1e-12)
 
     def _add_load_rivals(self, state: SearchState) -> None:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless

@@ -43,14 +43,6 @@ class HorizonErrors:
             result["position_5s"] = np.sqrt(result["position"])
         return result
 
-    def position_increase_without(self, fit: Fit, name: str) -> float:
-        """Increase of the mean position error after 5 s [m], not held out, if an effect is removed and the others are
-        unchanged."""
-        p = self.problem
-        without, with_effect = (float(np.nanmean(p.position_error(p.errors.at(vector))))
-                                for vector in (p.vector_without(fit, name), fit.vector))
-        return without - with_effect
-
     def compare(self, channel: str, before: np.ndarray, after: np.ndarray) -> Change:
         """Error before and after, with a 95 % interval of the reduction by bootstrap of whole blocks."""
         known = np.isfinite(before) & np.isfinite(after)

@@ -73,7 +73,7 @@ class RelationSearch:
 
     relation: Relation | None
     reason: str
-    tried: Mapping[str, tuple[float, float]]
+    tried: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
@@ -111,15 +111,14 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     model = discovery.model or discovery.base
     if not model.has_tyres:
         return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
-                              "to act on: use --base linear or --base nonlinear", {})
+                              "to act on: use --base linear or --base nonlinear")
     windows = RunWindows(runs, vehicle, settings)
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(set(windows.run)) == 1:
-        return RelationSearch(None, "only one run: a relation needs a second drive for validation; give two or more",
-                              {})
+        return RelationSearch(None, "only one run: a relation needs a second drive for validation; give two or more")
     if len(windows) < 3 or blocks < MIN_BLOCKS:
         return RelationSearch(None, f"only {blocks} blocks of {settings.block:g} s; a curve needs {MIN_BLOCKS}: drive "
-                              "longer, or give more runs", {})
+                              "longer, or give more runs")
     names = [e.name for e in (*discovery.effects, *discovery.minor)]
     fits = RelationFits(windows, model, discovery.acceleration_gain, names, settings, threads)
     tick()
@@ -127,7 +126,7 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     screened = selection.screen(fits, without, tick)
     if not screened:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
-                              "accelerate and brake, at several speeds", {})
+                              "accelerate and brake, at several speeds")
     return _select(screened, fits, without, [e.name for e in discovery.effects], reported, tick)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from rich.markup import escape
 from st_core.discovery import Discovery
 from st_core.discovery.axles import SMALL_SLIP
 from st_core.discovery.decision import MINOR
-from st_core.discovery.result import plain_data
 from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
@@ -60,7 +59,7 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
         "base": {"model": request.base, "values": {
             e.name: dict(discovery.base.values[e.name]) for e in discovery.base.effects
             if any(p.fit and discovery.base.values[e.name][p.name] != p.null for p in e.parameters)}},
-        "settings": plain_data(request.settings),
+        "settings": asdict(request.settings),
         "runs": runs,
         "reference": reference,
         "refused": {d.name: findings_as_json(d.findings) for d in request.all_drives if d.problem and d.findings},
@@ -108,7 +107,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
                          if p.fit else complete.effects[name][p.name] for p in effect.parameters}
     if not effects:
         return None
-    return ModelFile(complete.base, effects, complete.vehicle, complete.vehicle_name, complete.vehicle_hash, provenance)
+    return replace(complete, effects=effects)
 
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],

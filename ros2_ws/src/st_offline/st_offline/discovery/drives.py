@@ -16,7 +16,7 @@ import st_core
 from st_core.augmented import AugmentedModel, augment
 from st_core.checks import Finding
 from st_core.discovery import Discovery, DiscoverySettings
-from st_core.discovery.result import MODELS, plain_data
+from st_core.discovery.result import MODELS
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model
@@ -150,7 +150,7 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
                vehicle.hash, sorted((name, entry.uncertainty) for name, entry in vehicle.provenance.items()),
-               _base_name(base), plain_data(values), asdict(settings),
+               _base_name(base), values, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
@@ -158,11 +158,11 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
     content = discovery.document() | {name: (model := getattr(discovery, name)) and [
-        _base_name(model), plain_data(model.values)] for name in MODELS}
+        _base_name(model), model.values] for name in MODELS}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
-        temporary.write_text(json.dumps(content), encoding="utf-8")
+        temporary.write_text(json.dumps(content, default=dict), encoding="utf-8")  # values are mappings
         temporary.replace(file)
     except OSError:
         return

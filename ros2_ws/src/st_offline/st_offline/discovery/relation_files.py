@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -190,8 +191,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
     share = {"share": EffectValue(1.0, None, "st discover --propose")}
-    model = ModelFile(fitted.base, {**active, effect_name(relation): share}, fitted.vehicle, fitted.vehicle_name,
-                      fitted.vehicle_hash, about)
+    model = replace(fitted, effects={**active, effect_name(relation): share})
     load_file(str(effects.absolute()), effect_name(relation))
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
