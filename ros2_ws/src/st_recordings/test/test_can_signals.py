@@ -20,7 +20,7 @@ from st_recordings.runs.can_signals import (
 from st_recordings.runs.cdr import WHEEL_SPEEDS, load_typestore
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.frames import REMOTE, Frames, merge_by_time
-from st_recordings.runs.serialiser import Serialiser
+from st_recordings.runs.write import Serialiser
 from support import GOLDEN_DATA, ROOT
 
 DBC, TABLE = ROOT / "config/can/leaf_ze0.dbc", ROOT / "config/can/leaf_ze0.yaml"

@@ -7,7 +7,7 @@ from oxts_bridge.channels import encode_channel
 from oxts_bridge.geometry import Attitude
 from oxts_bridge.ncom import Packet, encode
 from st_recordings.runs.ncom import NcomLog, read_ncom
-from st_recordings.runs.serialiser import UNKNOWN_VARIANCE, Covariances
+from st_recordings.runs.write import UNKNOWN_VARIANCE, Covariances
 
 ACCURACY = {3: {"NorthAcc": 0.02, "EastAcc": 0.03, "AltAcc": 0.05}, 4: {"VnAcc": 0.01, "VeAcc": 0.02, "VdAcc": 0.03},
             5: {"HeadingAcc": 0.2, "PitchAcc": 0.1, "RollAcc": 0.05}}
@@ -46,7 +46,7 @@ def test_orientation_and_velocity_equal_those_of_the_bridge(ins: NcomLog) -> Non
 
 
 def test_covariances_equal_those_of_the_bridge(ins: NcomLog) -> None:
-    pose, twist = Covariances(ins.columns).compute(ins, slice(0, 40))
+    pose, twist = Covariances(ins).compute(slice(0, 40))
     for k in range(40):
         attitude = live_attitude(ins, int(ins.rows[k]))
         expected_pose, expected_twist = np.zeros((6, 6)), np.zeros((6, 6))
