@@ -21,8 +21,7 @@ from st_core.vehicle import VehicleParameters
 from st_predictor.map_drawing import Pose, make_car_outline
 from st_recordings.car import read_vehicle
 from st_recordings.paths import config
-from st_recordings.recorded_results import Predictions, read_predictions
-from st_recordings.results import Results, read_results
+from st_recordings.results import Predictions, Results, read_predictions, read_results
 
 ST, VIRTUAL_LEAF = (sys.executable, "-m", "st_cli.cli"), (sys.executable, "-m", "st_sim.run")
 ANIMATED = (24.0, 38.0)  # s of the drive

@@ -16,7 +16,7 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.car import read_model, read_vehicle
 from st_recordings.paths import config, project_root
-from st_recordings.recorded_results import RecordedConfiguration
+from st_recordings.results import RecordedConfiguration
 from st_recordings.runs.bag import is_bag
 from st_sim.run import check_arguments
 

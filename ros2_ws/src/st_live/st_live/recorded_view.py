@@ -14,8 +14,7 @@ from st_core.types import InsSample, map_to_body
 from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Pose, Ribbon, make_car_outline
-from st_recordings.recorded_results import find_configuration
-from st_recordings.results import format_band_lines
+from st_recordings.results import find_configuration, format_band_lines
 from st_recordings.runs.bag import read_bag
 from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import load_typestore

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from st_recordings.recorded_results import find_configuration
+from st_recordings.results import find_configuration
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
 from st_recordings.runs.bag_storage import recorded_text

@@ -20,9 +20,9 @@ from st_core.palette import MODEL_COLOUR
 from st_core.prediction import PredictionSettings, configuration_hash
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
-from st_recordings import recorded_results
+from st_recordings import results
 from st_recordings.paths import new_folder
-from st_recordings.recorded_results import PlannedPredictions, Predictions, Progress, Scores
+from st_recordings.results import PlannedPredictions, Predictions, Progress, Scores
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import is_bag, read_bag, was_interrupted
 
@@ -86,16 +86,16 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     bag = find_bag(path)
     errors = bag.parent / "errors"
     score_bag = errors if errors.is_dir() and is_bag(errors) else bag
-    predictions = recorded_results.read_predictions(bag, progress)
+    predictions = results.read_predictions(bag, progress)
     if not predictions:
         return None
     drive = read_bag(bag, steering=read_settings.steering, odometry=read_settings.odometry)
-    car, recorded, source = recorded_results.find_configuration(drive.records, vehicle)
+    car, recorded, source = results.find_configuration(drive.records, vehicle)
     parameters = {**recorded.nodes.get("evaluator", {}), **recorded.nodes.get("predictor", {})}
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
     settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
-    scores = recorded_results.read_scores([score_bag], progress)
-    planned_by_mode = {mode: recorded_results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
+    scores = results.read_scores([score_bag], progress)
+    planned_by_mode = {mode: results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
                  if was_interrupted(file)]

@@ -12,7 +12,7 @@ from st_core.log_evaluation import MODES
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
-from st_recordings.recorded_results import recorded_configuration
+from st_recordings.results import recorded_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem

@@ -14,7 +14,7 @@ from st_core.corrections import Correction
 from st_core.errors import ConfigurationError
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError, json_text, new_folder
-from st_recordings.recorded_results import find_configuration
+from st_recordings.results import find_configuration
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.columns import Layout

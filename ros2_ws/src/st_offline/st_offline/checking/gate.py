@@ -11,7 +11,7 @@ from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
-from st_recordings.recorded_results import find_configuration
+from st_recordings.results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.bag import may_carry_steering, may_need_can_frames
 from st_recordings.runs.bag_storage import open_bag

@@ -22,7 +22,7 @@ from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
-from st_recordings.recorded_results import recorded_configuration
+from st_recordings.results import recorded_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
