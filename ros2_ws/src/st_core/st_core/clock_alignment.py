@@ -171,10 +171,10 @@ def _align_with_overlap(prepared: _Prepared, minimum_overlap: float,
         difference = single.offset - solution.offset
         lags.append(SignalLag(pair.name, difference, single.offset_deviation, residual, correlation))
     excess = 0.0  # variance between the signals in excess of their uncertainties [s^2]
-    if len(lags) > 1:
-        weights = np.array([s.deviation**-2 for s in lags])
+    weights = np.array([s.deviation**-2 for s in lags])
+    if (count := np.count_nonzero(weights)) > 1:
         variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
-        excess = max(variance - float(len(lags) / weights.sum()), 0.0)
+        excess = max(variance - float(count / weights.sum()), 0.0)
     offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + prepared.latency_uncertainty**2
                                      + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.

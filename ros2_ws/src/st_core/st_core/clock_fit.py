@@ -114,7 +114,7 @@ class Fit:
 
     offset: float  # s
     drift: float  # s/s
-    offset_deviation: float  # standard deviation [s]
+    offset_deviation: float  # standard deviation [s]; inf if the signals have no motion in common
     drift_deviation: float  # standard deviation [s/s]
     residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
@@ -128,21 +128,23 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
-    independent residuals. A weak prior (100 ppm) limits the drift. Raises ValueError if a signal has less than 2 s in
-    common, or if the signals do not vary.
+    independent residuals. The curvature is the product of the slopes of both recordings, in which their noise cancels.
+    A weak prior (100 ppm) limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the
+    signals do not vary.
     """
-    splines = [CubicSpline(p.reference.time, p.reference.values) for p in pairs]
+    splines = [[CubicSpline(side.time, side.values) for side in (p.reference, p.other)] for p in pairs]
     parameters = np.array([offset, drift])
     for _ in range(ITERATIONS):
-        normal, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
-        step = np.linalg.solve(normal, -gradient)
+        normal, curvature, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
+        step = np.linalg.solve(curvature if _is_positive(curvature) else normal, -gradient)
         # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
         step[0] = np.clip(step[0], -0.3, 0.3)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
             break
-    normal, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
-    inverse = np.linalg.inv(normal)
+    normal, curvature, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
+    determined = _is_positive(curvature)
+    inverse = np.linalg.inv(curvature if determined else normal)
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK_DURATION) + 1
@@ -152,9 +154,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in detail.score], axis=1)
     used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
     covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse
-    unclustered = inverse[0, 0] if free_drift else 1.0 / normal[0, 0]
-    return Fit(float(parameters[0]), float(parameters[1]), float(np.sqrt(max(covariance[0, 0], unclustered))),
-               float(np.sqrt(max(covariance[1, 1], inverse[1, 1]))),
+    deviations = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse))) if determined else np.full(2, np.inf)
+    return Fit(float(parameters[0]), float(parameters[1]), float(deviations[0]), float(deviations[1]),
                tuple(d.residual for d in details), tuple(d.correlation for d in details))
 
 
@@ -167,13 +168,15 @@ class _SignalFit(NamedTuple):
     correlation: float
 
 
-def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], parameters: np.ndarray, middle: float,
-                      free_drift: bool) -> tuple[np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, gradient, fit of each signal) at parameters = (offset [s], drift)."""
+def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpline]], parameters: np.ndarray,
+                      middle: float, free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_SignalFit]]:
+    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). splines: of both
+    sides of a pair. The normal matrix also contains the noise of the reference, the curvature only common motion."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
+    curvature = normal.copy()
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
-    for pair, spline in zip(pairs, splines, strict=True):
+    for pair, (spline, other_spline) in zip(pairs, splines, strict=True):
         rows, mapped = select_common_samples(pair, parameters, middle)
         time, other = pair.other.time[rows], pair.other.values[rows]
         if len(time) * STEP < 2.0:
@@ -185,20 +188,28 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[CubicSpline], par
             residual = reference - gain * other - bias
             scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
-        jacobian = np.zeros((2, len(time)))
-        for k, derivative in enumerate([slope, slope * (time - middle)] if free_drift else [slope]):
-            # Remove what gain and bias can explain, because it contains no information about the clocks.
-            gain, bias = _weighted_line(other, derivative, weight)
-            jacobian[k] = (derivative - gain * other - bias) / scale
+        jacobian, other_jacobian = np.zeros((2, 2, len(time)))
+        for rows_of, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
+            for k, derivative in enumerate([slopes, slopes * (time - middle)] if free_drift else [slopes]):
+                # Remove what gain and bias can explain, because it contains no information about the clocks.
+                gain, bias = _weighted_line(other, derivative, weight)
+                rows_of[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
+        cross = np.array([[float((row * column).sum()) for column in other_jacobian] for row in jacobian * weight])
+        curvature += 0.5 * (cross + cross.T)
         gradient += score.sum(axis=1)
         deviations = float(reference.std()), float(other.std())
         details.append(_SignalFit(time, score, float(np.sqrt(np.mean(residual**2)) / max(deviations[0], 1e-12)),
                                   float(np.corrcoef(reference, other)[0, 1]) if min(deviations) > 0 else 0.0))
     if normal[0, 0] <= 0.0:
         raise ValueError("the shared signals do not vary")
-    return normal, gradient, details
+    return normal, curvature, gradient, details
+
+
+def _is_positive(matrix: np.ndarray) -> bool:
+    """Whether a symmetric matrix (2, 2) is positive definite."""
+    return bool(matrix[0, 0] > 0.0 and np.linalg.det(matrix) > 0.0)
 
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:

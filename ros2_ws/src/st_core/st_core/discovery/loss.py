@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..channels import CHANNEL_OF_COLUMN
+from ..errors import ConfigurationError
 from .space import Space
 from .windows import Windows
 
@@ -73,10 +74,15 @@ class Errors:
         self._cache: dict[bytes, np.ndarray] = {}
 
     def at(self, vector: np.ndarray) -> np.ndarray:
-        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where unknown."""
+        """(n, m) measured minus predicted, all points and columns of a window in one row; NaN where unknown, and for a
+        car outside the limits of a vehicle file."""
         key = vector.tobytes()
         if key not in self._cache:
-            values = self.windows.errors(self.space.at(vector).without_null_effects(), float(vector[-1]))
+            model = self.space.at(vector).without_null_effects()
+            try:
+                values = self.windows.errors(model, float(vector[-1]))
+            except ConfigurationError:
+                values = np.full(self.windows.known.shape, np.nan)
             while len(self._cache) >= ERROR_CACHE_SIZE:
                 self._cache.pop(next(iter(self._cache)), None)
             self._cache[key] = values.reshape(len(values), -1)
