@@ -1,6 +1,7 @@
 """Partitions of the driving by run, site, time, place and condition, to test whether an effect is constant."""
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from .windows import Windows
 
@@ -48,12 +49,8 @@ def find_sites(windows: Windows) -> np.ndarray:
     at one site. Distance does not count, because the maps of different sites may have different origins."""
     number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
-    site = list(range(len(visited)))
-    for i, a in enumerate(visited):
-        for j, b in enumerate(visited[:i]):
-            if len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1):
-                site = [site[j] if s == site[i] else s for s in site]
-    return np.unique(np.array(site), return_inverse=True)[1][windows.run]
+    together = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in visited] for a in visited]
+    return connected_components(np.array(together))[1][windows.run]
 
 
 def divide_by_place(x: np.ndarray, y: np.ndarray) -> Partition:

@@ -2,9 +2,9 @@
 
     delta = (left + right) / 2,    delta_k = a_j + b delta_h,k + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
-All J sweeps have a common slope b; sweep j has the intercept a_j and the means x_j, y_j (`fit_line`, n points):
+All J sweeps have a common slope b; sweep j has the intercept a_j and the mean x_j (`fit_line`, n points):
 
-    b = sum (x - x_j)(y - y_j) / sum (x - x_j)^2,    u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
+    u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
 The steering-wheel offset cannot be identified, because the zero of the turntables is not the direction of straight
 driving. A cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %).
@@ -12,7 +12,7 @@ Angles in rad, left positive. Source: paper, parameter identification. Checked b
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,31 +36,27 @@ class Line:
 
 def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     """Least-squares line. groups: group of each point. Raises IdentificationError for constant x or too few points."""
-    members = {str(name): np.asarray(groups) == name for name in dict.fromkeys(groups)}
-    centred_x, centred_y = (_subtract_means(v, members.values()) for v in (x, y))
-    square_sum = float(centred_x @ centred_x)
+    members = _group_columns(groups)
+    design = np.column_stack([x, *members.values()])
     degrees_of_freedom = len(x) - len(members) - 1
-    if degrees_of_freedom < 1 or square_sum <= 1e-12 * float(x @ x):
+    if degrees_of_freedom < 1 or np.linalg.matrix_rank(design) <= len(members):
         raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: more rows at "
                                   "different settings are needed")
-    slope = float(centred_x @ centred_y) / square_sum
-    residuals = centred_y - slope * centred_x
-    uncertainty = float(np.sqrt(residuals @ residuals / degrees_of_freedom / square_sum))
-    intercepts = {name: float(y[member].mean() - slope * x[member].mean()) for name, member in members.items()}
-    return Line(slope, uncertainty, intercepts, residuals, degrees_of_freedom)
+    slope, *intercepts = np.linalg.lstsq(design, y, rcond=None)[0].tolist()
+    residuals = y - design @ [slope, *intercepts]
+    variance = float(residuals @ residuals) / degrees_of_freedom * np.linalg.inv(design.T @ design)[0, 0]
+    return Line(slope, math.sqrt(variance), dict(zip(members, intercepts, strict=True)), residuals, degrees_of_freedom)
 
 
-def fit_cubic(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[float, float], bool]:
-    """((c_1, c_3) of a cubic fitted to residuals e of a line, whether it is significant). names: group of each point.
+def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[float, float], bool]:
+    """((c_1, c_3) of a cubic fitted to residuals e of a line, whether it is significant). groups: as in `fit_line`.
 
-        e = c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
+        e = a'_j + c_1 x + c_3 x^3 + e_c,    F = (sum e^2 - sum e_c^2) / (sum e_c^2 / (n - J - 2))
     """
-    groups = np.asarray(names)
-    basis = _subtract_means(np.stack([x, x**3], axis=1), [groups == name for name in line.intercepts])
-    residual = line.residuals
-    coefficients, *_ = np.linalg.lstsq(basis, residual, rcond=None)
-    unexplained = residual - basis @ coefficients
-    linear, cubic = float(residual @ residual), float(unexplained @ unexplained)
+    design = np.column_stack([x, x**3, *_group_columns(groups).values()])
+    coefficients, *_ = np.linalg.lstsq(design, line.residuals, rcond=None)
+    unexplained = line.residuals - design @ coefficients
+    linear, cubic = float(line.residuals @ line.residuals), float(unexplained @ unexplained)
     degrees_of_freedom = line.degrees_of_freedom - 1
     if degrees_of_freedom < 1 or linear <= 1e-20:
         return (0.0, 0.0), False
@@ -69,12 +65,9 @@ def fit_cubic(x: np.ndarray, line: Line, names: Sequence[str]) -> tuple[tuple[fl
     return (float(coefficients[0]), float(coefficients[1])), significant
 
 
-def _subtract_means(values: np.ndarray, members: Iterable[np.ndarray]) -> np.ndarray:
-    """Values (n, ...) minus the means of their groups, given as masks."""
-    result = np.array(values, float)
-    for member in members:
-        result[member] -= result[member].mean(axis=0)
-    return result
+def _group_columns(groups: Sequence[str]) -> dict[str, np.ndarray]:
+    """1 for the points of a group, 0 for others, (n,) by name."""
+    return {str(name): (np.asarray(groups) == name).astype(float) for name in dict.fromkeys(groups)}
 
 
 MIN_ROWS = 5  # minimum number of rows of a table
