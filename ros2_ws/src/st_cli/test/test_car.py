@@ -229,4 +229,5 @@ def test_car_check_prints_effective_uncertainties_and_unusual_values(skeleton):
                                                  "minimum_slip_speed: {value: 3.0", "minimum_slip_speed: {value: 8.0"))
     result = st("car", "check", skeleton)
     assert result.exit_code == 0 and "yaw_inertia +/- 100 kg m^2 (from the file)" in result.stdout
-    assert "yaw_inertia: k^2 / (l_f l_r) 0.526 is outside the range of road cars, 0.6 to 1.4" in result.stdout
+    assert ("yaw_inertia: dynamic index k^2 / (l_f l_r) 0.526 is outside the range of road cars, 0.6 to 1.4"
+            in result.stdout)

@@ -233,7 +233,7 @@ def test_progress_table_has_one_line_per_model_and_mode_in_eighty_columns() -> N
     assert len(rows) == 8 and max(map(len, lines)) <= 80
     for row in rows:
         assert row.count("-23.46") == 2 and row.count("98.77") == 4 and "12345" in row
-    assert "ticks 130, predicted 128, skipped 2" in lines
+    assert "predictions due 130, made 128, skipped 2" in lines
 
 
 def test_band_coverage_is_printed_below_the_table() -> None:

@@ -1,4 +1,4 @@
-"""Closed-form handling of the linear single-track model, and plausible ranges of vehicle parameters."""
+"""Closed-form handling quantities of the linear single-track model, and plausible ranges of vehicle parameters."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ MAX_UNDERSTEER = 8.0  # deg/g
 PLAUSIBLE = (
     Range("cg_to_front_axle", "fraction of the weight on the front axle", "1", 0.35, 0.68,
           lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
-    Range("yaw_inertia", "k^2 / (l_f l_r)", "1", 0.6, 1.4,
+    Range("yaw_inertia", "dynamic index k^2 / (l_f l_r)", "1", 0.6, 1.4,
           lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
     Range("cg_height", "ratio of CG height to wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
           f"{_INERTIA}; racing cars from 0.1"),

@@ -199,7 +199,7 @@ def render_ticks(status: PredictorStatus | None) -> Text:
     if status is None:
         return Text("predictor: no status yet", style="dim")
     skipped = status.skipped_stale + status.skipped_overrun + status.skipped_slow
-    text = Text(f"ticks {status.due}, predicted {status.predicted}, skipped {skipped}")
+    text = Text(f"predictions due {status.due}, made {status.predicted}, skipped {skipped}")
     if status.state_age > 0.0:
         text.append(f", from a state {status.state_age * 1e3:.0f} ms old")
     if status.reason:

@@ -47,7 +47,7 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
     for line in format_band_lines(results.bands):
         console.out(line, highlight=False)
     ticks = summary["ticks"]
-    console.print(f"ticks {ticks['due']}, predicted {ticks['predicted']}, skipped {ticks['skipped']}")
+    console.print(f"predictions due {ticks['due']}, made {ticks['predicted']}, skipped {ticks['skipped']}")
     if text := describe_incomplete(summary["models"]):
         console.print(f"starts without a complete horizon, not in the table: {text}", highlight=False)
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),

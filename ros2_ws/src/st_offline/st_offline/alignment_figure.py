@@ -18,7 +18,7 @@ MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed, the most active 10 s of the yaw rate (or the first signal), correlation, lags."""
+    """Write the figure: speed, the 10 s in which the yaw rate (or the first signal) varies most, correlation, lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -58,7 +58,7 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
         ax.plot(time[rows], line[rows], color=colour, lw=width, alpha=alpha, label=label)
     units = {"velocity": "m/s", "speed": "m/s", "rate": "rad/s", "curvature": "1/m\n(steering scaled)"}
     unit = next((unit for word, unit in units.items() if word in signal.name), "rad")
-    ax.set(title="Aligned" if whole else f"The most active {CLOSE_UP_DURATION:.0f} s",
+    ax.set(title="Aligned" if whole else f"The {CLOSE_UP_DURATION:.0f} s with the largest variation",
            xlabel="s after the first INS measurement", ylabel=f"{signal.name.split(' (')[0]}, {unit}")
 
 

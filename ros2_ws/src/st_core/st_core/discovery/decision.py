@@ -228,7 +228,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
     if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        gain = f"together with {rival.replaces.replace('_', ' ')} it gains no more than that effect alone"
+        gain = f"together with {rival.replaces.replace('_', ' ')} it reduces the errors no more than that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     if worse:

@@ -208,7 +208,8 @@ class Certificate:
 class LargeErrorRegion:
     """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
     channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one; for a time or place, this
-    ratio in all driving times the ratio of the errors to those under similar conditions. interval: 95 %."""
+    ratio over all driving, multiplied by the ratio of the errors there to those under similar conditions. interval:
+    95 %."""
 
     channel: str
     condition: str

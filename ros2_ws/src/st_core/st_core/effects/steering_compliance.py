@@ -11,7 +11,7 @@ from ._base import Effect, Parameter, register
 @register
 class SteeringCompliance(Effect):
     physics = "delta = delta_measured - compliance F_front; increases the understeer gradient by compliance m l_r / l"
-    excited_by = "cornering near the limit; identical to a softer front axle below 0.4 g"
+    excited_by = "cornering near the limit; below 0.4 g not separable from a softer front axle"
     kind, slot = "physics", "front axle"
     confounded_with = ("front_stiffness", "roll_steer", "steering_ratio")
     combinations = ("front cornering stiffness over mass",)
