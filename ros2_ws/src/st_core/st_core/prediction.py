@@ -74,7 +74,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `stability` for the number needed. NaN in the state or an input makes all
+    with inputs interpolated linearly; see `integrate.substeps_needed`. NaN in the state or an input makes all
     states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
