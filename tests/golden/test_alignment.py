@@ -149,10 +149,7 @@ def test_sentinel_values_in_a_signal_do_not_change_the_alignment(pair: Pair, use
         return np.where(np.abs((time_ns - time_ns[0]) * 1e-9 - 20.6) < 0.6, value, values)
     ins = pair.ins
     if signal in ("velocity_x", "yaw_rate"):
-        field, row = ("velocity", 0) if signal == "velocity_x" else ("rate", 2)
-        values = getattr(ins, field).copy()
-        values[row] = with_sentinel(ins.time_ns, values[row])
-        ins = replace(ins, **{field: values})
+        ins = replace(ins, values={**ins.values, signal: with_sentinel(ins.time_ns, ins.values[signal])})
     signals = {k: replace(s, values=with_sentinel(s.time_ns, s.values)) if k[0] == signal else s
                for k, s in pair.only(*used).signals.items()}
     result, _ = align_clocks(ins, CanSignals(signals, {}))

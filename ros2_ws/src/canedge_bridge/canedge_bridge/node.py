@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from .decode import DecodedFrame, Decoder, SteeringCalibration
 from .health import Health
 from .receiver import BusState, Receiver
+from .signals import CANONICAL_SIGNALS
 from .table_reader import TableError
 from .transport import check_channel, id_filters, open_bus
 
@@ -31,14 +32,9 @@ FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 _LITTLE_ENDIAN = b"\0\1\0\0"  # header of a CDR message
 _FRAME = struct.Struct("<iII4?I")  # stamp (8 bytes), identifier, flags, data length
 _STAMP_SIZE = 8
-_WHEEL_SPEEDS = {
-    "wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
-    "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right", "vehicle_speed": "vehicle_speed",
-}
-_INS = {
-    "ins_velocity_x": "velocity_x", "ins_velocity_y": "velocity_y", "ins_yaw": "yaw", "ins_yaw_rate": "yaw_rate",
-    "ins_unix_time": "unix_time",
-}
+# Signal -> field of st_msgs/WheelSpeeds or st_msgs/InsOnCan.
+_WHEEL_SPEEDS = {name: name.removeprefix("wheel_speed_") for name in CANONICAL_SIGNALS if "speed" in name}
+_INS = {name: name.removeprefix("ins_") for name in CANONICAL_SIGNALS if name.startswith("ins_")}
 
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from bags import DEFINITION, TYPE, TYPE_HASH, numbered, read_numbers
-from st_recordings import syncing
+from st_recordings import mcap
 from st_recordings.mcap import BagWriter, recover
 
 START_NS = 1_790_000_000_000_000_000
@@ -47,7 +47,7 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     disk = Disk()
-    monkeypatch.setattr(syncing.os, "fdatasync", disk.fdatasync)
+    monkeypatch.setattr(mcap.os, "fdatasync", disk.fdatasync)
     return disk
 
 
@@ -91,7 +91,7 @@ def test_nothing_is_synced_without_the_option(disk: Disk, tmp_path: Path) -> Non
 def test_sync_rate_is_limited_for_many_chunks(disk: Disk, tmp_path: Path) -> None:
     bag, written = record(tmp_path / "bag", 1.2, padding="x" * 50_000)  # a chunk of 1 MiB every 40 ms
     assert bag.syncer is not None
-    assert 3 <= bag.syncer.count <= 1.2 / syncing.SHORTEST_PERIOD + 3
+    assert 3 <= bag.syncer.count <= 1.2 / mcap.SHORTEST_SYNC_PERIOD + 3
     bag.close()
     assert read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
 

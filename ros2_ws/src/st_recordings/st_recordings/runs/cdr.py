@@ -29,6 +29,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from ..paths import project_root
+from .ins_log import SPEEDS
 
 # Message types of the recordings of the suite.
 ODOMETRY, STEERING = "nav_msgs/msg/Odometry", "st_msgs/msg/Steering"
@@ -45,9 +46,7 @@ uint8 dlc
 uint8[8] data
 """
 # Signal of the signal table -> field of st_msgs/WheelSpeeds.
-WHEEL_FIELDS = {"wheel_speed_front_left": "front_left", "wheel_speed_front_right": "front_right",
-                "wheel_speed_rear_left": "rear_left", "wheel_speed_rear_right": "rear_right",
-                "vehicle_speed": "vehicle_speed"}
+WHEEL_FIELDS = {name: name.removeprefix("wheel_speed_") for name in SPEEDS}
 READ_ERRORS = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSError, OverflowError, MemoryError,
                McapError)
 """Exceptions that are raised while reading an MCAP file that is damaged or contradicts its index."""

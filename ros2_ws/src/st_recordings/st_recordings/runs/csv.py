@@ -114,7 +114,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
-def build_ins_log(table: Table, needed: Sequence[str] = INS_SIGNALS, yaw_scale: float = 1.0) -> InsLog:
+def build_ins_log(table: Table, needed: Sequence[str], yaw_scale: float = 1.0) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
 
     needed: channels with a number in every sample; yaw is also one of them if the table has it. Other channels may

@@ -14,14 +14,11 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from ..paths import config, json_ready
-from . import csv
 from .bag import may_need_can_frames
 from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
 from .clocks import INS_ON_CAN, align_clocks
-from .columns import Layout
-from .csv_table import join_tables, read_table
 from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
@@ -51,13 +48,11 @@ class RawRun:
     warnings: tuple[str, ...]
 
 
-def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True,
-             needs_steering: bool = True) -> RawRun:
+def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True) -> RawRun:
     """Reads and aligns the INS recording and CAN logs of a run; if the whole log cannot be aligned, uses its longest
     part that can. Raises RunError, but not for a refused alignment, which is part of the result.
 
-    keep_frames: False discards the raw frames after decoding, because they use most of the memory. needs_steering:
-    False if neither a steering angle nor, in a CSV file, a position is required.
+    keep_frames: False discards the raw frames after decoding, because they use most of the memory.
     """
     if source.problem is not None:
         raise source.problem
@@ -68,17 +63,13 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     table = load_signal_table(dbc, settings.signals or source.settings.get("signals")
                               or config("car/leaf/signals.yaml"))
     signals = decode_signals(can.frames, table)
-    steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
+    steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
     parts = _split_log(can)
     if not keep_frames:
         can = replace(can, frames=empty_frames())
-    if source.kind == "csv" and not needs_steering:
-        tables = [read_table(file, source.settings.get("layout") or Layout()) for file in source.files]
-        ins = csv.build_ins_log(join_tables(tables), csv.MOTION_SIGNALS)
-    else:
-        read_ins = READERS[source.kind].read_ins
-        assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
-        ins = read_ins(source, settings)
+    read_ins = READERS[source.kind].read_ins
+    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
+    ins = read_ins(source, settings)
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
         # a bag with the frames on the clock of its odometry
@@ -90,7 +81,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         span, alignment, shared = part
         signals = signals.between(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
-        steering = find_steering(signals, can.files[0], table, can.warnings) if needs_steering else None
+        steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
                      f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
@@ -207,7 +198,7 @@ def read_pair(files: Sequence[Path], settings: ReadSettings) -> RawRun:
 
     files: INS recording (NCOM, VBO, bag, or CSV with speed and yaw rate) and logs, or their folder, or a run.yaml.
     """
-    return read_raw(_find_pair(files, settings), settings, keep_frames=False, needs_steering=False)
+    return read_raw(_find_pair(files, settings), replace(settings, for_alignment=True), keep_frames=False)
 
 
 def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:

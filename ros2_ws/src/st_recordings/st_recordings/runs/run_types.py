@@ -79,6 +79,7 @@ class ReadSettings:
     steering_latency: delay from the motion of the steering wheel to the stamp of its CAN frame [s]. ins_can_latency:
     delay from the measurement of an INS value to its CAN frame in the log, and its standard deviation [s].
     accept_doubtful: whether a doubtful alignment is used, with a warning. A refused alignment is never used.
+    for_alignment: whether neither a steering angle nor, in a table, a position is required.
     """
 
     dbc: Path | None = None  # None: as in the run.yaml, or else the file of the Leaf
@@ -89,6 +90,7 @@ class ReadSettings:
     search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: none
     ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN
     accept_doubtful: bool = True
+    for_alignment: bool = False
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering
     odometry: str | None = None  # topic to read from a bag with several nav_msgs/Odometry topics
 

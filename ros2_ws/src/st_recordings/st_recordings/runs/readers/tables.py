@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from st_core.corrections import Correction
+from st_core.log import INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from .. import csv
@@ -36,7 +37,8 @@ def register_table(kind: str, extensions: tuple[str, ...], read_one: Callable[[P
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
         table = _read_joined(source, source.settings.get("layout") or Layout())
-        return csv.build_ins_log(table, yaw_scale=_get_yaw_scale(source))
+        needed = csv.MOTION_SIGNALS if settings.for_alignment else INS_SIGNALS
+        return csv.build_ins_log(table, needed, _get_yaw_scale(source))
 
     register(Reader(kind, kind, extensions, read, read_ins, is_table=True, **tests))
 
