@@ -365,9 +365,9 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [
-        *_bin_by_edges("speed", "m/s", conditions["speed"], SPEED_EDGES),
-        *_bin_by_edges("lateral acceleration", "m/s²", lateral_acceleration, LATERAL_ACCELERATION_EDGES),
-        *_bin_by_edges("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE_EDGES),
+        *bin_by_edges("speed", "m/s", conditions["speed"], SPEED_EDGES),
+        *bin_by_edges("lateral acceleration", "m/s²", lateral_acceleration, LATERAL_ACCELERATION_EDGES),
+        *bin_by_edges("steering rate", "rad/s", conditions["steering_rate"], STEERING_RATE_EDGES),
         Bin("direction", "left", MAX_STRAIGHT_TURN, None, turn >= MAX_STRAIGHT_TURN),
         Bin("direction", "straight", -MAX_STRAIGHT_TURN, MAX_STRAIGHT_TURN, np.abs(turn) < MAX_STRAIGHT_TURN),
         Bin("direction", "right", None, -MAX_STRAIGHT_TURN, turn <= -MAX_STRAIGHT_TURN),
@@ -375,7 +375,7 @@ def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
     return [bin_ for bin_ in bins if bin_.mask.any()]
 
 
-def _bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
+def bin_by_edges(quantity: str, unit: str, values: np.ndarray, edges: tuple[float, ...]) -> list[Bin]:
     """Bins between consecutive edges, and an open bin above the last edge."""
     bounded = [Bin(quantity, label_bin(edges, unit, k), low, high, (values >= low) & (values < high))
                for k, (low, high) in enumerate(pairwise(edges))]

@@ -27,15 +27,18 @@ from scipy import stats
 from ..augmented import AugmentedModel
 from ..channels import CHANNEL_OF_COLUMN
 from ..log import DriveLog, LogSignals
-from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES
+from ..log_evaluation import LATERAL_ACCELERATION_EDGES, SPEED_EDGES, STEERING_RATE_EDGES, Bin, bin_by_edges
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .result import LargeErrorRegion
 from .settings import DiscoverySettings
 from .windows import MAX_GAP, STEP, Windows
 
-ROAD_WHEEL_ANGLE_EDGES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)  # rad, magnitude
-FORWARD_ACCELERATION_EDGES = (-math.inf, -2.0, -0.7, 0.7, 2.0)  # m/s^2
+CONDITIONS = {"speed": ("m/s", SPEED_EDGES), "lateral acceleration": ("m/s²", LATERAL_ACCELERATION_EDGES),
+              "road-wheel angle": ("rad", (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)),
+              "steering rate": ("rad/s", STEERING_RATE_EDGES),
+              "forward acceleration": ("m/s²", (-math.inf, -2.0, -0.7, 0.7, 2.0))}
+"""Unit, and edges of the ranges, by quantity."""
 MIN_TURNING_ACCELERATION = 0.5  # m/s^2, lateral; driving with less counts as straight
 MIN_BLOCKS = 4  # minimum number of blocks in a bin for an interval
 FALSE_DISCOVERY_RATE = 0.05  # among the significant bins or cells
@@ -73,25 +76,13 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Range:
-    """Range of a condition. label: text for reports. low, high: limits [unit]; None for directions (left, straight,
-    right) and for all driving."""
-
-    quantity: str
-    label: str
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
-
-
-@dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %. p:
     p-value of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
     reference has enough driving in the range; True without a reference."""
 
     channel: str
-    range: Range
+    range: Bin
     excess: float
     interval: tuple[float, float]
     p: float
@@ -126,30 +117,21 @@ class Cell:
     p: float
 
 
-def assign_ranges(samples: Samples) -> tuple[tuple[Range, ...], np.ndarray]:
-    """(all ranges, (n, number of ranges) mask of the predictions in each range); the first range contains all."""
-    c = samples.conditions
-    lateral = c["lateral_acceleration"]
-    ranges, columns = [Range(EVERYWHERE, EVERYWHERE)], [np.ones(len(lateral), bool)]
-    for quantity, unit, values, edges in (
-            ("speed", "m/s", c["speed"], SPEED_EDGES),
-            ("lateral acceleration", "m/s²", np.abs(lateral), LATERAL_ACCELERATION_EDGES),
-            ("road-wheel angle", "rad", np.abs(c["road_wheel_angle"]), ROAD_WHEEL_ANGLE_EDGES),
-            ("steering rate", "rad/s", c["steering_rate"], STEERING_RATE_EDGES),
-            ("forward acceleration", "m/s²", c["forward_acceleration"], FORWARD_ACCELERATION_EDGES)):
-        for low, high in zip(edges, (*edges[1:], math.inf), strict=True):
-            ranges.append(Range(quantity, range_text(quantity, unit, low, high), unit, low, high))
-            columns.append((values >= low) & (values < high))
-    limit = MIN_TURNING_ACCELERATION
-    for label, rows in (("left", lateral >= limit), ("straight", abs(lateral) < limit), ("right", lateral <= -limit)):
-        ranges.append(Range("direction", label))
-        columns.append(rows)
-    return tuple(ranges), np.stack(columns, axis=1)
+def assign_ranges(samples: Samples) -> list[Bin]:
+    """The predictions in each range, and in each direction; the first range contains all."""
+    lateral, limit = samples.conditions["lateral_acceleration"], MIN_TURNING_ACCELERATION
+    bins = [Bin(EVERYWHERE, EVERYWHERE, None, None, np.ones(len(lateral), bool))]
+    for quantity, (unit, edges) in CONDITIONS.items():
+        values = samples.conditions[quantity.replace(" ", "_").replace("-", "_")]
+        bins += bin_by_edges(quantity, unit, np.abs(values) if quantity in BINNED_BY_MAGNITUDE else values, edges)
+    directions = {"left": lateral >= limit, "straight": np.abs(lateral) < limit, "right": lateral <= -limit}
+    return bins + [Bin("direction", label, None, None, mask) for label, mask in directions.items()]
 
 
-def range_text(quantity: str, unit: str, low: float, high: float) -> str:
+def range_text(quantity: str, low: float, high: float | None) -> str:
     """A range as text: "speed above 12 m/s"."""
-    if math.isinf(high):
+    unit = CONDITIONS[quantity][0]
+    if high is None:
         return f"{quantity} above {low:g} {unit}"
     if low in (0.0, -math.inf):
         return f"{quantity} below {high:g} {unit}"
@@ -258,12 +240,12 @@ def _group_neighbours(bins: Sequence[BinExcess]) -> list[list[BinExcess]]:
 def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall: BinExcess,
                   has_reference: bool) -> LargeErrorRegion:
     """Region of a group of ranges. bins: all bins of the channel. overall: the bin of all driving."""
-    quantity, label, unit = group[0].range.quantity, group[0].range.label, group[0].range.unit
+    quantity, label = group[0].range.quantity, group[0].range.label
     low, high = group[0].range.low, group[-1].range.high
-    if low is None or high is None:  # a direction
+    if low is None:  # a direction
         condition = "straight driving" if label == "straight" else f"{label} turns"
         return LargeErrorRegion(overall.channel, condition, group[0].excess, group[0].interval)
-    condition = range_text(quantity, unit, low, high)
+    condition = range_text(quantity, low, high)
     sides = [b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"]
     if quantity in BINNED_BY_MAGNITUDE and low and len(sides) == 2 and all(b.significant for b in sides):
         condition += ", both directions"
@@ -309,16 +291,16 @@ def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping
                      resamples: int) -> tuple[BinExcess, ...]:
     """Excess of every channel in every range with at least MIN_BLOCKS blocks, with intervals and p-values by Student's
     t for the log ratio, one observation per block. noise: expected error without a reference."""
-    excesses, (ranges, members) = [], assign_ranges(samples)
+    excesses, ranges = [], assign_ranges(samples)
     for number, (channel, squares) in enumerate(samples.squares.items()):
-        means, deviations, blocks = _bin_means(squares, samples.block, members,
+        means, deviations, blocks = _bin_means(squares, samples.block, ranges,
                                                np.random.default_rng((seed, number, 0)), resamples)
         if reference is None:
             expected = np.full(len(ranges), noise[channel] ** 2)
             expected_deviations, covered = np.zeros(len(ranges)), np.ones(len(ranges), bool)
         else:
             expected, expected_deviations, expected_blocks = _bin_means(
-                reference.squares[channel], reference.block, assign_ranges(reference)[1],
+                reference.squares[channel], reference.block, assign_ranges(reference),
                 np.random.default_rng((seed, number, 1)), resamples)
             covered = expected_blocks >= MIN_BLOCKS
             # A bin with too little reference driving gets the error of the worst bin, to avoid false alarms.
@@ -344,17 +326,17 @@ def _test_ratio(log_ratio: float, deviation: float, blocks: int) -> tuple[float,
     return math.exp(0.5 * log_ratio), interval, float(stats.t.sf(log_ratio / deviation, blocks - 1))
 
 
-def _bin_means(squares: np.ndarray, block: np.ndarray, members: np.ndarray, rng: np.random.Generator,
+def _bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bin], rng: np.random.Generator,
                resamples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each column of
-    `members`. The bootstrap resamples whole blocks; the number is 0 where it gives no standard deviation."""
+    """(mean of the squares, bootstrap standard deviation of its logarithm, number of blocks) for each bin. The
+    bootstrap resamples whole blocks; the number is 0 where it gives no standard deviation."""
     _, index = np.unique(block, return_inverse=True)
-    weights = members.astype(float)
+    weights = np.stack([b.mask for b in bins], axis=1).astype(float)
     count = int(index.max()) + 1 if len(index) else 0
-    sums, counts = np.zeros((count, members.shape[1])), np.zeros((count, members.shape[1]))
+    sums, counts = np.zeros((count, len(bins))), np.zeros((count, len(bins)))
     np.add.at(sums, index, weights * squares[:, None])
     np.add.at(counts, index, weights)
-    blocks, deviation = (counts > 0).sum(axis=0), np.full(members.shape[1], np.nan)
+    blocks, deviation = (counts > 0).sum(axis=0), np.full(len(bins), np.nan)
     if not count:
         return deviation, deviation, blocks
     draws = rng.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
