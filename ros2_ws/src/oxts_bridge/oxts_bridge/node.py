@@ -29,7 +29,7 @@ PARAMETERS = (
     Parameter("udp_port", 3000, "UDP port the unit sends to", "", 1, 65535),
     Parameter("sender_filter", "", "IP address of the unit; empty: the first one that sends NCOM"),
     Parameter("replay_file", "", "NCOM file to replay instead of listening"),
-    Parameter("speed_factor", 1.0, "replay: file seconds per second", "1", 0.01, 1000.0),
+    Parameter("speed_factor", 1.0, "replay: playback speed; 1: real time", "1", 0.01, 1000.0),
     Parameter("loop", False, "replay: start again at the end"),
     Parameter("start_offset", 0.0, "replay: start this long after the first time in the file", "s", 0.0, 1e9),
     Parameter("publish_clock", False, "replay: publish /clock with the file's time"),

@@ -37,7 +37,8 @@ PREDICTOR = (
     _MODEL_FILE, _EFFECTS_DIRECTORY, _BANDS_FILE, _ADAPTIVE, _COURSE_FILE,
     Parameter("horizon", _DEFAULTS.horizon, "duration of a prediction; a whole number of steps", "s", 0.01, 60.0),
     Parameter("step", _DEFAULTS.step, "integration step and spacing of the published points", "s", 0.001, 1.0),
-    Parameter("rate", 10.0, "ticks per second, on the node's clock", "Hz", 0.1, 100.0),
+    Parameter("rate", 10.0, "ticks per second, on the node's clock; at each tick, every model predicts", "Hz", 0.1,
+              100.0),
     Parameter("sample_wait", 0.015, "maximum time that a tick waits after its due time for a new sample of each "
               "input; at most half a period; not used in simulated time; 0: no wait", "s", 0.0, 0.1),
     Parameter("compiled", True, "models as machine code if numba is installed; false: interpreted Python"),

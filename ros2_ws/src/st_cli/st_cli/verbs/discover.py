@@ -47,7 +47,7 @@ def discover(
     reference: list[Path] = typer.Option(
         [], REFERENCE, help="Drives of the healthy car, all paths up to the next option; the search starts from them "
         "instead of the vehicle file."),
-    base: str = typer.Option("nonlinear", help="kinematic, linear, nonlinear, or a model file (.yaml)."),
+    base: str = typer.Option("nonlinear", help="Base model: kinematic, linear, nonlinear, or a model file (.yaml)."),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
