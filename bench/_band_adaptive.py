@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from st_core.bands import AdaptiveBand, Band, CalibrationDomain, conditions_at, to_predicted_frame
+from st_core.bands import AdaptiveBand, Band, CalibrationDomain, conditions_at
+from st_core.bands.calibration import to_predicted_frame
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings, evaluate_blocks, regular_starts, usable_starts
 from st_core.models import get_model

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 from st_core.bands import Band, ErrorSamples
-from st_core.bands.scale import Scale, compute_features, select_evenly
+from st_core.bands.scale import Scale, compute_features, make_knots, select_evenly
 
 LEVELS = (0.5, 0.9)
 SEED = 21
@@ -57,10 +57,10 @@ def _average_scale(scale: Scale, runs: Sequence[ErrorSamples], pair: ModelMode) 
     """Scale that is the same for all conditions: the root mean square error at each knot."""
     time = scale.time
     squares = np.mean([np.square(one.errors[pair].astype(float)).mean(axis=0) for one in runs], axis=0)
-    rows = [int(np.abs(time - knot).argmin()) for knot in scale.knots]
+    rows = [int(np.abs(time - knot).argmin()) for knot in make_knots(float(time[-1]))]
     coefficients = np.zeros((3, len(rows), compute_features(np.zeros((1, 4))).shape[1]))
     coefficients[:, :, 0] = 0.5 * np.log(squares[rows].T)
-    return Scale(coefficients, scale.floor, time, scale.knots)
+    return Scale(coefficients, scale.floor, time)
 
 
 def _unconditional_band(band: Band, runs: Sequence[ErrorSamples], pair: ModelMode) -> Band:

@@ -19,15 +19,8 @@ from _cars import MORE_DRIVES, NINE_DRIVES
 from _cars import genesis as genesis_vehicle
 from _drawn_bands import SETTINGS, TIME
 from _pages import format_records, replace_part
-from st_core.bands import (
-    Band,
-    CalibrationDomain,
-    ErrorSamples,
-    calibrate,
-    compute_error_samples,
-    compute_highest_level,
-    join_runs,
-)
+from st_core.bands import Band, CalibrationDomain, ErrorSamples, calibrate, compute_error_samples
+from st_core.bands.calibration import compute_highest_level, join_runs
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 from st_core.models import Model, get_model

@@ -56,7 +56,7 @@ def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
     import corridor
     from controller import Controller, Tuning
     from st_core.bands import Band, CalibrationDomain
-    from st_core.bands.scale import Scale, compute_features, make_knots
+    from st_core.bands.scale import Scale, compute_features
     from st_offline.model_export import make_half_width_function
 
     monkeypatch.setattr(corridor, "DURATION", 6.0)
@@ -66,7 +66,7 @@ def test_band_increases_the_distance_to_a_gate_by_its_half_width(monkeypatch):
     # Half-width 0.3 m at every point under all conditions.
     coefficients = np.full((3, 6, compute_features(np.zeros((1, 4))).shape[1]), 0.0)
     coefficients[:, :, 0] = -30.0
-    band = Band(Scale(coefficients, np.stack([np.full(3, 0.3), np.zeros(3)]), time, make_knots(2.5)), {0.9: 1.0},
+    band = Band(Scale(coefficients, np.stack([np.full(3, 0.3), np.zeros(3)]), time), {0.9: 1.0},
                 np.zeros((3, 19)))
     domain = CalibrationDomain(np.full((99, 99), 100), (100.0, 100.0))
     controller = Controller(MODELS["linear"], LEAF, 25, Tuning(), "rti", corridor=True)

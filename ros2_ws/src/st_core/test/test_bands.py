@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
-from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate, compute_highest_level
+from st_core.bands import Bands, CalibrationDomain, ErrorSamples, calibrate
 from st_core.bands.calibration import (
     compute_conformal_factors,
     compute_error_samples,
+    compute_highest_level,
     count_runs_needed,
     to_predicted_frame,
 )
 from st_core.bands.file import hash_configuration, make_times
-from st_core.bands.scale import compute_floor, fit_scale
+from st_core.bands.scale import fit_scale
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.log import DriveLog
 from st_core.log_evaluation import EvaluationSettings
@@ -79,7 +80,7 @@ def test_fitted_scale_matches_the_true_scale():
     for second in (1.0, 2.0, 5.0):
         point = int(np.abs(TIME - second).argmin())
         found, true = scale(probe)[:, point], true_scale(probe)[:, point]
-        assert np.hypot(true, compute_floor(scale.floor, TIME)[point]) == pytest.approx(found, rel=0.25)
+        assert np.hypot(true, scale.floors[point]) == pytest.approx(found, rel=0.25)
 
 
 def test_bands_cover_held_out_runs_at_their_level():

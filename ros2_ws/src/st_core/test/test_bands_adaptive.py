@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.bands import AdaptiveBand, AdaptiveBands, Band
 from st_core.bands.live import GAIN, MAX_FACTOR, MIN_FACTOR, START_GAIN, WARM_UP
-from st_core.bands.scale import Scale, compute_features, make_knots
+from st_core.bands.scale import KNOTS, Scale, compute_features
 from st_core.evaluation import make_score
 
 TIME = 0.5 * np.arange(1, 11)  # s
@@ -16,9 +16,8 @@ CONDITION = np.array([10.0, 1.0, 0.2, 0.02])  # m/s, m/s^2, m/s^2, rad/s
 
 def unit_band() -> Band:
     """Scale 1 everywhere; factors 2 at 50 %, 4 at 90 %."""
-    knots = make_knots(5.0)
-    coefficients = np.zeros((3, len(knots), compute_features(np.zeros((1, 4))).shape[1]))
-    return Band(Scale(coefficients, np.zeros((2, 3)), TIME, knots), {0.5: 2.0, 0.9: 4.0}, np.ones((3, 19)))
+    coefficients = np.zeros((3, len(KNOTS), compute_features(np.zeros((1, 4))).shape[1]))
+    return Band(Scale(coefficients, np.zeros((2, 3)), TIME), {0.5: 2.0, 0.9: 4.0}, np.ones((3, 19)))
 
 
 def draw_errors(seconds, magnitude, seed=3):

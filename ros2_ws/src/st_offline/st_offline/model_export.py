@@ -10,14 +10,9 @@ import numpy as np
 from st_core import __version__
 from st_core.augmented import AugmentedModel
 from st_core.backends.casadi_backend import SymbolicModel, Variable, build
-from st_core.bands import LEVELS, Band, Bands
-from st_core.bands.scale import (
-    MAX_LOG_SCALE,
-    compute_floor,
-    compute_magnitudes,
-    compute_scalar_features,
-    make_interpolation_matrix,
-)
+from st_core.bands import Band, Bands
+from st_core.bands.calibration import LEVELS
+from st_core.bands.scale import MAX_LOG_SCALE, compute_magnitudes, compute_scalar_features
 from st_core.errors import ConfigurationError
 from st_core.integrate import lowest_stable_speed
 from st_core.models import Model
@@ -129,12 +124,11 @@ def make_half_width_function(band: Band, level: float, vehicle: VehicleParameter
     velocity_x = x[2] - x[5] * vehicle.cg_to_ins_y
     condition = compute_magnitudes(velocity_x, x[5], u[1], activity)
     phi = casadi.vertcat(*compute_scalar_features(condition, casadi.log, casadi.fmax))
-    scale = band.scale
-    interpolation, floor = make_interpolation_matrix(scale.knots, scale.time), compute_floor(scale.floor, scale.time)
+    interpolation, floors = casadi.DM(band.scale.interpolation), band.scale.floors
     columns = []
-    for axis, coefficients in enumerate(scale.coefficients):
+    for axis, coefficients in enumerate(band.scale.coefficients):
         logs = casadi.fmin(casadi.fmax(2.0 * casadi.DM(coefficients) @ phi, -2.0 * MAX_LOG_SCALE), 2.0 * MAX_LOG_SCALE)
-        squared = casadi.exp(casadi.DM(interpolation) @ logs) + casadi.DM(np.square(floor[:, axis]))
+        squared = casadi.exp(interpolation @ logs) + casadi.DM(np.square(floors[:, axis]))
         columns.append(band.factors[level] * casadi.sqrt(squared))
     return casadi.Function(name, [x, u, activity], [casadi.horzcat(*columns)], ["x", "u", "steering_activity"],
                            ["half_widths"])

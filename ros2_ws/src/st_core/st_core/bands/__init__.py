@@ -5,30 +5,18 @@ hindsight it covers the error of the model alone, in a forecast also the error o
 calibrated on errors of recorded drives (`compute_error_samples`, `calibrate`) and stored in a file (`Bands`).
 """
 
-from .calibration import (
-    LEVELS,
-    RELIABILITY_LEVELS,
-    Band,
-    ErrorSamples,
-    NotFiniteError,
-    calibrate,
-    compute_error_samples,
-    compute_highest_level,
-    join_runs,
-    to_predicted_frame,
-)
+from .calibration import Band, ErrorSamples, NotFiniteError, calibrate, compute_error_samples
 from .file import Bands
 from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
 from .scale import (
-    CONDITIONS,
-    CalibrationDomain,
-    activity_instants,
-    compute_conditions,
-    conditions_at,
-    steering_activity,
+           CONDITIONS,
+           CalibrationDomain,
+           activity_instants,
+           compute_conditions,
+           conditions_at,
+           steering_activity,
 )
 
-__all__ = ["CONDITIONS", "LEVELS", "RELIABILITY_LEVELS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage",
-           "Bands", "CalibratedBands", "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError",
-           "activity_instants", "calibrate", "compute_conditions", "compute_error_samples", "compute_highest_level",
-           "conditions_at", "conditions_now", "join_runs", "steering_activity", "to_predicted_frame"]
+__all__ = ["CONDITIONS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage", "Bands", "CalibratedBands",
+           "CalibrationDomain", "CoverageMonitor", "ErrorSamples", "NotFiniteError", "activity_instants", "calibrate",
+           "compute_conditions", "compute_error_samples", "conditions_at", "conditions_now", "steering_activity"]

@@ -27,7 +27,7 @@ from ..prediction import PredictionSettings, configuration_hash
 from ..vehicle import VehicleParameters
 from ..yaml_text import check_keys, format_number, hash_content, load, quote
 from .calibration import Band, ModelMode
-from .scale import CalibrationDomain, Scale, compute_features, make_knots
+from .scale import KNOTS, CalibrationDomain, Scale, compute_features
 
 SCHEMA = 2
 HEADER = "# Prediction bands by model and mode. Written by `st calibrate`.\n"
@@ -144,10 +144,10 @@ class Bands:
             hashes[model] = str(entry["configuration_hash"])
             for mode in (m for m in MODES if m in entry):
                 mode_entry = entry[mode]
-                coefficients, knots = np.array(mode_entry["coefficients"], float), make_knots(float(time[-1]))
-                if coefficients.shape != (3, len(knots), compute_features(np.zeros((1, 4))).shape[1]):
+                coefficients = np.array(mode_entry["coefficients"], float)
+                if coefficients.shape != (3, len(KNOTS), compute_features(np.zeros((1, 4))).shape[1]):
                     raise ConfigurationError("coefficients: written by another version; calibrate again")
-                scale = Scale(coefficients, np.array(mode_entry["floor"], float), time, knots)
+                scale = Scale(coefficients, np.array(mode_entry["floor"], float), time)
                 bands[model, mode] = Band(scale, {float(k): float(v) for k, v in mode_entry["factors"].items()},
                                           np.array(mode_entry["ratios"], float))
         acceleration, activity = map(float, document["seen"]["most"])

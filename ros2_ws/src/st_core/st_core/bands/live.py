@@ -28,15 +28,7 @@ from ..measurement_history import DERIVATIVE, VELOCITY_X, YAW_RATE, MeasurementH
 from ..timeseries import NANOSECOND
 from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
 from .file import Bands
-from .scale import (
-    MAX_LOG_SCALE,
-    activity_instants,
-    compute_floor,
-    compute_magnitudes,
-    compute_scalar_features,
-    make_interpolation_matrix,
-    steering_activity,
-)
+from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
 GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
@@ -186,10 +178,10 @@ class CalibratedBands:
         chosen = [bands.bands[pair] for pair in pairs]
         self.levels = tuple(level for level in LEVELS if all(level in band.factors for band in chosen))
         scale = chosen[0].scale
-        self._interpolation = make_interpolation_matrix(scale.knots, scale.time).T
+        self._interpolation = scale.interpolation.T
         coefficients = np.concatenate([2.0 * band.scale.coefficients for band in chosen])
         self._coefficients = coefficients.reshape(-1, coefficients.shape[-1])
-        self._floor = np.square(np.concatenate([compute_floor(band.scale.floor, band.scale.time).T for band in chosen]))
+        self._floor = np.square(np.concatenate([band.scale.floors.T for band in chosen]))
         factors = np.array([[band.factors[level] for band in chosen] for level in self.levels], np.float32)
         self._factors = factors.repeat(3, axis=1)[:, :, None]
         widths = np.zeros((len(self.levels), len(chosen), 3, len(scale.time) + 1), np.float32)

@@ -167,37 +167,32 @@ def make_knots(horizon: float) -> np.ndarray:
     return np.array(KNOTS) * (horizon / KNOTS[-1])
 
 
-def make_interpolation_matrix(knots: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Matrix (time, knots) for interpolation from knots to times ahead [s, > 0]: linear in log t, constant outside."""
-    return np.stack([np.interp(np.log(time), np.log(knots), row) for row in np.eye(len(knots))], axis=-1)
-
-
-def compute_floor(floor: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Floor (points, 3) [m, m, rad] at times ahead (points,). floor: (2, 3), its constant part, and the value of its
-    part proportional to time at the end of the horizon."""
-    return np.hypot(floor[0], floor[1] * (time / time[-1])[:, None])
-
-
 @dataclass(frozen=True, eq=False)
 class Scale:
     """Scale s of the errors, fitted by `fit_scale`."""
 
     coefficients: np.ndarray  # C (3, knots, features)
-    floor: np.ndarray  # (2, 3), NOISE_FACTOR n and FLOOR_SHARE e [m, m, rad]
+    floor: np.ndarray  # (2, 3), NOISE_FACTOR n and, at the end of the horizon, FLOOR_SHARE e [m, m, rad]
     time: np.ndarray  # (points,) ahead [s, > 0]
-    knots: np.ndarray  # (knots,) [s]
 
     @cached_property
-    def _interpolation(self) -> np.ndarray:
-        return make_interpolation_matrix(self.knots, self.time)
+    def interpolation(self) -> np.ndarray:
+        """Matrix (points, knots) for interpolation from knots to times ahead: linear in log t, constant outside."""
+        log_time, log_knots = np.log(self.time), np.log(make_knots(float(self.time[-1])))
+        return np.stack([np.interp(log_time, log_knots, row) for row in np.eye(len(KNOTS))], axis=-1)
+
+    @property
+    def floors(self) -> np.ndarray:
+        """Floor (points, 3) [m, m, rad] at the times ahead."""
+        return np.hypot(self.floor[0], self.floor[1] * (self.time / self.time[-1])[:, None])
 
     def __call__(self, conditions: np.ndarray) -> np.ndarray:
         """s (n, points, 3) [m, m, rad] under conditions (n, 4)."""
         phi = compute_features(conditions)
         logs = phi @ self.coefficients.reshape(-1, phi.shape[-1]).T  # (n, 3 * knots)
         logs = logs.reshape(len(phi), *self.coefficients.shape[:2]).transpose(0, 2, 1)
-        sigma = np.exp(np.clip(self._interpolation @ logs, -MAX_LOG_SCALE, MAX_LOG_SCALE))
-        return np.hypot(sigma, compute_floor(self.floor, self.time))
+        sigma = np.exp(np.clip(self.interpolation @ logs, -MAX_LOG_SCALE, MAX_LOG_SCALE))
+        return np.hypot(sigma, self.floors)
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
@@ -214,7 +209,7 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     nearest = [int(np.abs(time - knot).argmin()) for knot in knots]
     targets = np.concatenate([run[:, nearest] for run in squares]).reshape(len(phi), -1)  # (n, knots * 3)
     c = _fit_gamma_regression(phi, weights, targets)
-    return Scale(c.reshape(phi.shape[1], len(knots), 3).transpose(2, 1, 0), floor, np.asarray(time, float), knots)
+    return Scale(c.reshape(phi.shape[1], len(knots), 3).transpose(2, 1, 0), floor, np.asarray(time, float))
 
 
 def _fit_gamma_regression(phi: np.ndarray, weights: np.ndarray, squares: np.ndarray) -> np.ndarray:

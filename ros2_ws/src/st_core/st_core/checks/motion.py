@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from ..corrections import COMPONENTS
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, DriveLog
@@ -79,6 +80,17 @@ class Motion:
         names = ("time", *INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
         return replace(self, **{name: value[mask] for name in names if (value := getattr(self, name)) is not None})
 
+    def make_windows(self, length: float, longest_gap: float = MAX_GAP) -> "Windows":
+        """Windows of `length` [s] within the stretches without a gap longer than `longest_gap` [s]."""
+        time = self.time
+        # The edges are found among the samples, not by counting windows, since a gap may last years.
+        edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
+        first, last = edges[:-1], edges[1:]
+        gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
+        complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
+        first, last = first[complete], last[complete]
+        return Windows(first, last, time)
+
     @property
     def position(self) -> np.ndarray:
         """Position in the map frame as a complex number, x + i y = east + i north [m]."""
@@ -118,7 +130,7 @@ def is_driven(motion: Motion) -> bool:
     of travel must persist, or the forward velocity far exceed its noise, neither of which is true of a parked car.
     """
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
-    windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
+    windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     if len(windows) < MIN_DRIVEN_WINDOWS:
         return True
     displacement = windows.change(motion.position)
@@ -135,11 +147,6 @@ def is_driven(motion: Motion) -> bool:
 def has_varying_speed(speed: np.ndarray) -> bool:
     """Whether the speed varies enough to separate effects that depend on different powers of it."""
     return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
-
-
-def integrate(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Trapezoidal integral from the first sample on, (n,)."""
-    return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
 
 
 def correlate(x: np.ndarray, y: np.ndarray) -> float:
@@ -166,7 +173,7 @@ class Windows:
 
     def integral(self, values: np.ndarray) -> np.ndarray:
         """Integral over the time of each window."""
-        return self.change(integrate(self.sample_times, values))
+        return self.change(cumulative_trapezoid(values, self.sample_times, initial=0.0))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Time average in each window."""
@@ -179,17 +186,6 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.first)
-
-
-def make_windows(time: np.ndarray, length: float, longest_gap: float = MAX_GAP) -> Windows:
-    """Windows of `length` [s] within the stretches without a gap longer than `longest_gap` [s]."""
-    # The edges are found among the samples, not by counting windows, since a gap may last years.
-    edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
-    first, last = edges[:-1], edges[1:]
-    gaps = np.concatenate(([0], np.cumsum(np.diff(time) > longest_gap)))
-    complete = (gaps[first] == gaps[last]) & (np.abs(time[last] - time[first] - length) < 0.5 * length)
-    first, last = first[complete], last[complete]
-    return Windows(first, last, time)
 
 
 def find_groups(is_last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,10 +225,10 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
     """Ratios of channels in windows of `length` [s], or shorter ones for a small car, whose path in a window would be
     much longer than the distance between its ends. min_distance: smallest motion in a window that is used [m]."""
-    windows = make_windows(motion.time, length, max(MAX_GAP, 0.5 * length))
+    windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)
-    integrated_rate = integrate(motion.time, motion.yaw_rate)
+    integrated_rate = cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0)
     moving = (distance > min_distance) | (integrated_speed > min_distance)
     turn = np.diff(np.unwrap(np.angle(displacement)))
     turning = moving[1:] & moving[:-1] & windows.are_adjacent

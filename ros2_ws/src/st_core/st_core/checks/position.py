@@ -19,21 +19,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
-from .motion import (
-    MAX_GAP,
-    MAX_LISTED,
-    MIN_MOVING_SPEED,
-    Motion,
-    find_groups,
-    find_stretches,
-    has_varying_speed,
-    integrate,
-    make_windows,
-)
+from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, find_stretches, has_varying_speed
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 from .sampling import estimate_resolution
 
@@ -95,7 +86,7 @@ SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity
 
 def make_residual_regression(motion: Motion) -> Regression:
     """Regression of the residual of the identity on the effects of all causes, by window."""
-    windows = make_windows(motion.time, WINDOW)
+    windows = motion.make_windows(WINDOW)
     # Vectors in the map frame are complex: east + i north.
     velocity, heading = motion.velocity_map, np.exp(1j * motion.yaw)
     displacement, velocity_change = windows.integral(velocity), windows.change(velocity)
@@ -302,7 +293,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
 
 def make_distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
     """Distance per second in the recorded units, for a figure. removed: factors already divided out, by finding."""
-    windows = make_windows(motion.time, WINDOW)
+    windows = motion.make_windows(WINDOW)
     measured, derived = np.abs(windows.change(motion.position)), np.abs(windows.integral(motion.velocity_map))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
                       "from velocity and yaw", windows.time, measured * removed.get("position_scale", 1.0),
@@ -338,7 +329,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
     if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []
     # d_k, as east + i north [m], and its along-track part divided by the speed [s], NaN at standstill.
-    errors = np.diff(motion.position) - np.diff(integrate(motion.time, motion.velocity_map))
+    errors = np.diff(motion.position) - np.diff(cumulative_trapezoid(motion.velocity_map, motion.time, initial=0.0))
     speed, to_track = motion.speed[1:], np.exp(-1j * np.angle(motion.velocity_map[1:]))  # rotation into the track
     along = np.where(speed > MIN_MOVING_SPEED, (errors * to_track).real / np.maximum(speed, MIN_MOVING_SPEED), np.nan)
     jitter = _check_jitter(motion, along)

@@ -12,10 +12,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from ..regression import SIGMA_PER_MAD
 from .finding import LIMITS, Advice, Finding, Severity
-from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, integrate, is_near, make_windows
+from .motion import MIN_DISTANCE, MIN_WINDOWS, Motion, compute_ratios, correlate, is_near
 from .regression import Estimate
 
 MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
@@ -184,7 +185,7 @@ def _find_common_sign(values: np.ndarray, turn: np.ndarray) -> int:
 
 def _positions_follow_yaw(motion: Motion) -> bool:
     """Whether positions agree with yaw and velocity, apart from a constant rotation and a scale of velocity."""
-    windows = make_windows(motion.time, 1.0)
+    windows = motion.make_windows(1.0)
     distance, integrated = np.abs(windows.change(motion.position)), windows.integral(motion.speed)
     if len(windows) < MIN_WINDOWS or not np.ptp(motion.yaw) > MIN_YAW_RANGE:
         return False
@@ -214,7 +215,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 def _remove_wraps(motion: Motion) -> np.ndarray:
     """The yaw, with the integrated yaw rate in place of steps left by unwrapping an angle in another unit as rad."""
     step = np.diff(motion.yaw)
-    expected = np.diff(integrate(motion.time, motion.yaw_rate))
+    expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
     wrapped = error > max(8.0 * SIGMA_PER_MAD * float(np.median(error)), MIN_WRAP_STEP)
     return motion.yaw[0] + np.concatenate(([0.0], np.cumsum(np.where(wrapped, expected, step))))
@@ -274,7 +275,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
 
 def _compute_displacements(motion: Motion, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(change of position, integrated velocity) in windows of one second, as east + i north [m]."""
-    windows = make_windows(motion.time, 1.0)
+    windows = motion.make_windows(1.0)
     return windows.change(motion.position), windows.integral(velocity)
 
 

@@ -21,7 +21,7 @@ from ..tyres import GRAVITY
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .finding import HORIZON, LIMITS, SYSTEMATIC_UNCERTAINTY, Advice, Comparison, Finding, Severity
 from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult, compare_series, format_alternative_lags
-from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed, make_windows
+from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
 from .units_and_axes import DEGREE
@@ -218,7 +218,7 @@ def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Est
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     """Check the alignment of the heading and the position of the INS point against the motion of the rear axle."""
-    windows = make_windows(motion.time, WINDOW)
+    windows = motion.make_windows(WINDOW)
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
     if usable.sum() < MIN_REAR_AXLE_WINDOWS:
@@ -276,7 +276,7 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
 def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
     if not point.significant or abs(point.value) < LIMITS.ins_position:
         return None
-    windows = make_windows(motion.time, HORIZON)
+    windows = motion.make_windows(HORIZON)
     # |R(yaw2) - R(yaw1)|, by which a wrong point shifts the displacement over the horizon.
     turn = 2.0 * np.abs(np.sin(0.5 * windows.change(motion.yaw))) if len(windows) else np.zeros(1)
     effect = abs(point.value) * float(np.sqrt(np.square(turn).mean()))
@@ -292,7 +292,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
 
 def check_tyre_limit(motion: Motion) -> list[Finding]:
     """Finding of a sustained lateral acceleration above the limit of road tyres."""
-    windows = make_windows(motion.time, WINDOW)
+    windows = motion.make_windows(WINDOW)
     lateral = windows.mean(motion.velocity_x * motion.yaw_rate)
     impossible = np.abs(lateral) > LIMITS.lateral_acceleration
     if impossible.sum() < 2:
@@ -307,7 +307,7 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
 
 def check_standstill(motion: Motion) -> list[Finding]:
     """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
-    windows = make_windows(motion.time, STANDSTILL_WINDOW)
+    windows = motion.make_windows(STANDSTILL_WINDOW)
     distance = np.abs(windows.change(motion.position))
     still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
     findings = []

@@ -8,8 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 from rich.console import Console
-from st_core.bands import AdaptiveBand, Band, Bands, conditions_at, to_predicted_frame
-from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS
+from st_core.bands import AdaptiveBand, Band, Bands, conditions_at
+from st_core.bands.calibration import LEVELS, RELIABILITY_LEVELS, to_predicted_frame
 from st_core.bands.file import make_times
 from st_core.bands.scale import EDGES, UNITS, find_bins
 from st_core.bands.shares import PARAMETERS, SENSORS, Intervals, sum_squared_contributions

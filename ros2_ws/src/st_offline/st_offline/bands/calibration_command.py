@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate, join_runs
-from st_core.bands.calibration import check_levels, compute_error_samples, compute_highest_level
+from st_core.bands import Band, Bands, CalibrationDomain, ErrorSamples, calibrate
+from st_core.bands.calibration import check_levels, compute_error_samples, compute_highest_level, join_runs
 from st_core.bands.file import hash_configuration, make_times
 from st_core.log_evaluation import MODES
 from st_core.models import Model

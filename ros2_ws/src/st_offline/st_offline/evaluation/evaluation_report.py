@@ -13,16 +13,7 @@ from st_core.palette import MODEL_COLOUR
 from st_recordings.paths import json_text
 from st_recordings.results import collect_versions
 
-from ..bands.bands_report import (
-    draw_bands,
-    make_adaptive_rows,
-    make_band_rows,
-    make_share_rows,
-    pool_sums,
-    summarise_adaptive,
-    summarise_bands,
-    summarise_shares,
-)
+from ..bands import bands_report
 from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_findings
 from ..pages import load_template
 from . import tables
@@ -77,12 +68,13 @@ def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
 
 
 def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    sums = pool_sums([r.bands for r in good])
-    fixed = {"bands": {r.name: summarise_bands(r.bands) for r in good},
-             "bands_all_runs": {"file": task.bands[0], **summarise_bands(sums), "shares": summarise_shares(sums)}
+    sums = bands_report.pool_sums([r.bands for r in good])
+    fixed = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in good},
+             "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
+                                "shares": bands_report.summarise_shares(sums)}
              } if task.bands else {}
-    return fixed | ({"adaptive_bands": {r.name: summarise_adaptive(r.bands) for r in good},
-                     "adaptive_bands_all_runs": summarise_adaptive(sums)} if task.adaptive else {})
+    return fixed | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in good},
+                     "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
 
 
 def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
@@ -115,7 +107,7 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     files["latex"].write_text(tables.make_latex_table(good, task.over, note))
     output = FigureOutput(folder, task.formats)
     overview = draw_overview(good, task.over, output)
-    band_figures = draw_bands(content.get("bands_all_runs", {}), output)
+    band_figures = bands_report.draw_bands(content.get("bands_all_runs", {}), output)
     write_page(files["page"], title, reports, content, task, overview, band_figures)
     return files
 
@@ -133,9 +125,9 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
         title=title, summary=make_summary(good, task), reports=good, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=describe_settings(task),
         findings={r.name: r.findings for r in reports}, leading=leading, band_figures=bands,
-        band_rows=make_band_rows(pooled_bands),
-        adaptive_rows=make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
-        share_rows=make_share_rows(pooled_bands.get("shares", {})),
+        band_rows=bands_report.make_band_rows(pooled_bands),
+        adaptive_rows=bands_report.make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
+        share_rows=bands_report.make_share_rows(pooled_bands.get("shares", {})),
         over=task.over, tables=tables, modes=modes, run_figures=run_figures, formats=task.formats,
         slug=to_file_name)
     file.write_text(text, encoding="utf-8")
