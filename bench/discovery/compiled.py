@@ -14,8 +14,7 @@ from numba.extending import register_jitable
 from st_core.backends import numba_cache
 from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import RACK, STATES, VX, VY, YAW, YAW_RATE, X, Z, derivative, make_constants
-from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
-from st_sim.plant import STANDSTILL_SPEED, STEP, Plant
+from st_sim.plant import GUST_TIME, STANDSTILL_SPEED, STEP, Plant, evaluate_road, make_normal_source, make_road
 from st_sim.settings import Settings
 
 from .relation_equations import Car as Body

@@ -16,7 +16,7 @@ import numpy as np
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_sim.dynamics import A_X, A_Y, A_Y_RATE, GRAVITY, STATES, VX, VY, WIND_ARM, YAW, YAW_RATE, X, Y, Z, air_force
-from st_sim.environment import GUST_TIME, evaluate_road, make_normal_source, make_road
+from st_sim.plant import GUST_TIME, evaluate_road, make_normal_source, make_road
 from vehiclemodels.init_mb import init_mb
 
 from .compiled import (

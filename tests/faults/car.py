@@ -12,8 +12,7 @@ from typing import Protocol
 from canedge_bridge.decode import Decoder
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import config
-from st_sim.can_encoder import BackgroundTraffic, CanEncoder, Frame
-from st_sim.ncom_encoder import NcomEncoder, Origin
+from st_sim.encoders import BackgroundTraffic, CanEncoder, Frame, NcomEncoder, Origin
 from st_sim.sensors import InsReading
 from winding_road import RATE, Truth, winding_road
 

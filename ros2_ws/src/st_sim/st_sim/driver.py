@@ -7,9 +7,8 @@ from st_core.manoeuvres import UNDERSTEER
 from st_core.vehicle import VehicleParameters
 
 from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
-from .environment import make_normal_source
 from .path import Pose
-from .plant import Plant, Truth
+from .plant import Plant, Truth, make_normal_source
 from .scenarios import Plan
 from .settings import Settings
 

@@ -188,7 +188,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, surro
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
     longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
-    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: fields of `environment.Surroundings`.
+    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: fields of `plant.Surroundings`.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,

@@ -11,7 +11,7 @@ import numpy as np
 from can.io.canutils import CanutilsLogWriter
 from mcap.writer import Writer
 
-from .can_encoder import INS_BUS, VEHICLE_BUS, Frame
+from .encoders import INS_BUS, VEHICLE_BUS, Frame
 from .plant import Truth
 from .settings import Settings, SimulationError
 

@@ -1,4 +1,4 @@
-"""The virtual car: a double-track vehicle with its own equations of motion, independent of the models in st_core.
+"""The virtual car on its road: a double-track vehicle with its own equations, independent of the models in st_core.
 
 Axes are ISO 8855 (x forward, y left, z up), the state is at the true CG, yaw is counter-clockwise from east. The order
 of wheels is front left, front right, rear left, rear right. A slip angle is positive when the wheel slides to its left;
@@ -15,19 +15,24 @@ Source: Pacejka, Tire and Vehicle Dynamics, ch. 1 and 7. Checked by: test_plant.
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import atan, atan2, cos, sin
+from math import atan, atan2, cos, exp, pi, sin, sqrt
+from typing import NamedTuple
 
+import numpy as np
 from st_core.vehicle import VehicleParameters
 
 from . import dynamics
 from .dynamics import A_X, A_Y, A_Y_RATE, MIN_SLIP_SPEED, RACK, STATES, VX, VY, YAW, YAW_RATE, X, Y, Z, derivative
-from .environment import Environment
 from .settings import Settings
 
 STEP = 0.002  # s, of Heun's method; halving it moves the end of a 10 s drive by less than 1 mm (test_plant.py)
 STANDSTILL_SPEED = 0.02  # m/s; at lower v_x without a positive drive force, the car is at rest
 DRIVE = 4  # gear code on CAN; 1 P, 2 R, 3 N
+WAVE_LENGTH = 80.0  # m, wavelength of the terrain along x
+PATCH_LENGTH, PATCH_PERIOD = 10.0, 40.0  # m along x, length and spacing of patches with different friction
+GUST_TIME = 1.5  # s, correlation time of gusts
 
 
 @dataclass(slots=True)
@@ -76,6 +81,82 @@ class Truth:
         """Acceleration of a body point: a_x - r^2 x - dr/dt y,  a_y + dr/dt x - r^2 y  [m/s^2]."""
         r2, r_dot = self.yaw_rate**2, self.yaw_acceleration
         return self.acceleration_x - r2 * x - r_dot * y, self.acceleration_y + r_dot * x - r2 * y
+
+
+class Surroundings(NamedTuple):
+    """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle: + rises to the left,
+    grade_angle: + rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
+
+    friction: float
+    bank_angle: float
+    grade_angle: float
+    wind_x: float
+    wind_y: float
+
+
+class Road(NamedTuple):
+    """Friction factors of road and patches, bank and grade angles [rad], slopes of hillside and waves; see SETTINGS."""
+
+    friction: float
+    patch: float
+    bank: float
+    grade: float
+    hillside: float
+    wave: float
+
+
+def make_road(settings: Settings) -> Road:
+    names = ("friction_factor", "friction_patch", "bank_angle", "grade_angle", "hillside_slope", "terrain_wave")
+    return Road(*(settings[name] for name in names))
+
+
+def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float]:
+    """(friction factor, bank, grade [rad]) of a car at x [m, map] with a yaw angle [rad]. Also compiled with numba."""
+    friction = road.friction * (road.patch if x % PATCH_PERIOD < PATCH_LENGTH else 1.0)
+    bank, grade = road.bank, road.grade
+    if road.hillside or road.wave:
+        slope_east, slope_north = road.wave * sin(2 * pi * x / WAVE_LENGTH), road.hillside
+        c, s = cos(yaw), sin(yaw)
+        grade += slope_east * c + slope_north * s
+        bank += slope_north * c - slope_east * s
+    return friction, bank, grade
+
+
+class Environment:
+    """Surroundings along a drive; gusts are an Ornstein-Uhlenbeck process."""
+
+    def __init__(self, settings: Settings, step: float, seed: int):
+        self._road = road = make_road(settings)
+        self._wind, self._gust_speed = settings["wind_speed"], settings["gust_speed"]
+        self._gust_decay = exp(-step / GUST_TIME)
+        self._gust = [0.0, 0.0]
+        self._draw = make_normal_source(np.random.default_rng([seed, 1]))
+        self._constant = Surroundings(road.friction, road.bank, road.grade, 0.0, 0.0)
+        self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
+
+    def advance(self, x: float, yaw: float) -> Surroundings:
+        """Advance the gusts by one step; returns the surroundings of a car at x [m, map] with a yaw angle [rad]."""
+        if self._is_constant:
+            return self._constant
+        if self._gust_speed:
+            noise = self._gust_speed * sqrt(1 - self._gust_decay**2)
+            self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]
+        return Surroundings(*evaluate_road(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
+
+
+def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
+    """A function that returns one standard normal number per call; drawing in blocks makes it ten times faster.
+
+    Every use of random numbers in st_sim has its own generator, seeded with [seed, number of the use].
+    """
+    buffer: list[float] = []
+
+    def draw() -> float:
+        if not buffer:
+            buffer.extend(generator.standard_normal(block).tolist())
+        return buffer.pop()
+
+    return draw
 
 
 class Plant:

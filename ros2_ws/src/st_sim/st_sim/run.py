@@ -15,10 +15,9 @@ from typing import NoReturn
 
 from canedge_bridge.decode import Decoder
 
-from .can_encoder import STEERING_MESSAGE, CanEncoder
 from .driver import SimulatedCar
+from .encoders import STEERING_MESSAGE, CanEncoder, NcomEncoder, Origin
 from .files import LogFile, Mf4File, TruthFile, make_folder
-from .ncom_encoder import NcomEncoder, Origin
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor

@@ -8,8 +8,7 @@ import numpy as np
 from st_core.vehicle import VehicleParameters
 
 from .dynamics import GRAVITY
-from .environment import make_normal_source
-from .plant import Truth
+from .plant import Truth, make_normal_source
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s

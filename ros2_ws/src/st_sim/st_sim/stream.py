@@ -11,9 +11,8 @@ import can
 from canedge_bridge.transport import open_bus
 from oxts_bridge.ncom import INITIALISING, LOCKED, LOCKING
 
-from .can_encoder import FRAME_TIME, BackgroundTraffic, CanEncoder, Frame
 from .driver import SimulatedCar
-from .ncom_encoder import NO_DATA, RAW_IMU, NcomEncoder
+from .encoders import FRAME_TIME, NO_DATA, RAW_IMU, BackgroundTraffic, CanEncoder, Frame, NcomEncoder
 from .plant import Truth
 from .recorded_drive import RecordedDrive
 from .sensors import Ins, SteeringSensor, TransmissionLoss, read_wheel_speeds

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from st_sim.driver import SimulatedCar
 from st_sim.dynamics import GRAVITY, TRACK_WIDTH, make_tyre_coefficients, tyre_force
-from st_sim.environment import Environment
-from st_sim.plant import RACK, STEP, VX, YAW_RATE, Plant, Y, Z
+from st_sim.plant import RACK, STEP, VX, YAW_RATE, Environment, Plant, Y, Z
 from st_sim.scenarios import load_plan
 from st_sim.settings import (
     IDEAL,

@@ -7,7 +7,7 @@ import pytest
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
 from st_sim import run
-from st_sim.ncom_encoder import UNDULATION
+from st_sim.encoders import UNDULATION
 from st_sim.recorded_drive import COLUMNS, RecordedDrive
 from st_sim.settings import SimulationError, read_vehicle
 from support import EXAMPLES, ROOT

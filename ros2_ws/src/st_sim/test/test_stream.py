@@ -9,9 +9,21 @@ from canedge_bridge.decode import Decoder
 from oxts_bridge.channels import decode_channel
 from oxts_bridge.geometry import LocalFrame
 from oxts_bridge.stream import NcomParser
-from st_sim.can_encoder import CAR_CAN_RATE, INS_BUS, VEHICLE_BUS, CanEncoder, Frame
 from st_sim.driver import SimulatedCar
-from st_sim.ncom_encoder import CYCLE_LENGTH, UNDULATION, NcomEncoder, Origin, from_ecef, make_schedule, to_ecef
+from st_sim.encoders import (
+    CAR_CAN_RATE,
+    CYCLE_LENGTH,
+    INS_BUS,
+    UNDULATION,
+    VEHICLE_BUS,
+    CanEncoder,
+    Frame,
+    NcomEncoder,
+    Origin,
+    from_ecef,
+    make_schedule,
+    to_ecef,
+)
 from st_sim.plant import Truth
 from st_sim.scenarios import load_plan
 from st_sim.sensors import Ins, SteeringSensor

@@ -19,6 +19,7 @@ from .. import convert
 SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
 WARNING_DURATION = 10.0  # s of a warning after the last rejected message
 MAX_NUMBER_GAP = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
+UNUSABLE_SAMPLE = "values not finite, or stamp repeated or more than 0.5 s older than the newest"
 QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node without processor time
 
 
@@ -85,101 +86,95 @@ class PublisherLock:
         return f"published by {len(self.names)} nodes ({names}); only the first one received is used"
 
 
+class _Input:
+    """One input topic. received: number of messages of the accepted publisher, with refused ones. last_refusal: why
+    the newest was refused, or "". arrived_ns: arrival of the newest accepted message, host UTC."""
+
+    def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
+        self.signal, self._on_change = signal, on_change
+        self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
+        self.lock = PublisherLock()
+        self.received = self.refused = self.arrived_ns = 0
+        self.last_refusal = ""
+
+    def take_accepted(self) -> Iterator[Any]:
+        """Queued messages of the accepted publisher."""
+        previous_warning, count = self.lock.describe_competition(_read_utc()), self.subscription.count_publishers()
+        # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
+        if count > len(self.lock.names):
+            self.lock.update(self.subscription.find_publisher_names())
+        for message, arrived_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
+            if self.lock.accept(number, arrived_ns * NANOSECOND):
+                self.arrived_ns = arrived_ns
+                yield message
+        if count > 1 or count < len(self.lock.names):
+            self.lock.update(self.subscription.find_publisher_names())
+        if previous_warning != self.lock.describe_competition(_read_utc()):
+            self._on_change()
+
+    def count(self, refusal: str) -> None:
+        """Count a message. refusal: why it was refused, or ""."""
+        self.received += 1
+        self.refused += bool(refusal)
+        self.last_refusal = refusal
+
+    def make_check(self) -> Check:
+        name, values = f"input {self.signal}", {"received": self.received, "refused": self.refused}
+        if self.last_refusal:
+            return Check(name, diagnostics.WARN, f"refused: {self.last_refusal}", values)
+        if not self.received:
+            return Check(name, diagnostics.STALE, f"nothing received on {self.subscription.topic} yet", values)
+        return Check(name, diagnostics.OK, "usable", values)
+
+
 class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
-    on_change: called when the warning about competing publishers has changed, to publish it at once. received: number
-    of messages of the accepted publisher by signal, with refused ones. last_refusal: why the newest was refused, or "".
+    on_change: called when the warning about competing publishers has changed, to publish it at once.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
                  add_steering: Callable[[int, float], bool], on_change: Callable[[], None]):
-        qos = QoSProfile(depth=QUEUE_DEPTH)
-        self._node, self._map_frame = node, map_frame
-        self._add_ins, self._add_steering, self._on_change = add_ins, add_steering, on_change
-        self._subscriptions = {"INS": PolledSubscription(node, Odometry, "ins/odometry", qos),
-                               "steering": PolledSubscription(node, Steering, "vehicle/steering", qos)}
-        self.received = {"INS": 0, "steering": 0}
-        self.refused = {"INS": 0, "steering": 0}
-        self.last_refusal = {"INS": "", "steering": ""}
-        self._locks = {"INS": PublisherLock(), "steering": PublisherLock()}
-        self._arrived_ns = {"INS": 0, "steering": 0}  # arrival of the newest accepted message, host UTC
+        self._node, self._map_frame, self._add_ins, self._add_steering = node, map_frame, add_ins, add_steering
+        self._ins = _Input(node, "INS", Odometry, "ins/odometry", on_change)
+        self._steering = _Input(node, "steering", Steering, "vehicle/steering", on_change)
+        self._inputs = self._ins, self._steering
 
     def wait(self, since_ns: int, longest: float) -> None:
         """Process messages for `longest` [s], or until each signal has one that arrived since `since_ns` (host UTC)."""
         end = time.monotonic() + longest
         self.drain()
-        while min(self._arrived_ns.values()) < since_ns and (remaining := end - time.monotonic()) > 0.0:
-            wait_for_any(self._node, list(self._subscriptions.values()), remaining)
+        while (min(one.arrived_ns for one in self._inputs) < since_ns
+               and (remaining := end - time.monotonic()) > 0.0):
+            wait_for_any(self._node, [one.subscription for one in self._inputs], remaining)
             self.drain()
 
     def drain(self) -> None:
         """Process all queued messages."""
-        for message in self._take_accepted("INS"):
+        for message in self._ins.take_accepted():
             sample = convert.read_ins_sample(message, self._map_frame)
-            if isinstance(sample, str):
-                self._refuse("INS", sample)
-            else:
-                self._count("INS", self._add_ins(sample))
-        for message in self._take_accepted("steering"):
+            self._ins.count(sample if isinstance(sample, str) else "" if self._add_ins(sample) else UNUSABLE_SAMPLE)
+        for message in self._steering.take_accepted():
             if not message.valid:
-                self._refuse("steering", "marked invalid by the bridge (counter or checksum)")
+                self._steering.count("marked invalid by the bridge (counter or checksum)")
             else:
-                time_ns = to_nanoseconds(message.header.stamp)
-                self._count("steering", self._add_steering(time_ns, message.road_wheel_angle))
-
-    def _take_accepted(self, signal: str) -> Iterator[Any]:
-        """Queued messages of the accepted publisher."""
-        lock, subscription = self._locks[signal], self._subscriptions[signal]
-        previous_warning, count = lock.describe_competition(_read_utc()), subscription.count_publishers()
-        # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
-        if count > len(lock.names):
-            lock.update(subscription.find_publisher_names())
-        for message, arrived_ns, number in subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
-            if lock.accept(number, arrived_ns * NANOSECOND):
-                self._arrived_ns[signal] = arrived_ns
-                yield message
-        if count > 1 or count < len(lock.names):
-            lock.update(subscription.find_publisher_names())
-        if previous_warning != lock.describe_competition(_read_utc()):
-            self._on_change()
+                accepted = self._add_steering(to_nanoseconds(message.header.stamp), message.road_wheel_angle)
+                self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
         """The reason for a missing prediction; if messages of the signal that it names are refused, also why."""
-        for signal, refusal in self.last_refusal.items():
-            if refusal and reason.startswith(signal):
-                return f"{reason}; messages arrive but are refused: {refusal}"
+        for one in self._inputs:
+            if one.last_refusal and reason.startswith(one.signal):
+                return f"{reason}; messages arrive but are refused: {one.last_refusal}"
         return reason
 
     def make_checks(self) -> list[Check]:
-        warnings = {subscription.topic: self._locks[signal].describe_competition(_read_utc())
-                    for signal, subscription in self._subscriptions.items()}
-        rejected = {f"{signal} messages of other publishers": lock.rejected for signal, lock in self._locks.items()}
+        warnings = {one.subscription.topic: one.lock.describe_competition(_read_utc()) for one in self._inputs}
+        rejected = {f"{one.signal} messages of other publishers": one.lock.rejected for one in self._inputs}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
         return [Check("publishers", level, text or "at most one of each input", rejected),
-                *(self._make_input_check(signal) for signal in self.received)]
-
-    def _make_input_check(self, signal: str) -> Check:
-        values = {"received": self.received[signal], "refused": self.refused[signal]}
-        if refusal := self.last_refusal[signal]:
-            return Check(f"input {signal}", diagnostics.WARN, f"refused: {refusal}", values)
-        if not self.received[signal]:
-            text = f"nothing received on {self._subscriptions[signal].topic} yet"
-            return Check(f"input {signal}", diagnostics.STALE, text, values)
-        return Check(f"input {signal}", diagnostics.OK, "usable", values)
-
-    def _count(self, signal: str, accepted: bool) -> None:
-        if accepted:
-            self.received[signal] += 1
-            self.last_refusal[signal] = ""
-        else:
-            self._refuse(signal, "values not finite, or stamp repeated or more than 0.5 s older than the newest")
-
-    def _refuse(self, signal: str, reason: str) -> None:
-        self.received[signal] += 1
-        self.refused[signal] += 1
-        self.last_refusal[signal] = reason
+                *(one.make_check() for one in self._inputs)]
 
 
 def _read_utc() -> float:
