@@ -7,7 +7,7 @@ Functions of angles and positions accept floats or arrays and return the same ki
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias, get_origin, get_type_hints
 
 import numpy as np
 
@@ -16,6 +16,35 @@ from .errors import StCoreError
 STATE_NAMES = ("x", "y", "velocity_x", "velocity_y", "yaw", "yaw_rate")
 STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s")
 Number: TypeAlias = Any  # a float or an array
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One key of a vehicle file."""
+
+    si_unit: str
+    minimum: float  # limit in SI, inclusive
+    maximum: float  # limit in SI, inclusive
+    required: bool = True  # whether every vehicle file must contain the key
+    other_units: Mapping[str, float] = field(default_factory=dict)  # further permitted units with their factor to SI
+
+    @property
+    def units(self) -> dict[str, float]:
+        """Permitted units with their factor to SI."""
+        return {self.si_unit: 1.0, **self.other_units}
+
+    @property
+    def limits(self) -> str:
+        return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
+
+    def clip(self, value: float) -> float:
+        return min(max(value, self.minimum), self.maximum)
+
+
+def quantities_of(kind: type) -> dict[str, Quantity]:
+    """The quantities of the fields that a class declares as Annotated[float, Quantity(...)], by name."""
+    return {key: hint.__metadata__[0] for key, hint in get_type_hints(kind, include_extras=True).items()
+            if get_origin(hint) is Annotated}
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,10 @@ is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps it
 its stiffness K negative and its force oppose alpha without a further minus sign.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from .ops import absolute, atan, maximum, minimum, sign, sin
+from .types import Quantity
 
 GRAVITY = 9.81  # m/s^2, as in the paper
 MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the speed can imply a lifted axle
@@ -16,19 +17,19 @@ MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the s
 class MagicFormula(NamedTuple):
     """Pure lateral slip parameters of one tyre, names as in the paper's table, SAE sign (p_ky1 < 0)."""
 
-    nominal_load: float  # F_z0 [N]; all others [1]
-    p_cy1: float
-    p_dy1: float
-    p_dy2: float
-    p_ey1: float
-    p_ey2: float
-    p_ey3: float
-    p_ky1: float
-    p_ky2: float
-    p_ky4: float
-    lambda_ky: float = 1.0  # scale of the stiffness
-    lambda_cy: float = 1.0  # scale of the shape
-    lambda_muy: float = 1.0  # scale of the friction
+    nominal_load: Annotated[float, Quantity("N", 1.0, 1.0e5)]  # F_z0
+    p_cy1: Annotated[float, Quantity("1", 0.5, 3.0)]
+    p_dy1: Annotated[float, Quantity("1", 0.05, 3.0)]
+    p_dy2: Annotated[float, Quantity("1", -1.0, 1.0)]
+    p_ey1: Annotated[float, Quantity("1", -20.0, 1.0)]
+    p_ey2: Annotated[float, Quantity("1", -20.0, 20.0)]
+    p_ey3: Annotated[float, Quantity("1", -5.0, 5.0)]
+    p_ky1: Annotated[float, Quantity("1", -200.0, -1.0)]
+    p_ky2: Annotated[float, Quantity("1", 0.1, 20.0)]
+    p_ky4: Annotated[float, Quantity("1", 0.1, 4.0)]
+    lambda_ky: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # scale of the stiffness
+    lambda_cy: Annotated[float, Quantity("1", 0.1, 10.0, required=False)] = 1.0  # scale of the shape
+    lambda_muy: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # scale of the friction
 
 
 def slip_angle(velocity_lateral, velocity_forward, minimum_speed):

@@ -4,53 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any
 
 from .errors import ConfigurationError
-from .types import Number
+from .types import Number, Quantity, quantities_of
 from .tyres import GRAVITY, MagicFormula, stiffness_scale
 from .yaml_text import check_keys, format_number, hash_content, load, quote
 
-
-@dataclass(frozen=True)
-class Quantity:
-    """One key of a vehicle file."""
-
-    si_unit: str
-    minimum: float  # limit in SI, inclusive
-    maximum: float  # limit in SI, inclusive
-    required: bool = True  # whether every vehicle file must contain the key
-    other_units: Mapping[str, float] = field(default_factory=dict)  # further permitted units with their factor to SI
-
-    @property
-    def units(self) -> dict[str, float]:
-        """Permitted units with their factor to SI."""
-        return {self.si_unit: 1.0, **self.other_units}
-
-    @property
-    def limits(self) -> str:
-        return f"{self.minimum:g} to {self.maximum:g} {self.si_unit}".removesuffix(" 1")
-
-    def clip(self, value: float) -> float:
-        return min(max(value, self.minimum), self.maximum)
-
-
 STIFFNESS_LIMITS = 0.05, 500.0  # cornering stiffness of an axle, divided by the weight of the car [1/rad]
-TYRE_QUANTITIES = {
-    "nominal_load": Quantity("N", 1.0, 1.0e5),
-    "p_cy1": Quantity("1", 0.5, 3.0),
-    "p_dy1": Quantity("1", 0.05, 3.0),
-    "p_dy2": Quantity("1", -1.0, 1.0),
-    "p_ey1": Quantity("1", -20.0, 1.0),
-    "p_ey2": Quantity("1", -20.0, 20.0),
-    "p_ey3": Quantity("1", -5.0, 5.0),
-    "p_ky1": Quantity("1", -200.0, -1.0),  # negative, as in SAE axes
-    "p_ky2": Quantity("1", 0.1, 20.0),
-    "p_ky4": Quantity("1", 0.1, 4.0),
-    "lambda_ky": Quantity("1", 0.01, 10.0, required=False),
-    "lambda_cy": Quantity("1", 0.1, 10.0, required=False),
-    "lambda_muy": Quantity("1", 0.01, 10.0, required=False),
-}
 TYRES = ("tyre_front", "tyre_rear")
 PROVENANCE_TEXTS = ("method", "data", "date")
 PROVENANCE_KEYS = ("uncertainty", *PROVENANCE_TEXTS)
@@ -294,9 +255,7 @@ class VehicleParameters:
         return hash_content({key: float(value).hex() for key, value in values.items()})
 
 
-VEHICLE_QUANTITIES: dict[str, Quantity] = {
-    key: hint.__metadata__[0] for key, hint in get_type_hints(VehicleParameters, include_extras=True).items()
-    if get_origin(hint) is Annotated}
+VEHICLE_QUANTITIES, TYRE_QUANTITIES = quantities_of(VehicleParameters), quantities_of(MagicFormula)
 OPTIONAL_QUANTITIES = tuple(key for key, quantity in VEHICLE_QUANTITIES.items() if not quantity.required)
 
 
