@@ -112,6 +112,11 @@ def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, wh
     assert any("vehicle.yaml alone reduces the position error after 5 s by 6%, together" in t for t in reported)
 
 
+def test_causes_outside_the_library_are_listed_for_a_named_effect(logs):
+    found = discovery(logs, (("steering_ratio", {"factor": 0.94}, 0.5),), 1.7)
+    assert any("a wrong wheelbase" in text for text in report_text.recommend(found, None))
+
+
 def test_correction_of_recordings_is_advised_only_if_one_exists(logs):
     lag = Finding("yaw_rate_lag", Severity.WARNING, ("yaw_rate",), "yaw_rate lags yaw by 0.30 s", 0.3, "s", effect=0.4,
                    advice=Advice.correct("yaw_rate", earlier=0.3))

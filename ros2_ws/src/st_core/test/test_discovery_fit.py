@@ -59,6 +59,15 @@ def test_gap_of_one_second_does_not_raise_the_loss(leaf, time, values):
     assert loss_per_residual[1] < 1.5 * loss_per_residual[0]
 
 
+def test_car_beyond_the_limits_of_a_vehicle_file_is_not_predicted(leaf):
+    (log,) = recorded(leaf, {}, 1, ["slalom"])
+    stiff = replace(leaf, tyre_rear=leaf.tyre_rear._replace(lambda_ky=9.0))  # the limit is 10
+    errors = Errors(Windows([log], stiff, DiscoverySettings()), Space("nonlinear", DiscoverySettings()))
+    beyond = errors.space.null.copy()
+    beyond[errors.space.indices("rear_stiffness")] = 1.5
+    assert np.isnan(errors.at(beyond)).all() and errors.at(beyond).shape == errors.windows.known.shape
+
+
 # The loss
 
 

@@ -285,8 +285,11 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
     if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
         text += ": at the rear axle?"
     value = vehicle.cg_to_ins_x + point.value
-    advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}",
-                    {"cg_to_ins_x": round(value, 2)})
+    advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}  # measure it: "
+                    "rear wheels that steer have the same effect", {"cg_to_ins_x": round(value, 2)})
+    if abs(value) > vehicle.wheelbase:
+        text += f", {abs(value):.2f} m from the CG and thus outside the car"
+        advice = Advice("look", "check velocity_y; a car that slides all the time has no measuring point")
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 

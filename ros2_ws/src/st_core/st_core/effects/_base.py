@@ -29,6 +29,7 @@ COMBINATIONS = {"front cornering stiffness over mass": "N/(rad kg)", "rear corne
 """Combinations of vehicle parameters that predictions depend on, with their units; the parameters in one combination
 are not separable. Yaw inertia over mass is left out, because delays and relaxation have a similar influence: four of
 six intervals for cars with other dynamics did not contain the true value."""
+FORCE_COMBINATIONS = tuple(name for name in COMBINATIONS if name != TOTAL_DELAY)
 
 
 NO_HOOK: Any = None  # value of a hook that an effect does not define
@@ -136,13 +137,14 @@ class Effect:
     one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (one of the two may name the
     other), by sensitivity vectors of a single-track car on circle, step, sweep and limit. needs: channels required to
     observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS whose deviation from
-    the vehicle file it may explain. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this
-    one is observable. at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base
-    models. converts: (from, to) base model, if it turns one into another. signals: names of the inputs that it requires
-    in addition to steering angle and acceleration. extra_states, extra_units: names and units of its states. costly:
-    whether it evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds
-    it only in forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank
-    among the effects with the same hook, lowest first.
+    the vehicle file it may explain. imitated_by: causes outside the library with the same effect. ratio_to: key of the
+    vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force: whether it is
+    observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base model, if it
+    turns one into another. signals: names of the inputs that it requires in addition to steering angle and
+    acceleration. extra_states, extra_units: names and units of its states. costly: whether it evaluates the tyres
+    again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
+    since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
+    same hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -156,6 +158,7 @@ class Effect:
     needs: ClassVar[tuple[str, ...]] = ()
     members: ClassVar[tuple[str, ...]] = ()
     combinations: ClassVar[tuple[str, ...]] = ()
+    imitated_by: ClassVar[str] = ""
     ratio_to: ClassVar[str] = ""
     at_peak_force: ClassVar[bool] = False
     applies_to: ClassVar[frozenset[str]] = DYNAMIC

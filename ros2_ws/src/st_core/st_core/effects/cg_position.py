@@ -11,7 +11,7 @@ class CgPosition(Effect):
     excited_by = "cornering with measured sideslip, at two speeds"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("rear_stiffness", "front_stiffness", "sensor_lever_arm")
-    combinations = ("rear cornering stiffness over mass", "stability factor K")
+    combinations = ("rear cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
     applies_to = ANY
     parameter = Parameter("shift", "m", null=0.0, initial=0.1, bounds=(-0.5, 0.5),
                           meaning="CG further forward than in the file",

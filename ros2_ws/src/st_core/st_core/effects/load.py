@@ -8,7 +8,7 @@ nonlinear model, but not the stiffnesses of the linear model.
 
 from dataclasses import replace
 
-from ._base import Effect, Parameter, register
+from ._base import FORCE_COMBINATIONS, Effect, Parameter, register
 
 
 @register
@@ -17,7 +17,7 @@ class Load(Effect):
     excited_by = "cornering with measured sideslip, at two speeds; weigh the laden car to confirm it"
     kind, slot = "vehicle parameters", "body"
     confounded_with = ("mass", "cg_position", "rear_stiffness", "tyre_stiffness", "yaw_inertia")
-    combinations = ("front cornering stiffness over mass", "rear cornering stiffness over mass", "stability factor K")
+    combinations = FORCE_COMBINATIONS
     parameter = Parameter("mass", "kg", null=0.0, initial=150.0, bounds=(0.0, 800.0),
                           meaning="mass of a load over the rear axle",
                           source="payload: passenger cars 400-550 kg (2 sigma), vans 800 kg", deviation=250.0)

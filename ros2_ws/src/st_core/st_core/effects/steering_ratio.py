@@ -12,6 +12,8 @@ class SteeringRatio(Effect):
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)
+    imitated_by = ("a wrong wheelbase in the vehicle file, rear wheels that steer, a ratio that depends on speed or a "
+                   "locking differential")
     applies_to = ANY
     order = 40
     parameter = Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0),
