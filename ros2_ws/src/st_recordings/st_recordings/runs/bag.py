@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
-from st_core.checks import AuxiliaryData
 from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
@@ -17,7 +16,7 @@ from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERI
 from .errors import RunError, format_share
 from .ins_log import InsLog, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
-from .run_types import SteeringField, make_drive_log
+from .run_types import LoadedRun, SteeringField, make_drive_log
 
 KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
@@ -34,16 +33,12 @@ _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.
 _STEERING_FIELDS = ("header.stamp", "steering_wheel_angle", "road_wheel_angle", "valid")
 
 
-@dataclass(frozen=True)
-class BagDrive:
-    log: DriveLog
+@dataclass(frozen=True, kw_only=True)
+class BagDrive(LoadedRun):
     topics: dict[str, str]  # type -> name of the topic that was read
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
-    warnings: tuple[str, ...]
-    auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
-    frame: str = ""  # frame_id of the first odometry message, or of reconstructed odometry
-    unknown: tuple[str, ...] = ()  # "topic (type)" of topics that are not read, nor published by suite or ROS
-    origin: tuple[float, float, float] | None = None  # of the map: latitude, longitude [rad], altitude [m]
+    frame: str  # frame_id of the first odometry message, or of reconstructed odometry
+    unknown: tuple[str, ...]  # "topic (type)" of topics that are not read, nor published by suite or ROS
 
 
 def is_bag(path: Path) -> bool:
@@ -135,11 +130,12 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if reads_odometry:
         first: Any = storage.store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
         frame = getattr(first.header, "frame_id", "")  # the definition of a header in the bag may lack it
-    origin = reconstruction.read_origin()
-    if origin is not None:
-        origin = math.radians(origin[0]), math.radians(origin[1]), origin[2]
-    return BagDrive(log, topics, records, tuple(f"{path}: {note}" for note in (*notes, *row_notes)), auxiliary,
-                    frame, unknown, origin)
+    provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
+    if (origin := reconstruction.read_origin()) is not None:
+        latitude, longitude, altitude = origin
+        provenance["origin"] = [math.radians(latitude), math.radians(longitude), altitude]
+    return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)),
+                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown=unknown)
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:

@@ -1,7 +1,7 @@
 """Registers the reader of rosbag2 recordings: bag directories and single storage files."""
 
 import json
-from typing import Any
+from dataclasses import replace
 
 from st_core.vehicle import VehicleParameters
 
@@ -19,12 +19,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
 
         return read_raw_run(source, vehicle, settings)
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, source.files)
-    provenance: dict[str, Any] = {"reader": "bag", "topics": drive.topics, "recorded": drive.records}
-    if drive.origin is not None:
-        provenance["origin"] = list(drive.origin)
     imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
-    labels = source.labels or tuple(Label(*entry) for entry in imported)
-    return LoadedRun(drive.log, provenance, labels, drive.warnings, auxiliary=drive.auxiliary)
+    return replace(drive, labels=source.labels or tuple(Label(*entry) for entry in imported))
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
