@@ -91,6 +91,11 @@ def test_invalid_steering_field_is_refused_with_its_name(tmp_path, topic, field,
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
+def test_bag_of_ros_1_is_not_replayed(tmp_path):
+    with pytest.raises(RunError, match="the nodes receive no messages of ROS 1; convert the bag with rosbags"):
+        check_bag(tmp_path / "drive.bag", None, True)
+
+
 def test_missing_steering_topic_is_reported_with_the_option(tmp_path):
     with pytest.raises(RunError, match=r"/steering_angle \(std_msgs/msg/Float64\).*--steering-topic"):
         read_bag(write_bag(tmp_path / "drive"))

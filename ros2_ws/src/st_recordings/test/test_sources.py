@@ -204,7 +204,7 @@ def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "error"), [
-    ("a.bag", "convert the ROS 1 bag with rosbags-convert"), ("a.zip", "unpack it first"),
+    ("a.zip", "unpack it first"), ("a.tdms", "export one"),
     ("notes.txt", "this folder contains no recording")])
 def test_folder_without_a_run_is_refused_with_advice_on_its_recordings(tmp_path: Path, name: str, error: str) -> None:
     touch(tmp_path, "README.md", f"sub/{name}")

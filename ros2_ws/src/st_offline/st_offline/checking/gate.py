@@ -14,7 +14,7 @@ from st_core.vehicle import VehicleParameters
 from st_recordings.results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.bag import may_carry_steering, may_need_can_frames
-from st_recordings.runs.bag_storage import open_bag
+from st_recordings.runs.bag_storage import ROS1_EXTENSION, open_bag
 from st_recordings.runs.cdr import CAN_MSGS_FRAME
 
 from . import check_report
@@ -55,6 +55,9 @@ def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
     """Check a bag that is to be replayed, with its stored models and step; the vehicle is `vehicle`, the stored one, or
     else the default. Raises RefusedRunError, and RunError for a bag that cannot be read or has no steering topic."""
+    if bag.suffix.lower() == ROS1_EXTENSION:
+        raise RunError(bag, "the nodes receive no messages of ROS 1",
+                       "convert the bag with rosbags-convert; st check, evaluate and discover read it as it is")
     if not (settings and settings.steering) and may_need_can_frames(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
         other = ", or name a topic with --steering-topic" if has_other else ""

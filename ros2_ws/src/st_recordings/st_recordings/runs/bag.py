@@ -11,14 +11,14 @@ from mcap.reader import make_reader
 from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
-from .bag_storage import EXTENSIONS, Storage, Topic, describe_missing_files, open_bag, storage_files
+from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, open_bag, storage_files
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_share
 from .ins_log import InsLog, select_usable_rows, yaw_from_quaternion
 from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
-KNOWN_TOPICS = ("/ins/", "/vehicle/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
+KNOWN_TOPICS = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
 """Prefixes of the topics that the suite or every ROS system publishes."""
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that recorder and evaluator write first
@@ -42,8 +42,9 @@ class BagDrive(LoadedRun):
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a rosbag2 directory or storage file."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in EXTENSIONS
+    """Whether a path is a rosbag2 directory, one of its storage files, or a bag of ROS 1."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (
+        *EXTENSIONS, ROS1_EXTENSION)
 
 
 def has_odometry(path: Path) -> bool:
@@ -61,6 +62,12 @@ def has_odometry(path: Path) -> bool:
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
+def lacks_odometry(path: Path) -> bool:
+    """Whether a bag contains messages, but neither odometry nor INS packets."""
+    types = _read_types(path)
+    return bool(types) and not types & {ODOMETRY, NCOM}
+
+
 def lacks_steering(path: Path) -> bool:
     """Whether a bag contains odometry, but neither steering nor CAN frames of the suite."""
     types = _read_types(path)
@@ -74,10 +81,10 @@ def may_need_can_frames(path: Path) -> bool:
 
 
 def may_carry_steering(topic: Topic) -> bool:
-    """Whether --steering-topic may name a topic: its messages are not odometry, raw data or text, and its name does not
-    begin with one of KNOWN_TOPICS."""
-    return not topic.name.startswith(KNOWN_TOPICS) and topic.type_name not in (
-        ODOMETRY, NCOM, CAN_MSGS_FRAME, CAN_FRAMES, "std_msgs/msg/String")
+    """Whether --steering-topic may name a topic: its messages are not odometry, raw data, text or of st_msgs, and its
+    name does not begin with one of KNOWN_TOPICS."""
+    return not topic.name.startswith(KNOWN_TOPICS) and not topic.type_name.startswith("st_msgs/") and (
+        topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
 
 def _read_types(path: Path) -> set[str]:
@@ -227,7 +234,7 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
         has_other = type_name == STEERING and any(map(may_carry_steering, storage.topics))
         other = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
         raise RunError(path, f"it contains no message of type {type_name}; recorded: {recorded}",
-                       f"also record the topic {PREFERRED_TOPICS[type_name]}{other}")
+                       f"also record the topic {PREFERRED_TOPICS[type_name]}, or another of this type{other}")
     preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
     if len(preferred) > 1:
         names = ", ".join(sorted(t.name for t in preferred))

@@ -20,6 +20,7 @@ import zstandard
 from mcap.reader import NonSeekingReader
 from mcap.summary import Summary
 from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ..bag_metadata import read_information
@@ -28,9 +29,10 @@ from ..paths import natural_sort_key
 from .cdr import READ_ERRORS, Block, CdrLayout, add_definitions, get_field, load_typestore, read_blocks, read_summary
 from .errors import RunError, check_readable, format_share, shorten
 
-EXTENSIONS = (".mcap", ".db3")
+EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
+REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
         files = storage_files(path) if path.is_dir() else [path]
     for file in files:
         check_readable(file)
-    if path.is_dir() and read_information(path).get("compression_mode"):
+    if path.suffix.lower() == ROS1_EXTENSION or (path.is_dir() and read_information(path).get("compression_mode")):
         return RosbagsStorage(path)
     suffixes = {f.suffix.lower() for f in files}
     if suffixes == {".mcap"}:
@@ -333,11 +335,20 @@ def _decompress(data: bytes) -> bytes:
 
 
 class RosbagsStorage(Storage):
+    """A bag of ROS 1, or of ROS 2 with compressed files or messages. Messages of ROS 1 are converted to those of ROS 2,
+    whose headers have no sequence number."""
+
     def __init__(self, path: Path):
-        with _report_damage(path, COPY_ADVICE, Exception):  # any, from rosbags
+        is_ros1 = path.suffix.lower() == ROS1_EXTENSION
+        with _report_damage(path, REINDEX_ADVICE if is_ros1 else COPY_ADVICE, Exception):  # any, from rosbags
             self._reader = AnyReader([path], default_typestore=load_typestore())
             self._reader.open()
         super().__init__(path)
+        if is_ros1:
+            recorded = {name: fields for name, fields in self._reader.typestore.fielddefs.items()
+                        if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}
+            self.store = get_typestore(Stores.EMPTY)
+            self.store.register({**load_typestore().fielddefs, **recorded})
 
     def _count_messages(self) -> Counter[tuple[str, str]]:
         return sum((Counter({(c.topic, c.msgtype): c.msgcount}) for c in self._reader.connections), Counter())
@@ -345,9 +356,12 @@ class RosbagsStorage(Storage):
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         connections = [c for c in self._reader.connections if c.topic == topic]
         with _report_damage(self.path, COPY_ADVICE, Exception):  # any, from rosbags
-            yield from ((log_ns, bytes(data)) for _, log_ns, data in self._reader.messages(connections=connections))
+            for connection, log_ns, data in self._reader.messages(connections=connections):
+                yield log_ns, bytes(data if self._reader.is2 else self.store.ros1_to_cdr(data, connection.msgtype))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
+        if not self._reader.is2:
+            return {}
         forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
         return {c.msgtype: (forms.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
 

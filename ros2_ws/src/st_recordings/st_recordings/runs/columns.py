@@ -110,7 +110,7 @@ COLUMNS: Mapping[str, Channel] = {
         "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
         "bearing angle_track kurs_ueber_grund")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _words(
-        f"orientation_{axis} q{axis} quat_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"))
+        f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
     "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
@@ -129,7 +129,7 @@ COLUMNS: Mapping[str, Channel] = {
     "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
-        "gyr_z twist_angular_z twist_twist_angular_z gierrate giergeschwindigkeit")),
+        "gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate giergeschwindigkeit")),
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(
         "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
         "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
@@ -141,7 +141,7 @@ COLUMNS: Mapping[str, Channel] = {
     "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
-        "tyre_angle ackermann_angle radlenkwinkel")),
+        "tyre_angle steering_tire_angle ackermann_angle radlenkwinkel")),
     "steering_wheel_angle": Channel("angle", "steering wheel, left +, offset not removed", _words(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "

@@ -30,7 +30,6 @@ TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".h5", ".hdf5", ".tdms", ".
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
 """Extensions of text tables that programs often export in addition to their own files."""
 UNKNOWN_ADVICE = {
-    ".bag": "convert the ROS 1 bag with rosbags-convert",
     ".dbc": "give a DBC with --dbc, or put it into the folder of --car",
     ".rd": "this is raw data of an OxTS unit: convert it to NCOM with the software of the unit",
     ".vbb": "export it as .vbo with the software of the logger",

@@ -1,4 +1,4 @@
-"""Registers the reader of rosbag2 recordings: bag directories and single storage files."""
+"""Registers the reader of bags: directories and single storage files of rosbag2, and files of ROS 1."""
 
 import json
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 from st_core.vehicle import VehicleParameters
 
 from .. import bag
-from ..bag_storage import EXTENSIONS
+from ..bag_storage import EXTENSIONS, ROS1_EXTENSION
 from ..ins_log import InsLog
 from ..readers import Reader, register
 from ..run_types import Label, LoadedRun, ReadSettings, RunSource
@@ -18,6 +18,12 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
+    if settings.odometry is None and bag.lacks_odometry(source.where):
+        from ..bag_table import read_bag_as_table
+
+        if (run := read_bag_as_table(source.where, vehicle, steering, source.files)) is not None:
+            return replace(run, log=replace(run.log, name=source.name), labels=source.labels, provenance={
+                **run.provenance, "reader": "bag", "recorded": bag.read_metadata_records(source.where)})
     drive = bag.read_bag(source.where, source.name, steering, settings.odometry, source.files)
     imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
     return replace(drive, labels=source.labels or tuple(Label(*entry) for entry in imported))
@@ -27,5 +33,5 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
     return bag.read_odometry(source.where, settings.odometry, source.files)
 
 
-register(Reader("bag", "bag", EXTENSIONS, read, read_ins, is_folder=bag.is_bag, has_drive=bag.has_odometry,
-                lacks_steering=bag.lacks_steering))
+register(Reader("bag", "bag", (*EXTENSIONS, ROS1_EXTENSION), read, read_ins, is_folder=bag.is_bag,
+                has_drive=bag.has_odometry, lacks_steering=bag.lacks_steering))

@@ -1,0 +1,69 @@
+"""Reads the drive in a bag without odometry as a table: the numbers of its messages, such as NavSatFix, Imu and
+TwistStamped, are columns with names such as /imu/data/angular_velocity/z."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from st_core.vehicle import VehicleParameters
+
+from .bag_storage import Storage, Topic, open_bag
+from .cdr import ODOMETRY, CdrLayout
+from .columns import Layout, find_columns
+from .csv import ROAD_WHEEL, STEERING_WHEEL, build_drive
+from .csv_table import parse_table
+from .errors import RunError
+from .reconstruct import find_steering_topic, read_steering_columns
+from .run_types import LoadedRun, SteeringField
+
+ADVICE = (f"record {ODOMETRY}, for example of robot_localization, or export its topics as one CSV file with "
+          "PlotJuggler and name the columns in a run.yaml")
+STAMPS = ("header.stamp", "stamp")
+
+
+def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
+                      files: Sequence[Path] = ()) -> LoadedRun | None:
+    """Reads the drive; None if no message contains a channel of a drive. Raises RunError. Arguments: see `read_bag`."""
+    import pandas as pd
+
+    storage = open_bag(path, files)
+    storage.use_definitions({topic.type_name for topic in storage.topics})
+    parts = [pd.DataFrame(columns, index=stamps) for topic in storage.topics
+             for stamps, columns in [_read_columns(storage, topic)] if columns]
+    if not parts:
+        return None
+    if steering is not None:
+        columns = read_steering_columns(storage, find_steering_topic(storage, steering), steering)
+        channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
+        parts = [part.drop(columns=[ROAD_WHEEL, STEERING_WHEEL], errors="ignore") for part in parts]
+        parts.append(pd.DataFrame({channel: columns[ROAD_WHEEL]}, index=columns["header.stamp"]))
+    merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)
+    text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
+    table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), [])
+    try:
+        return build_drive(table, vehicle)
+    except RunError as error:
+        problem = f"it contains no message of type {ODOMETRY}, and read as a table: {error.problem}"
+        has_steering = {ROAD_WHEEL, STEERING_WHEEL} & table.sources.keys()
+        raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
+                       f"--steering-topic; or {ADVICE}") from None
+
+
+def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """(stamps [ns], columns) of the numbers that may be channels; no columns if the type is unknown or has no stamp."""
+    try:
+        example = storage.store.deserialize_cdr(next(storage.messages(topic.name)), topic.type_name)
+        layout = CdrLayout(storage.store, topic.type_name, example)
+    except Exception:  # any, from rosbags
+        return np.empty(0), {}
+    paths = [path for path, field in layout.fields.items() if field.count == 1]
+    names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
+    found = {channel: source.column for channel, source in find_columns(storage.path, names, Layout()).items()}
+    found.pop("t", None)
+    stamp = next((path for path in STAMPS if path in layout.fields), "")
+    if not found or not stamp:
+        return np.empty(0), {}
+    columns = storage.read_fields(topic, [stamp, *(paths[column] for column in found.values())])
+    stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
+    return stamps, {channel if channel in (ROAD_WHEEL, STEERING_WHEEL) else names[column]: columns[paths[column]]
+                    for channel, column in found.items()}

@@ -1,0 +1,152 @@
+"""Bags without odometry, as INS drivers and Autoware record them, and bags of ROS 1 are read; others are refused with
+what to do."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drive_kinds import CAR, assert_same, columns, to_degrees
+from ros_messages import STORE, header, make
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+from st_core.log import DriveLog
+from st_recordings.runs import ReadSettings, find_runs, read
+from st_recordings.runs.bag import ODOMETRY
+from st_recordings.runs.errors import RunError
+from st_recordings.runs.run_types import SteeringField
+
+STEER = ReadSettings(steering=SteeringField("/steer", "data", "wheel"))
+AUTOWARE = {
+    "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",
+    "autoware_vehicle_msgs/msg/VelocityReport": "std_msgs/Header header\nfloat32 longitudinal_velocity\n"
+                                                "float32 lateral_velocity\nfloat32 heading_rate\n"}
+Messages = dict[str, Callable[[int], Any]]
+
+
+def make_store(base: Stores, definitions: dict[str, str]) -> Typestore:
+    store = get_typestore(base)
+    for name, text in definitions.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def vector(x: float, y: float, z: float = 0.0, kind: str = "Vector3") -> Any:
+    return make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y), z=float(z))
+
+
+def make_messages(log: DriveLog, store: Typestore = STORE) -> Messages:
+    """Topic -> function that makes the message of a row, for every topic of these tests."""
+    wheel, (latitude, longitude), nine = columns(log)[7], to_degrees(log), np.zeros(9)
+
+    def orientation(k: int) -> Any:
+        return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(log.yaw[k] / 2)),
+                    w=float(np.cos(log.yaw[k] / 2)))
+
+    def twist(k: int) -> Any:
+        return make("geometry_msgs/msg/Twist", linear=vector(log.velocity_x[k], log.velocity_y[k]),
+                    angular=vector(0, 0, log.yaw_rate[k]))
+
+    def pose(k: int) -> Any:
+        return make("geometry_msgs/msg/Pose", position=vector(log.x[k], log.y[k], kind="Point"),
+                    orientation=orientation(k))
+
+    def stamped(k: int) -> Any:
+        return header(int(log.ins_time_ns[k]), "map")
+
+    return {
+        "/imu/data": lambda k: make(
+            "sensor_msgs/msg/Imu", header=stamped(k), orientation=orientation(k), orientation_covariance=nine,
+            angular_velocity=vector(0, 0, log.yaw_rate[k]), angular_velocity_covariance=nine,
+            linear_acceleration=vector(0, 0, 9.8), linear_acceleration_covariance=nine),
+        "/fix": lambda k: make(
+            "sensor_msgs/msg/NavSatFix", header=stamped(k), latitude=float(latitude[k]), longitude=float(longitude[k]),
+            altitude=0.0, status=make("sensor_msgs/msg/NavSatStatus", status=0, service=1), position_covariance=nine,
+            position_covariance_type=0),
+        "/twist": lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k), twist=twist(k)),
+        "/pose": lambda k: make("geometry_msgs/msg/PoseStamped", header=stamped(k), pose=pose(k)),
+        "/odom": lambda k: make(
+            ODOMETRY, header=stamped(k), child_frame_id="base_link",
+            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose(k), covariance=np.zeros(36)),
+            twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist(k), covariance=np.zeros(36))),
+        "/steer": lambda k: make("std_msgs/msg/Float64", data=float(wheel[k])),
+        "/vehicle/status/steering_status": lambda k: store.types["autoware_vehicle_msgs/msg/SteeringReport"](
+            stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k]))),
+        "/vehicle/status/velocity_status": lambda k: store.types["autoware_vehicle_msgs/msg/VelocityReport"](
+            header=stamped(k), longitudinal_velocity=float(log.velocity_x[k]),
+            lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
+
+
+def write(folder: Path, log: DriveLog, *topics: str) -> Path:
+    store = make_store(Stores.ROS2_JAZZY, AUTOWARE)
+    messages = make_messages(log, store)
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic in topics:
+            kind = messages[topic](0).__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for k, time_ns in enumerate(log.ins_time_ns.tolist()):
+                writer.write(connection, time_ns, store.serialize_cdr(messages[topic](k), kind))
+    return folder
+
+
+def to_ros1(message: Any, store: Typestore) -> Any:
+    """The message with types of ROS 1, whose headers have a sequence number."""
+    if not hasattr(message, "__msgtype__"):
+        return message
+    names = [name for name, _ in STORE.fielddefs[message.__msgtype__][1]]
+    fields = {name: to_ros1(getattr(message, name), store) for name in names}
+    further = {"seq": 7} if message.__msgtype__ == "std_msgs/msg/Header" else {}
+    return store.types[message.__msgtype__](**further, **fields)
+
+
+def write_ros1(file: Path, log: DriveLog, *topics: str) -> Path:
+    store, messages = make_store(Stores.ROS1_NOETIC, {}), make_messages(log)
+    with Ros1Writer(file) as writer:
+        for topic in topics:
+            kind = messages[topic](0).__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for k, time_ns in enumerate(log.ins_time_ns.tolist()):
+                writer.write(connection, time_ns, store.serialize_ros1(to_ros1(messages[topic](k), store), kind))
+    return file
+
+
+@pytest.mark.parametrize(("topics", "settings", "rotated"), [
+    (("/imu/data", "/fix", "/twist", "/steer"), STEER, True), (("/pose", "/twist", "/steer"), STEER, False),
+    (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status"), ReadSettings(), False)],
+    ids=["INS driver", "pose and twist", "Autoware"])
+def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
+                                                 rotated: bool) -> None:
+    (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
+    run = read(source, CAR, settings)
+    assert_same(run.log, drive_log, max_lost=0, rotated=rotated)
+    assert not run.warnings and run.log.name == "drive" and run.provenance["recorded"] == {}
+
+
+@pytest.mark.parametrize(("topics", "settings", "error"), [
+    (("/imu/data", "/fix", "/steer"), STEER, "recognised as velocity_x, velocity_y; .*; record nav_msgs/msg/Odometry, "
+     "for example of robot_localization, or export"),
+    (("/pose", "/twist", "/steer"), ReadSettings(), "recognised as road_wheel_angle .*; name the topic of the steering "
+     "angle with --steering-topic; or record"),
+    (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),
+    (("/odom", "/vehicle/status/steering_status"), ReadSettings(), "no message of type st_msgs/msg/Steering; .*, or "
+     "name the topic of the steering angle with --steering-topic")])
+def test_bag_that_lacks_a_quantity_is_refused(tmp_path: Path, drive_log: DriveLog, topics, settings: ReadSettings,
+                                              error: str) -> None:
+    (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
+    with pytest.raises(RunError, match=error):
+        read(source, CAR, settings)
+
+
+@pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/imu/data", "/fix", "/twist", "/steer")])
+def test_bag_of_ros_1_is_read(tmp_path: Path, drive_log: DriveLog, topics) -> None:
+    file = write_ros1(tmp_path / "drive.bag", drive_log, *topics)
+    (source,) = find_runs([tmp_path])
+    run = read(source, CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0, rotated="/fix" in topics)
+    assert not run.warnings
+    file.write_bytes(file.read_bytes()[:20000])
+    with pytest.raises(RunError, match=r"cannot be read as a bag .*repair it with `rosbag reindex`"):
+        read(source, CAR, STEER)
