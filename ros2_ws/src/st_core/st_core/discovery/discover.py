@@ -141,21 +141,21 @@ class _Analysis:
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
         outcome, why = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
+        separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, floor) if settings.locate_errors else ()
         return result.Discovery(
-            outcome=outcome, effects=effects, minor=judged.minor,
+            outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
             budget=tuple(budget), reasons=(why, *self._collect_reasons(state, judged.verdicts)),
             candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
-            next_manoeuvre=choose_manoeuvre(problem, state.fit, effects, curvatures, design_effect),
-            separability=list_separabilities(problem, state.fit, effects, design_effect), certificate=power,
-            signature=self._describe_residual(noise_ratios[1], regions), runs=self._list_runs(),
-            start="reference" if self.reference else "vehicle file", base=space.at(base.vector),
-            model=space.at(fit.vector) if fit.names else None, warnings=tuple(self.warnings),
+            next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
+            separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
+            signature=self._describe_residual(noise_ratios[1], regions), base=space.at(base.vector),
+            start="reference" if self.reference else "vehicle file", warnings=tuple(self.warnings),
+            model=space.at(fit.vector) if fit.names else None, assumed=self._list_assumed(),
             named=space.at(problem.vector_without(state.fit, *(e.name for e in judged.contradicted)))
             if state.order else None, leave_one_out=judged.leave_one_out, axle_curves=judged.curves,
-            assumed=self._list_assumed(), combinations=judged.combinations, clock_errors=self.clock_errors,
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 

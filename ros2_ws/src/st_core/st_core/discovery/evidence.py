@@ -102,8 +102,6 @@ def efficient_score(q: Quadratic, problem: Problem, names: tuple[str, ...], effe
     indices = np.setdiff1d(problem.free_indices(names), new)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
     gradient = q.gradient if prior_gradient is None else q.gradient - prior_gradient / len(q.gradient)
-    if not len(indices):
-        return gradient[:, new], np.diag(h)[new]
     cross = np.linalg.solve(_regular(h[np.ix_(indices, indices)]), h[np.ix_(indices, new)])
     information = np.diag(h[np.ix_(new, new)] - h[np.ix_(new, indices)] @ cross)
     return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(information, 0.0)

@@ -121,17 +121,15 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
                  for e in effects for rival in e.alternatives)
 
 
-def choose_manoeuvre(problem: Problem, fit: Fit, effects: Sequence[FoundEffect], curvatures: Curvatures,
+def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separability], curvatures: Curvatures,
                      design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
     errors of the model, which more driving does not reduce."""
-    h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-    pairs = [(e.name, other) for e in effects for other in e.alternatives
-             if separation(problem, fit, h, e.name, other, design_effect)[1] < MIN_SEPARATION]
+    pairs = [(s.first, s.second) for s in separabilities if s.strength < MIN_SEPARATION]
     if not pairs:
         return None
-    weakest = {}
+    h, weakest = problem.full_quadratic(fit.vector).hessian.sum(axis=0), {}
     for name, added in curvatures.items():
         strengths = {pair: separation(problem, fit, h + added, *pair, design_effect)[1] for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
@@ -151,9 +149,7 @@ def most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> s
     others = np.setdiff1d(problem.free_indices(()), indices)
     largest = {}
     for name, h in curvatures.items():
-        information = h[np.ix_(indices, indices)]
-        if len(others):
-            cross = h[np.ix_(indices, others)] @ inverse(h[np.ix_(others, others)])
-            information = information - cross @ h[np.ix_(others, indices)]
+        cross = h[np.ix_(indices, others)] @ inverse(h[np.ix_(others, others)])
+        information = h[np.ix_(indices, indices)] - cross @ h[np.ix_(others, indices)]
         largest[name] = float(np.diag(information).max())
     return max(largest, key=largest.__getitem__, default="")

@@ -57,8 +57,7 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     h = q.hessian.sum(axis=0)
     projection = np.zeros((len(space), len(indices)))  # the other fitted parameters are re-optimised
     projection[indices, np.arange(len(indices))] = 1.0
-    if len(others):
-        projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
+    projection[others] = -inverse(h[np.ix_(others, others)]) @ h[np.ix_(others, indices)]
     gradient, curvature = q.gradient @ projection, projection.T @ q.hessian @ projection
     # (part, half the gradient of its loss (k,), curvature (k, k))
     all_parts = [(k, gradient[number == k].sum(axis=0), curvature[number == k].sum(axis=0)) for k in np.unique(number)]
