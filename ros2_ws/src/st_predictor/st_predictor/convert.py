@@ -17,7 +17,7 @@ from st_core.prediction import Start
 from st_core.types import InputSequence, InsSample, Trajectory, cg_to_ins_position
 from st_core.vehicle import VehicleParameters
 from st_msgs.msg import ErrorStatistics, InputPlan, PlannedPrediction, Prediction, PredictionError
-from st_recordings.bag_metadata import INFINITE_NS, Qos
+from st_recordings.bag_metadata import INFINITE_NS, Qos, make_qos
 from st_ros.polling import from_nanoseconds, to_nanoseconds
 
 from .map_drawing import BAND_MODE, Path, make_ribbon
@@ -155,10 +155,9 @@ def make_statistics_message(model: str, mode: str, statistics: Statistics) -> Er
 
 def make_bag_qos(profile: QoSProfile) -> Qos:
     """QoS of a publisher in the form that a bag stores."""
-    return Qos(reliability=profile.reliability.name.lower(), durability=profile.durability.name.lower(),
-               history=profile.history.name.lower(), depth=profile.depth, liveliness=profile.liveliness.name.lower(),
-               deadline_ns=_convert_qos_duration(profile.deadline), lifespan_ns=_convert_qos_duration(profile.lifespan),
-               liveliness_lease_ns=_convert_qos_duration(profile.liveliness_lease_duration))
+    return make_qos(profile.reliability.name.lower(), profile.durability.name.lower(), profile.history.name.lower(),
+                    profile.depth, _convert_qos_duration(profile.deadline), _convert_qos_duration(profile.lifespan),
+                    profile.liveliness.name.lower(), _convert_qos_duration(profile.liveliness_lease_duration))
 
 
 def _convert_qos_duration(duration: Duration) -> int:

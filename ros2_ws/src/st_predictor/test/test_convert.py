@@ -18,7 +18,7 @@ from st_core.vehicle import VehicleParameters
 from st_msgs.msg import Prediction
 from st_predictor import convert
 from st_predictor.nodes._bands import BandMessages, read_bands
-from st_recordings.bag_metadata import INFINITE_NS
+from st_recordings.bag_metadata import make_qos
 from st_ros.polling import from_nanoseconds
 from support import LEAF
 
@@ -116,12 +116,10 @@ def test_reused_path_message_is_filled_completely() -> None:
 
 def test_qos_is_converted_to_that_of_a_bag() -> None:
     plain = convert.make_bag_qos(QoSProfile(depth=50))
-    assert (plain.reliability, plain.durability) == ("reliable", "volatile")
-    assert (plain.history, plain.depth) == ("keep_last", 50)
-    assert (plain.deadline_ns, plain.lifespan_ns, plain.liveliness_lease_ns) == (INFINITE_NS,) * 3
+    assert plain == make_qos()
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
-    assert convert.make_bag_qos(latched).durability == "transient_local"
-    assert convert.make_bag_qos(latched).to_entry()["deadline"] == {"sec": 2, "nsec": 0}
+    assert convert.make_bag_qos(latched)["durability"] == "transient_local"
+    assert convert.make_bag_qos(latched)["deadline"] == {"sec": 2, "nsec": 0}
 
 
 def test_band_message_has_the_newest_half_widths() -> None:

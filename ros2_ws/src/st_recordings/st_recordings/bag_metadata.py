@@ -26,25 +26,18 @@ class UnknownTypeError(LookupError):
     """The interface package of a message type is not installed."""
 
 
-@dataclass(frozen=True)
-class Qos:
-    """Quality of service that a publisher offers, in the terms of rosbag2. A duration of INFINITE_NS is not set."""
+Qos = dict[str, Any]
+"""Quality of service that a publisher offers, as rosbag2 stores it."""
 
-    reliability: str = "reliable"  # or best_effort
-    durability: str = "volatile"  # or transient_local
-    history: str = "keep_last"
-    depth: int = 50
-    deadline_ns: int = INFINITE_NS
-    lifespan_ns: int = INFINITE_NS
-    liveliness: str = "automatic"
-    liveliness_lease_ns: int = INFINITE_NS
 
-    def to_entry(self) -> dict[str, Any]:
-        return {"history": self.history, "depth": self.depth, "reliability": self.reliability,
-                "durability": self.durability, "deadline": _format_duration(self.deadline_ns),
-                "lifespan": _format_duration(self.lifespan_ns), "liveliness": self.liveliness,
-                "liveliness_lease_duration": _format_duration(self.liveliness_lease_ns),
-                "avoid_ros_namespace_conventions": False}
+def make_qos(reliability: str = "reliable", durability: str = "volatile", history: str = "keep_last", depth: int = 50,
+             deadline_ns: int = INFINITE_NS, lifespan_ns: int = INFINITE_NS, liveliness: str = "automatic",
+             liveliness_lease_ns: int = INFINITE_NS) -> Qos:
+    """Quality of service in the terms of rosbag2. A duration of INFINITE_NS is not set."""
+    return {"history": history, "depth": depth, "reliability": reliability, "durability": durability,
+            "deadline": _format_duration(deadline_ns), "lifespan": _format_duration(lifespan_ns),
+            "liveliness": liveliness, "liveliness_lease_duration": _format_duration(liveliness_lease_ns),
+            "avoid_ros_namespace_conventions": False}
 
 
 def _format_duration(nanoseconds: int) -> dict[str, int]:
@@ -52,19 +45,19 @@ def _format_duration(nanoseconds: int) -> dict[str, int]:
     return {"sec": seconds, "nsec": remainder}
 
 
-def format_qos(qos: Sequence[Qos]) -> str:
+def format_qos(qos: list[Qos]) -> str:
     """Formats QoS entries as the YAML text that rosbag2 stores in the metadata of an MCAP channel."""
-    return yaml.safe_dump([q.to_entry() for q in qos], sort_keys=False).strip() if qos else ""
+    return yaml.safe_dump(qos, sort_keys=False).strip() if qos else ""
 
 
 @dataclass
 class Topic:
-    """One topic of a bag. qos: entries as in metadata.yaml."""
+    """One topic of a bag."""
 
     name: str
     type_name: str
     type_hash: str
-    qos: list[dict[str, Any]]
+    qos: list[Qos]
     count: int = 0
 
 

@@ -21,11 +21,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, MessageIndex, Metadata, Schema
 
 from . import bag_metadata
-from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos
+from .bag_metadata import BagFile, BagInformation, Qos, Topic, collect_custom_data, format_qos, make_qos
 from .mcap_contents import MAGIC, Contents
 from .recovery import RecoveryError, RecoveryReport, recover
 
-__all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "recover"]
+__all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "make_qos", "recover"]
 
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
@@ -88,7 +88,7 @@ class BagWriter:
             self.syncer = Syncer(self._file.descriptor, (self.directory, self.directory.parent))
             self.syncer.wake()
 
-    def add_topic(self, name: str, type_name: str, qos: Sequence[Qos] = (Qos(),), definition: str = "",
+    def add_topic(self, name: str, type_name: str, qos: Sequence[Qos] = (make_qos(),), definition: str = "",
                   type_hash: str = "") -> int:
         """Adds a topic of type "pkg/msg/Type" and returns its id for `write`.
 
@@ -100,8 +100,8 @@ class BagWriter:
         if type_name not in self._schemas:
             number = self._schemas[type_name] = len(self._schemas) + 1
             new.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
-        self._topics.append(Topic(name, type_name, type_hash, [q.to_entry() for q in qos]))
-        metadata = {"offered_qos_profiles": format_qos(qos), "topic_type_hash": type_hash}
+        self._topics.append(Topic(name, type_name, type_hash, list(qos)))
+        metadata = {"offered_qos_profiles": format_qos(list(qos)), "topic_type_hash": type_hash}
         new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
         if not (self.closed or self.error):
             try:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 import yaml
 from bags import DEFINITION, TYPE, TYPE_HASH, add_numbered_topic, numbered, read_numbers, read_numbers_with_mcap
-from st_recordings.bag_metadata import Qos
+from st_recordings.bag_metadata import make_qos
 from st_recordings.mcap import FLUSH_PERIOD, BagWriter, recover
 
 START_NS = 1_790_000_000_000_000_000
@@ -64,7 +64,7 @@ def test_file_contains_times_schema_and_metadata(tmp_path: Path) -> None:
 
 def test_metadata_yaml_equals_that_of_rosbag2_jazzy(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "bag")
-    latched = Qos(durability="transient_local", depth=1)
+    latched = make_qos(durability="transient_local", depth=1)
     a = bag.add_topic("/a", TYPE, (latched,), DEFINITION, TYPE_HASH)
     for k in range(3):
         bag.write(a, numbered(k), START_NS + k * 10**9)

@@ -15,7 +15,7 @@ from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import ControlInput, Trajectory, VehicleState
 from st_msgs.msg import ErrorSummary, PlannedPrediction, Prediction, PredictionError
-from st_recordings.mcap import BagWriter, Qos
+from st_recordings.mcap import BagWriter, make_qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import LATCHED, PolledSubscription, create_steady_timer
@@ -85,7 +85,7 @@ class EvaluatorNode(Node):
         bag = open_bag(values, {"configuration": configuration})
         errors = bag.add_topic(self.resolve_topic_name("evaluator/errors"), "st_msgs/msg/PredictionError")
         summary = bag.add_topic(self.resolve_topic_name("evaluator/summary"), "st_msgs/msg/ErrorSummary",
-                                (Qos(durability="transient_local", depth=1),))
+                                (make_qos(durability="transient_local", depth=1),))
         return bag, {"errors": errors, "summary": summary}
 
     def _process_messages(self) -> None:

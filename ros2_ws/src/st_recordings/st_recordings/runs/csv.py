@@ -85,19 +85,19 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     ins = table.used & all_finite(columns, INS_SIGNALS)
     steered = table.used & all_finite(columns, steering_channels)
     if min(ins.sum(), steered.sum()) < 2:
-        reason = ""
+        reason, advice = "", "remove it from the command"
         if missing:
             worst = max(missing, key=lambda name: missing[name])
             total = len(table.time_ns) + table.rows_without_time
             reason = f": {worst} has no number in {format_share(missing[worst], total, 'rows')}"
             if column := next((name for name in (worst, COMPUTED_FROM.get(worst, "")) if name in table.texts), ""):
-                raise RunError(file, f"it contains fewer than two usable rows: column {table.sources[column].name} has "
-                               f"no numbers, but text such as {table.texts[column]!r}", "export it as plain numbers")
+                reason = (f": column {table.sources[column].name} has no numbers, but text such as "
+                          f"{table.texts[column]!r}")
+                advice = "export it as plain numbers"
         elif len(table.used) > 1:
             later = format_share(int(table.used.sum()), len(table.used), "rows")
-            raise RunError(file, f"it contains fewer than two usable rows: only {later} have a time later than all "
-                           "rows before them", "sort its rows by time")
-        raise RunError(file, f"it contains fewer than two usable rows{reason}", "remove it from the command")
+            reason, advice = f": only {later} have a time later than all rows before them", "sort its rows by time"
+        raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
     values = {name: columns[name][ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
