@@ -28,6 +28,7 @@ PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent
+MISSED_REPORTS = 3  # reporting intervals until it counts as silent, if longer: nodes report rarely in a slow replay
 LEVELS = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
 
@@ -40,9 +41,10 @@ class Status:
     level: int
     message: str
     received_at: float  # s, monotonic
+    interval: float = 0.0  # s since the previous one with this name
 
     def is_silent(self, now: float) -> bool:
-        return now - self.received_at > STATUS_TIMEOUT
+        return now - self.received_at > max(STATUS_TIMEOUT, MISSED_REPORTS * self.interval)
 
 
 @dataclass
@@ -133,7 +135,9 @@ class Monitor:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        self.add_statuses(Status(s.name, int.from_bytes(s.level, "little"), s.message, now) for s in message.status)
+        previous = {name: status.received_at for name, status in self.state.health.items()}
+        self.add_statuses(Status(s.name, int.from_bytes(s.level, "little"), s.message, now,
+                                 now - previous.get(s.name, now)) for s in message.status)
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:

@@ -19,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
+from st_live.node import Status
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import format_errors, make_grid_lines, to_screen
@@ -246,6 +247,12 @@ def test_light_shows_the_most_severe_check(passenger: PassengerFrames, levels, l
     assert (frame["light"], frame["text"]) == (light, text)
     silent = passenger.make_frame(57.0)
     assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
+
+
+def test_status_is_silent_after_five_seconds_or_three_reporting_intervals() -> None:
+    assert not Status("a", 0, "", 10.0).is_silent(15.0) and Status("a", 0, "", 10.0).is_silent(15.1)
+    slow = Status("a", 0, "", 10.0, interval=10.0)  # as in a replay at a tenth of the speed
+    assert not slow.is_silent(39.0) and slow.is_silent(41.0)
 
 
 def test_node_is_silent_after_three_of_its_report_intervals(passenger: PassengerFrames) -> None:

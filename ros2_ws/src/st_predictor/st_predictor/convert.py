@@ -2,7 +2,7 @@
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -11,7 +11,8 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from st_core.evaluation import ErrorStatistics as Statistics
-from st_core.evaluation import Score
+from st_core.evaluation import Mode, Score
+from st_core.log_evaluation import PLANNED_MODES
 from st_core.planned_inputs import PlannedInputs
 from st_core.prediction import Start
 from st_core.types import InputSequence, InsSample, Trajectory, cg_to_ins_position
@@ -42,6 +43,13 @@ def read_ins_sample(message: Odometry, map_frame: str) -> InsSample | str:
         return f"orientation is not a unit quaternion (squared length {squared_norm:.3g})"
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return InsSample(to_nanoseconds(message.header.stamp), position.x, position.y, yaw, linear.x, linear.y, yaw_rate)
+
+
+def list_prediction_topics(models: Iterable[str]) -> dict[tuple[Mode, str], tuple[str, type]]:
+    """Topic and message type of the predictions, by mode and model."""
+    kinds: dict[Mode, type] = {"forecast": Prediction, **dict.fromkeys(PLANNED_MODES, PlannedPrediction)}
+    return {(mode, model): (f"predictor/{model}/{'prediction' if mode == 'forecast' else mode}", kind)
+            for mode, kind in kinds.items() for model in models}
 
 
 class PathBuilder:

@@ -18,11 +18,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from st_core.log_evaluation import PLANNED_MODES
 from st_core.palette import MODEL_COLOUR
 from st_core.types import InsSample, cg_to_ins_position, map_to_body
 from st_core.vehicle import VehicleParameters
-from st_msgs.msg import InsStatus, PlannedPrediction, Prediction, PredictionError, PredictorStatus, Steering
+from st_msgs.msg import InsStatus, PredictionError, PredictorStatus, Steering
 from st_predictor import convert
 from st_predictor.map_drawing import Pose
 from st_recordings.car import read_vehicle
@@ -43,8 +42,7 @@ INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planne
 TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of one instant arrive together
     "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
     "ins/odometry": ("odometry", Odometry, 3), "vehicle/steering": ("steering", Steering, 3),
-    **{f"predictor/{model}/prediction": ("forecast", Prediction, 3) for model in MODEL_COLOUR},
-    **{f"predictor/{model}/{mode}": (mode, PlannedPrediction, 3) for mode in PLANNED_MODES for model in MODEL_COLOUR},
+    **{topic: (mode, kind, 3) for (mode, _), (topic, kind) in convert.list_prediction_topics(MODEL_COLOUR).items()},
     "evaluator/errors": ("error", PredictionError, 200), "/diagnostics": ("diagnostics", DiagnosticArray, 50),
 }
 FRAME_PERIOD = 0.1  # s

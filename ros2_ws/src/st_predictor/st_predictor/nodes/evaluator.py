@@ -10,11 +10,10 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from st_core.bands import CoverageMonitor
 from st_core.evaluation import ErrorStatistics, Evaluator, Mode, Score
-from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
 from st_core.prediction import predict
 from st_core.types import ControlInput, Trajectory, VehicleState
-from st_msgs.msg import ErrorSummary, PlannedPrediction, Prediction, PredictionError
+from st_msgs.msg import ErrorSummary, Prediction, PredictionError
 from st_recordings.mcap import BagWriter, make_qos
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
@@ -60,11 +59,8 @@ class EvaluatorNode(Node):
         self._rejection = ""
         self._bag, self._bag_topics = self._open_bag(values, settings)
         qos = QoSProfile(depth=QUEUE_DEPTH)
-        self._predictions: dict[tuple[Mode, str], PolledSubscription] = {
-            **{("forecast", model): PolledSubscription(self, Prediction, f"predictor/{model}/prediction", qos)
-               for model in self._models},
-            **{(mode, model): PolledSubscription(self, PlannedPrediction, f"predictor/{model}/{mode}", qos)
-               for mode in PLANNED_MODES for model in self._models}}
+        topics = convert.list_prediction_topics(self._models)
+        self._predictions = {key: PolledSubscription(self, kind, topic, qos) for key, (topic, kind) in topics.items()}
         error_qos = QoSProfile(depth=ERROR_DEPTH)
         self._error_publisher = self.create_publisher(PredictionError, "evaluator/errors", error_qos)
         self._summary_publisher = self.create_publisher(ErrorSummary, "evaluator/summary", LATCHED)

@@ -12,12 +12,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from st_core.course import Course
 from st_core.evaluation import Mode
-from st_core.log_evaluation import PLANNED_MODES
 from st_core.models import get_model
 from st_core.prediction import Predictor, Skip, Start, compile_models, configuration_hash
 from st_core.timeseries import NANOSECOND
 from st_core.types import InputSequence, InsSample, Trajectory
-from st_msgs.msg import Band, PlannedPrediction, Prediction, PredictorStatus
+from st_msgs.msg import Band, PredictorStatus
 from st_ros import diagnostics, parameters, spin
 from st_ros.diagnostics import Check, Diagnostics
 from st_ros.polling import LATCHED, create_steady_timer
@@ -128,11 +127,9 @@ class PredictorNode(Node):
 
     def _make_publishers(self) -> None:
         qos = QoSProfile(depth=REPLAY_DEPTH if self._simulated else LIVE_DEPTH)
-        types: dict[Mode, type] = {"forecast": Prediction, **dict.fromkeys(PLANNED_MODES, PlannedPrediction)}
-        self._prediction_publishers = {
-            (mode, model): self.create_publisher(
-                kind, f"predictor/{model}/{'prediction' if mode == 'forecast' else mode}", qos)
-            for mode, kind in types.items() for model in self._core.models}
+        topics = convert.list_prediction_topics(self._core.models)
+        self._prediction_publishers = {key: self.create_publisher(kind, topic, qos)
+                                       for key, (topic, kind) in topics.items()}
         self._path_publishers = {model: self.create_publisher(PathMessage, f"predictor/{model}/path", qos)
                                  for model in self._core.models}
         self._status_publisher = self.create_publisher(PredictorStatus, "predictor/status", LATCHED)
