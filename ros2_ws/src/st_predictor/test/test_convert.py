@@ -116,7 +116,7 @@ def test_reused_path_message_is_filled_completely() -> None:
 
 def test_qos_is_converted_to_that_of_a_bag() -> None:
     plain = convert.make_bag_qos(QoSProfile(depth=50))
-    assert plain == make_qos()
+    assert plain == make_qos(liveliness="system_default")
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=2))
     assert convert.make_bag_qos(latched)["durability"] == "transient_local"
     assert convert.make_bag_qos(latched)["deadline"] == {"sec": 2, "nsec": 0}
