@@ -289,7 +289,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
                     "rear wheels that steer have the same effect", {"cg_to_ins_x": round(value, 2)})
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
-        advice = Advice("look", "check velocity_y; a car that slides all the time has no measuring point")
+        advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 
