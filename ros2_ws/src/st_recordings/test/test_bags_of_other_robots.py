@@ -127,7 +127,7 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
 
 @pytest.mark.parametrize(("topics", "settings", "error"), [
     (("/imu/data", "/fix", "/steer"), STEER, "recognised as velocity_x, velocity_y; .*; record nav_msgs/msg/Odometry, "
-     "for example of robot_localization, or export"),
+     "for example from robot_localization, or export"),
     (("/pose", "/twist", "/steer"), ReadSettings(), "recognised as road_wheel_angle .*; name the topic of the steering "
      "angle with --steering-topic; or record"),
     (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),

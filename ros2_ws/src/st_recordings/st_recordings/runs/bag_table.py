@@ -1,4 +1,4 @@
-"""Reads the drive in a bag without odometry as a table: the numbers of its messages, such as NavSatFix, Imu and
+"""Reads the drive in a bag without odometry as a table: numeric fields of its messages, such as NavSatFix, Imu and
 TwistStamped, are columns with names such as /imu/data/angular_velocity/z."""
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField
 
-ADVICE = (f"record {ODOMETRY}, for example of robot_localization, or export its topics as one CSV file with "
+ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export its topics as one CSV file with "
           "PlotJuggler and name the columns in a run.yaml")
 STAMPS = ("header.stamp", "stamp")
 
@@ -50,7 +50,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
 
 def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(stamps [ns], columns) of the numbers that may be channels; no columns if the type is unknown or has no stamp."""
+    """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp."""
     try:
         example = storage.store.deserialize_cdr(next(storage.messages(topic.name)), topic.type_name)
         layout = CdrLayout(storage.store, topic.type_name, example)
