@@ -26,7 +26,7 @@ MEMORY_NS = round(MEMORY_TIME / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample of a faultless INS; NaN where the correction needs an acceleration (`find_missing_reading`)."""
+    """The sample of an ideal INS; NaN where the correction needs an acceleration (`find_missing_reading`)."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
@@ -98,7 +98,7 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by faultless sensors, with delay, play and lag of the steering applied; if the model has
+    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; if the model has
     these, steering_wheel_angle is None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration
     that was not recorded.
     """
@@ -121,13 +121,13 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 
 def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
-    """Readings of the INS in the given states: `predict_faultless_readings` with the sensor effects applied."""
-    true = predict_faultless_readings(model, vehicle, states)
+    """Readings of the INS in the given states: `predict_ideal_readings` with the sensor effects applied."""
+    true = predict_ideal_readings(model, vehicle, states)
     return model.observe(true) if isinstance(model, AugmentedModel) else true
 
 
-def predict_faultless_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
-    """Readings of a faultless INS in the given states, at the INS point; the accelerations are NaN.
+def predict_ideal_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
+    """Readings of an ideal INS in the given states, at the INS point; the accelerations are NaN.
 
     states: (x, y, velocity_x, velocity_y, yaw, yaw_rate, extra states ...) at the CG, floats or arrays of equal shape.
     The yaw acceleration is 0, so a delay of the yaw rate has no effect. vehicle: as in its file, without effects.
@@ -192,7 +192,7 @@ class ModelView:
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
         held = np.full(len(grid), now.road_wheel_angle)
         angle = predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, held,
-                                         series.maximum_gap_ns * NANOSECOND)
+                                     series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 
     def read_inputs(self, times_ns: np.ndarray) -> InputSequence:

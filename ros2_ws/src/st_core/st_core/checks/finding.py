@@ -225,5 +225,5 @@ from the errors of the estimates on the development drives of bench/checks, not 
 
 
 def neutral_value(name: str) -> float:
-    """Value of a finding's quantity in a faultless recording."""
+    """Value of a finding's quantity in a recording without faults."""
     return 1.0 if name.endswith("_scale") or name == "steering_sign" else 0.0

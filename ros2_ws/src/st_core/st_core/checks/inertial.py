@@ -149,7 +149,7 @@ def _compute_residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
               fit_bias: bool) -> tuple[Estimate, Estimate]:
     """(scale, bias). If they are confounded, as in one long bend, only one is estimated: the bias if its residual is
-    clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be faultless."""
+    clearly smaller (BIAS_RESIDUAL_RATIO), else the scale. The other is assumed to be correct."""
     confounded = abs(float(derived.mean())) > float(derived.std()) and abs(correlation) < MIN_SCALE_CORRELATION
     if fit_bias and not confounded:
         both = problem.estimate(("scale", "bias"))
@@ -173,7 +173,7 @@ STANDARD_GRAVITY = 9.80665  # m/s^2, the unit g
 GYRO_CUTOFF, ACCELERATION_CUTOFF, SPEED_CUTOFF = 4.0, 1.5, 1.5  # Hz
 GYRO_CORRELATION = 0.9  # minimum correlation of yaw rate and change of yaw; it is lower if yaw is coarse
 GYRO_SCALE_ERROR = 0.02  # smallest reported deviation from 1; the scale of a gyroscope is accurate to 1 %
-GYRO_BIAS = 0.001  # rad/s, smallest reported; twice the bias of a faultless INS
+GYRO_BIAS = 0.001  # rad/s, smallest reported; twice the bias of a good INS
 ACCELERATION_SCALE_ERROR = 0.35  # smallest reported deviation from 1; roll and pitch of the body cause up to 0.33
 ACCELERATION_LAG = 0.12  # s, smallest reported; filters of accelerometers cause delays of up to 0.1 s
 ACCELEROMETER_ARM = 1.5  # m between accelerometer and INS point

@@ -270,7 +270,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
 
 
 def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
-    """Estimate of a cause as its finding reports it: a faultless scale is 1; systematic uncertainty is included."""
+    """Estimate of a cause as its finding reports it, with systematic uncertainty; a scale without error is 1."""
     if name == "velocity_scale":
         return add_systematic_uncertainty(name, cause.shifted(1.0).inverse())
     return add_systematic_uncertainty(name, cause.shifted(1.0) if name.endswith("_scale") else cause)

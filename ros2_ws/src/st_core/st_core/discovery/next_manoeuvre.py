@@ -13,7 +13,7 @@ from ..log import OPTIONAL_INS_SIGNALS, DriveLog
 from ..manoeuvres import CATALOGUE, Manoeuvre
 from ..models import Model
 from ..prediction import predict
-from ..readings import correct_steering, predict_faultless_readings
+from ..readings import correct_steering, predict_ideal_readings
 from ..types import InputSequence, VehicleState
 from ..vehicle import VehicleParameters
 from .evidence import inverse
@@ -48,11 +48,11 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
     inputs = InputSequence(road_wheel_angle, forward)
     path = predict(model, vehicle, start, inputs, (lead + steps) * PERIOD, PERIOD)
     states = tuple(path.states[lead:].T)
-    faultless = predict_faultless_readings(model, vehicle, states)
-    a_y = np.gradient(faultless.velocity_y, PERIOD) + faultless.velocity_x * faultless.yaw_rate
+    ideal = predict_ideal_readings(model, vehicle, states)
+    a_y = np.gradient(ideal.velocity_y, PERIOD) + ideal.velocity_x * ideal.yaw_rate
     recorded = slice(2 * lead, None, 2)
     excess = specific_force_excess(model, vehicle, states, road_wheel_angle[recorded], forward[recorded])
-    readings = model.observe(faultless._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + excess))
+    readings = model.observe(ideal._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + excess))
     time_ns = times_ns[recorded] - times_ns[2 * lead]
     return DriveLog(manoeuvre.name, time_ns, *readings[:6],  # x, y, yaw, velocities, yaw rate
                     time_ns, angle[recorded].copy(), acceleration_x=readings.acceleration_x,

@@ -23,7 +23,7 @@ from ..errors import StCoreError
 from ..integrate import substeps_needed
 from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
-from ..readings import predict_faultless_readings
+from ..readings import predict_ideal_readings
 from ..sideslip import steady_velocity_y
 from ..timeseries import NANOSECOND, Neighbours, moving_average
 from ..vehicle import VehicleParameters
@@ -229,7 +229,7 @@ class Windows:
         measurements. The gain applies to the true specific force, before the sensor errors."""
         states = self._batch.predict(model, self.vehicle)
         with np.errstate(all="ignore"):
-            readings = predict_faultless_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
+            readings = predict_ideal_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
             before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
             centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
             # Means over 2 STEP by Simpson's rule.

@@ -73,7 +73,7 @@ QUANTITIES: Mapping[str, FitQuantity] = {
         car.cg_to_ins_x + values[f"{SensorLeverArm.name}.x"])),
     # Angle by which the reported heading points too far to the left.
     MISALIGNMENT: FitQuantity(HeadingMisalignment.name, "rad",
-                                lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
+                              lambda car, values: values[f"{HeadingMisalignment.name}.angle"], max_uncertainty=0.005),
     # Delay from the measured angle to the wheels.
     DELAY: FitQuantity(DELAY, "s", lambda car, values: values[f"{DELAY}.time"], max_uncertainty=0.02),
     # Distance rolled until the force reaches 63 % of its final value after a step of the slip angle.
