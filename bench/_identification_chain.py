@@ -9,7 +9,7 @@ from st_core.batch import LogBatch
 from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
-from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.steering import identify_steering_offset
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.vehicle import VehicleParameters

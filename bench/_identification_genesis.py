@@ -15,7 +15,7 @@ from st_core.identification.driving_fit import MISALIGNMENT
 from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError
-from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.steering import identify_steering_offset
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.regression import make_blocks

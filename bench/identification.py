@@ -19,7 +19,7 @@ from st_core.identification.driving_prediction import (
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification
-from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.steering import identify_steering_offset
 from st_core.models import nonlinear_tyre
 from st_core.vehicle import VehicleParameters
 from st_sim.settings import REALISTIC

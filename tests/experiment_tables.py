@@ -4,10 +4,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from st_core.identification.cg_height import LiftRows
 from st_core.identification.magic_formula import FlatPlank
-from st_core.identification.mass_and_cg import Weighings
-from st_core.identification.steering_ratio import Turntable
+from st_core.identification.mass_and_cg import LiftRows, Weighings
+from st_core.identification.steering import Turntable
 from st_core.tyres import tyre_force
 from st_core.vehicle import VehicleParameters
 

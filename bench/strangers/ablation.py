@@ -21,7 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from st_core.discovery import axles, error_regions, evidence, fit, loss, reference
+from st_core.discovery import axles, error_regions, evidence, fit, library_fit, loss
 from st_core.discovery.partitions import make_partitions
 from st_core.discovery.search import Search
 from st_core.discovery.settings import DiscoverySettings
@@ -49,7 +49,7 @@ IN_SEARCH: dict[str, Any] = {
     **dict.fromkeys(("NU", "DIFFERENCE_STEP", "MAX_SCALED_ERROR"), loss),
     **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), SEARCH),
     **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"), PARTITIONS),
-    "JOINT_DEVIATION": (fit, reference, SEARCH)}
+    "JOINT_DEVIATION": (fit, library_fit, SEARCH)}
 IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
                             "CELL_SIZE", "MIN_STRETCH_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),
                            error_regions)

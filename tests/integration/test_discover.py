@@ -16,7 +16,7 @@ import pytest
 from raw_drives import write_drives
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
-from st_core.discovery.reference import fit_healthy_car
+from st_core.discovery.library_fit import fit_healthy_car
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import OUTCOMES, PARTS, DiscoverySettings, Limits, discover
-from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.discover import fit_effects
+from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.discovery.partitions import MIN_RUNS
 from st_core.discovery.result import Reason
 from st_core.discovery.search import Search, SearchState

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discovery_drives import linear_problem, recorded
 from st_core.discovery import DiscoverySettings
-from st_core.discovery.reference import _gain_between_runs, fit_healthy_car, theoretical_values
+from st_core.discovery.library_fit import _gain_between_runs, fit_healthy_car, theoretical_values
 from st_core.discovery.space import Space
 
 FEW = ("steering_offset", "mass", "yaw_rate_bias")

@@ -15,7 +15,7 @@ from st_core.identification.driving_prediction import (
     identify_yaw_inertia,
 )
 from st_core.identification.ins_mounting import identify_ins_mounting
-from st_core.identification.steering_offset import DIRECT_NAME, PAPER_NAME, identify_steering_offset
+from st_core.identification.steering import DIRECT_NAME, PAPER_NAME, identify_steering_offset
 
 SPEEDS = {6.0: 0.10, 9.0: 0.07, 12.0: 0.045, 15.0: 0.035}
 

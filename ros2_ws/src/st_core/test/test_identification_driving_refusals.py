@@ -7,7 +7,7 @@ from st_core.identification.cornering_stiffness import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
-from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.steering import identify_steering_offset
 
 
 @pytest.fixture(scope="module")

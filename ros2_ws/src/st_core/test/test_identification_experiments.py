@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from experiment_tables import axle_lift, flat_plank, turntable, weighings
-from st_core.identification.cg_height import compute_pitch, identify_cg_height
 from st_core.identification.magic_formula import fit_tyre, identify_magic_formula
-from st_core.identification.mass_and_cg import identify_mass_and_cg
+from st_core.identification.mass_and_cg import compute_pitch, identify_cg_height, identify_mass_and_cg
 from st_core.identification.result import IdentificationError
-from st_core.identification.steering_ratio import identify_steering_ratio
+from st_core.identification.steering import identify_steering_ratio
 from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
 
 SEEDS = range(50)

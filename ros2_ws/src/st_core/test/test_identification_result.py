@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from st_core.errors import ConfigurationError
 from st_core.identification.bounded_fit import find_interval_end, fit_within_bounds
-from st_core.identification.lambda_ky import identify_lambda_ky
+from st_core.identification.magic_formula import identify_lambda_ky
 from st_core.identification.result import (
     Coverage,
     Identification,

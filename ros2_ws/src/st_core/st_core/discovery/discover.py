@@ -18,14 +18,13 @@ from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from . import certificate, decision, result, waterfall
 from .axles import Axles
-from .clocks import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections
 from .error_regions import MIN_TURNING_ACCELERATION, find_error_regions
 from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
 from .fit import Fit, Problem
+from .library_fit import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections, fit_healthy_car
 from .loss import Errors, Loss
 from .next_manoeuvre import Curvatures, choose_manoeuvre, list_separabilities, most_informative, simulate_catalogue
 from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
-from .reference import fit_healthy_car
 from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import Space, find_file_quantities

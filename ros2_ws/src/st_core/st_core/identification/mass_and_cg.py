@@ -1,4 +1,4 @@
-"""Mass and position of the centre of gravity (CG) from four wheel scales.
+"""Mass and position of the centre of gravity (CG) from four wheel scales, and its height from the axle-lift test.
 
     m = sum of the four readings,                l_f = l (sum of the two rear readings) / m
     u(m)^2   = s_m^2 / n + 4 u_s^2
@@ -8,6 +8,23 @@ s: standard deviation of the n weighings of the same car, rolled off and on agai
 suspension; u_s: standard uncertainty of one scale, whose error repeats in every weighing; l: wheelbase. Student's t for
 the interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_identification_experiments.py.
+
+Height of the CG: rear load versus pitch with the front axle lifted.
+
+The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes through the
+centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level
+car, the height r of the line between the wheel centres at the CG:
+
+    m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
+    one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
+    all:         h = r + l b / m,  b: slope of m_r versus tan(theta), with a separate intercept for each lift
+    r = r_front (1 - l_f / l) + r_rear l_f / l
+    u(h)^2 = (l / m)^2 u(b)^2 + (h - r)^2 (u(m)^2 / m^2 + u(l)^2 / l^2) + u(r)^2
+
+The radii are those of the level car, because h is its CG height. The deflection of the rear tyres when lifted does not
+change h, since the force still passes through the wheel centre, but it changes the pitch computed from the lift.
+Source: paper, parameter identification; ISO 10392. Valid for pitch up to 45 deg. Checked by:
+test_identification_experiments.py.
 """
 
 import math
@@ -18,7 +35,8 @@ import numpy as np
 
 from ..regression import correlation_matrix, effective_degrees_of_freedom, symmetric_interval
 from ..vehicle import VehicleParameters
-from .result import Identification, IdentificationError, ParameterEstimate, get_stated_uncertainty
+from .result import Coverage, Identification, IdentificationError, ParameterEstimate, get_stated_uncertainty
+from .steering import Line, fit_line
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with steps of 0.5 kg
@@ -74,7 +92,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
             "cg_to_front_axle", front, "m", uncertainties[1], intervals[1], method, used,
             f"{100 * (1 - front / wheelbase):.1f} % of the load is on the front axle and {100 * left:.1f} % on "
             f"the left wheels, so the CG is {front:.3f} m behind the front axle."))
-    warnings = tuple(_make_warnings(chosen, len(rejected), front, vehicle))
+    warnings = tuple(_check_scales(chosen, len(rejected), front, vehicle))
     figure = {"is_used": is_used, "names": weighings.names, "masses": all_masses, "distances": all_distances}
     return Identification("scales", estimates, used, rejected, correlation_matrix(covariance), (), warnings, figure)
 
@@ -101,7 +119,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _make_warnings(readings: np.ndarray, rejected: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
+def _check_scales(readings: np.ndarray, rejected: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
     """Warnings. readings: (n, 4) of the weighings used. rejected: number of others. front: cg_to_front_axle [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
@@ -118,3 +136,158 @@ def _make_warnings(readings: np.ndarray, rejected: int, front: float, vehicle: V
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
                f"rear columns exchanged it would be {wheelbase - front:.3f} m. Check which columns are which.")
+
+
+MAX_LEVEL_PITCH = math.radians(0.5)  # rows with a smaller pitch count as level
+MIN_PITCH_RANGE = math.radians(3.0)  # in a smaller range the rear load changes by a few kg only
+MAX_PITCH = math.radians(45.0)
+PITCH_BIN_WIDTH = math.radians(3.0)
+RADIUS_UNCERTAINTY = 0.003  # m; standard uncertainty of a wheel radius read from a ruler
+MAX_LOAD_DIFFERENCE = 0.02  # largest error of the rear load of the level car, divided by the mass
+
+
+@dataclass(frozen=True)
+class LiftRows:
+    """Measurements (n,) of one or more lifts."""
+
+    pitch: np.ndarray  # rad relative to the level car, nose up
+    rear_load: np.ndarray  # kg, both wheels
+    lifts: tuple[str, ...]  # name of the lift of each row
+    front_radius: np.ndarray  # m, height of the wheel centres; NaN where not measured; required for the level rows
+    rear_radius: np.ndarray  # m, as front_radius
+
+    @property
+    def level(self) -> np.ndarray:
+        """Mask (n,) of the rows in which the car is level."""
+        return np.abs(self.pitch) <= MAX_LEVEL_PITCH
+
+
+def compute_pitch(lift: np.ndarray, front_radius: np.ndarray, rear_radius: np.ndarray, wheelbase: float) -> np.ndarray:
+    """Pitch [rad] relative to the first row, from the lift of the ground under the front wheels [m]; (n,) each.
+
+        theta_k = asin((lift_k + r_front,k - r_rear,k) / l),    pitch_k = theta_k - theta_0
+
+    Raises IdentificationError for a missing radius or too large a pitch.
+    """
+    rise = (lift + front_radius - rear_radius) / wheelbase
+    if not np.isfinite(rise).all() or np.abs(rise).max() >= math.sin(MAX_PITCH):
+        raise IdentificationError(f"lift of {np.nanmax(lift):.3f} m on a wheelbase of {wheelbase:.3f} m: every row "
+                                  "needs both wheel radii and a pitch below 45 deg; are lift and radii in the units "
+                                  "of the header?")
+    angle = np.arcsin(rise)
+    return angle - angle[0]
+
+
+def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass: float | None = None) -> Identification:
+    """Estimate of cg_height [m]. Raises IdentificationError for unusable rows.
+
+    vehicle: its wheelbase and CG position, with the uncertainty of the wheelbase. weighed_mass: exact mass of the
+    lifted car [kg]; None: mass of the vehicle, with its uncertainty.
+    """
+    _check_rows(data)
+    line = fit_line(np.tan(data.pitch), data.rear_load, data.lifts)
+    if line.slope <= 0.0:
+        raise IdentificationError(f"the rear load changes by {line.slope * math.tan(math.radians(10.0)):+.1f} kg for "
+                                  "10 deg of pitch, but must rise when the front axle is lifted: was the rear axle "
+                                  "lifted, or are columns exchanged?")
+    mass, wheelbase = weighed_mass or vehicle.mass, vehicle.wheelbase
+    mass_uncertainty = 0.0 if weighed_mass else get_stated_uncertainty(vehicle, "mass")
+    rear_share = vehicle.cg_to_front_axle / wheelbase  # of the load of the level car
+    radius, deflection_note = _compute_radii(data, rear_share)
+    height_difference = wheelbase * line.slope / mass
+    height = radius + height_difference
+    slope_uncertainty = wheelbase / mass * line.uncertainty
+    uncertainty = math.hypot(
+        slope_uncertainty, height_difference * mass_uncertainty / mass,
+        height_difference * get_stated_uncertainty(vehicle, "wheelbase") / wheelbase,
+        RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
+    single = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
+    average = float(single[np.isfinite(single)].mean())
+    # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
+    interval = symmetric_interval(height, uncertainty, effective_degrees_of_freedom(
+        slope_uncertainty**2, uncertainty**2, line.degrees_of_freedom))
+    lifts = tuple(dict.fromkeys(data.lifts))
+    method = (f"ISO 10392 axle lift, {len(data.pitch)} rows in {len(lifts)} lift{'s' * (len(lifts) != 1)} up to "
+              f"{math.degrees(data.pitch.max()):.1f} deg, wheel centres at {radius:.3f} m")
+    estimate = ParameterEstimate(
+        "cg_height", height, "m", uncertainty, interval, method, lifts,
+        f"The CG is {height:.3f} m above the ground, {height_difference:.3f} m above the wheel centres; the average "
+        f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
+    edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
+    coverage = Coverage("pitch", "deg", np.degrees(edges), np.histogram(data.pitch, edges)[0], 1, 2)
+    warnings = _check_lifts(data, mass, rear_share)
+    if abs(average - height) > 2.0 * uncertainty:
+        warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
+                        "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
+    figure = {"pitch": data.pitch, "rear_load": data.rear_load, "lifts": data.lifts, "single": single,
+              "average": average, "slope": line.slope, "intercepts": line.intercepts}
+    return Identification("cg-height", (estimate,), lifts, (), None, (coverage,), tuple(warnings), figure)
+
+
+def _check_rows(data: LiftRows) -> None:
+    pitch, level = data.pitch, data.level
+    if not (np.isfinite(pitch).all() and np.isfinite(data.rear_load).all() and (data.rear_load > 0.0).all()):
+        raise IdentificationError("every row needs a pitch and a rear load above 0 kg")
+    if np.abs(pitch).max(initial=0.0) > MAX_PITCH:
+        raise IdentificationError(f"pitch reaches {np.abs(pitch).max():.3g} rad = "
+                                  f"{math.degrees(np.abs(pitch).max()):.0f} deg, limit 45 deg: is the unit in the "
+                                  "header right, or are two columns exchanged?")
+    span = float(np.ptp(pitch)) if len(pitch) else 0.0
+    if span < MIN_PITCH_RANGE:
+        raise IdentificationError(f"pitch ranges over {math.degrees(span):.3g} deg, at least 3 are needed: lift "
+                                  "further; if the column is in radians, name it pitch_rad")
+    steps = len(np.unique(np.round(np.degrees(pitch[~level]), 1)))
+    if not level.any() or steps < 2:
+        raise IdentificationError(f"{int(level.sum())} level rows and {steps} lifted pitch angles: at least one level "
+                                  "row and two lifted pitch angles are needed")
+    if pitch[~level].max() <= 0.0:
+        raise IdentificationError(f"pitch is never positive, down to {math.degrees(pitch.min()):.1f} deg: nose up is "
+                                  "positive, with the front axle lifted")
+
+
+def _compute_radii(data: LiftRows, rear_share: float) -> tuple[float, str]:
+    """(height of the line between the wheel centres at the CG [m], sentence on the deflection of the rear tyres)."""
+    front, rear = (radius[data.level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
+    if not len(front) or not len(rear):
+        raise IdentificationError("the level rows have no wheel radius: measure the height of the front and rear wheel "
+                                  "centres above the ground with the car loaded and level")
+    for name, values in (("front", front), ("rear", rear)):
+        if not (values.min() > 0.1 and values.max() < 1.0):
+            raise IdentificationError(f"{name} wheel radius {values.min():.3g} to {values.max():.3g} m is not within "
+                                      "0.1 to 1 m: is the unit in the header right?")
+    deflection = float(rear.mean() - data.rear_radius[np.argmax(data.pitch)])
+    text = (f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
+            "change the height of the level car.") if math.isfinite(deflection) else ""
+    return float(front.mean() * (1.0 - rear_share) + rear.mean() * rear_share), text
+
+
+def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
+    """Rear load minus the level rear load of the lift (n,) [kg]; NaN in rows with a small pitch, unless all are small.
+
+    The level load of a lift is the mean of its level rows, or else the intercept of its line.
+    """
+    usable = data.pitch >= min(MIN_PITCH_RANGE, data.pitch.max())
+    transfers = np.full(len(data.pitch), np.nan)
+    for name, intercept in line.intercepts.items():
+        lift = np.asarray(data.lifts) == name
+        level_load = data.rear_load[data.level & lift].mean() if (data.level & lift).any() else intercept
+        transfers[usable & lift] = data.rear_load[usable & lift] - level_load
+    return transfers
+
+
+def _check_lifts(data: LiftRows, mass: float, rear_share: float) -> list[str]:
+    sentences = []
+    for name in dict.fromkeys(data.lifts):
+        pitch = np.degrees(data.pitch[np.asarray(data.lifts) == name])
+        falling = np.flatnonzero(np.diff(pitch) < -0.05)
+        if len(falling):
+            k = int(falling[0])
+            sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
+                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but friction "
+                             "changes the load on the way down: enter such rows as a separate lift.")
+    measured, expected = float(data.rear_load[data.level].mean()), mass * rear_share
+    if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
+        sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "
+                         f"the vehicle file give {expected:.1f} kg: the car was loaded differently. The height applies "
+                         f"to the car as lifted, and only if its mass was {mass:.1f} kg.")
+    return sentences

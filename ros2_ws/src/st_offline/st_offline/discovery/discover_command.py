@@ -13,8 +13,8 @@ from rich.progress import Progress
 from st_core.augmented import AugmentedModel
 from st_core.checks import Severity, pool_estimates
 from st_core.discovery import Discovery, discover
-from st_core.discovery.clocks import apply_clock_corrections
 from st_core.discovery.error_regions import Samples, window_errors
+from st_core.discovery.library_fit import apply_clock_corrections
 from st_core.effects import load_folder
 from st_core.errors import ConfigurationError
 from st_core.log import DriveLog

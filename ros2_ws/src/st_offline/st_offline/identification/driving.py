@@ -13,7 +13,7 @@ from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import Identification, IdentificationError, ParameterEstimate, describe_contradiction
-from st_core.identification.steering_offset import identify_steering_offset
+from st_core.identification.steering import identify_steering_offset
 from st_core.log import DriveLog
 from st_core.models import MODELS, Model
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR

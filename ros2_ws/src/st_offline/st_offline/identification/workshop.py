@@ -6,11 +6,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from st_core.identification import mass_and_cg
-from st_core.identification.cg_height import LiftRows, compute_pitch, identify_cg_height
-from st_core.identification.lambda_ky import identify_lambda_ky
-from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_magic_formula
+from st_core.identification.magic_formula import FlatPlank, fit_tyre, identify_lambda_ky, identify_magic_formula
+from st_core.identification.mass_and_cg import LiftRows, compute_pitch, identify_cg_height
 from st_core.identification.result import Identification
-from st_core.identification.steering_ratio import Turntable, identify_steering_ratio
+from st_core.identification.steering import Turntable, identify_steering_ratio
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR
 from st_core.regression import Z95
 from st_core.vehicle import TYRES
