@@ -28,6 +28,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..augmented import AugmentedModel
+from ..effects import get_effect
 from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model, get_model
@@ -57,6 +58,9 @@ UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
+SYSTEMATIC_ERRORS = (np.deg2rad(0.05), 0.005, 0.03)
+"""Standard uncertainty of steering offset [rad], steering ratio and common scale of the stiffnesses (both relative) due
+to the single-track model: the largest errors on the simulated Leaf."""
 SINGLE_TRACK_ERROR = 0.64
 """Relative standard uncertainty of a stiffness due to the single-track assumption, divided by (L / R)^2. On the Leaf
 simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
@@ -135,8 +139,9 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     names = [estimate.parameter for estimate in result.estimates]
     chosen = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
-    return replace(result, experiment="steering", estimates=tuple(result.estimates[i] for i in chosen),
-                   correlation=correlation)
+    ratio, *others = (result.estimates[i] for i in chosen)
+    ratio = replace(ratio, verdict=f"{ratio.verdict} Also possible: {get_effect(RATIO).imitated_by}.")
+    return replace(result, experiment="steering", estimates=(ratio, *others), correlation=correlation)
 
 
 def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
@@ -187,7 +192,9 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     uncertainties by parameter, added in quadrature to those from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
-    added = [np.hypot(systematic.get(n, 0.0), relative_error * v if n in STIFFNESSES else 0.0)
+    offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
+    relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
+    added = [np.hypot(systematic.get(n, 0.0), offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(added))

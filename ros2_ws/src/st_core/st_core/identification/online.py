@@ -23,7 +23,7 @@ from ..timeseries import NANOSECOND
 from ..types import InsSample
 from ..vehicle import VehicleParameters
 from .driving_fit import DELAY, MISALIGNMENT, RELAXATION, DrivingFitSettings, fit_driving
-from .driving_prediction import STIFFNESSES
+from .driving_prediction import STIFFNESSES, SYSTEMATIC_ERRORS
 from .run_samples import prepare_drives
 
 OnlineStatus = Literal["unestimated", "estimated", "invalid"]
@@ -35,7 +35,6 @@ BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns betwe
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
-SYSTEMATIC_ERRORS = (math.radians(0.05), 0.005, 0.03)  # largest errors on the simulated Leaf, ratio and scale relative
 UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC_ERRORS
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)  # of the steering wheel
