@@ -155,7 +155,7 @@ class Blocks:
             factor = np.power(rho[:, None], distance).sum(axis=1) / count
         covariance = covariance * count / max(count - 1, 1) * np.sqrt(np.outer(factor, factor))
         effective = count / factor
-        basis = tuple(self.name + (f" ({number:.0f} independent)" if number < 0.8 * count else "")
+        basis = tuple(self.name + (f" (equivalent to {number:.0f} independent ones)" if number < 0.8 * count else "")
                       for number in effective)
         return Spread(covariance, np.maximum(effective - 1.0, 1.0), basis)
 

@@ -12,6 +12,7 @@ from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
 CONFIDENCE = 0.95  # of the tests of consistency
+PROJECTED = ("x_scale", "y_scale", "position_scale", "map_shear")  # findings that a wrong projection may cause
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|
 
 
@@ -35,11 +36,11 @@ class RunComparison:
         """Sentence on the consistency of the runs."""
         half = 0.5 * (self.interval[1] - self.interval[0])
         digits = count_decimals(half)
-        unit = "" if self.unit == "1" else f" {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit.replace('^2', '²')}"
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, "
-                    f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, the "
-                    "projection, the car or its vehicle file")
+                    f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, "
+                    f"{'the projection, ' if self.name in PROJECTED else ''}the car or its vehicle file")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")

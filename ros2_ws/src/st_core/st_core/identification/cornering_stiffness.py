@@ -117,11 +117,11 @@ class AxleRegression:
             verdict = f"{text[0].upper()}{text[1:]}."
         else:
             slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), SLIP_QUANTILE))
-            model_error = (f"model error +/- {100 * self.model_error / self.stiffness:.1f} % included"
+            model_error = (f"a model error of {100 * self.model_error / self.stiffness:.1f} % is included"
                            if np.isfinite(self.model_error) else "its dependence on the slip range is unknown")
-            verdict = (f"{self.stiffness:.0f} N/rad +/- {100 * self.uncertainty / self.stiffness:.1f} % from "
-                       f"{self.basis}. Secant over slip angles up to {slip:.1f} deg, compliance and roll steer "
-                       f"included; {model_error}.")
+            verdict = (f"{self.stiffness:.0f} N/rad, standard uncertainty "
+                       f"{100 * self.uncertainty / self.stiffness:.1f} %, from {self.basis}. Secant over slip angles "
+                       f"up to {slip:.1f} deg, compliance and roll steer included; {model_error}.")
         return ParameterEstimate(f"cornering_stiffness_{self.axle}", self.stiffness, "N/rad", self.uncertainty,
                                  (self.stiffness - half, self.stiffness + half), METHOD, runs, verdict, status)
 
@@ -228,8 +228,8 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
     interval = spread.interval(0, value)
     if not interval[0] > 0.0:
         reason = (f"the fit failed: the force of the {samples.axle} axle does not follow its slip angle, slope "
-                  f"{value:.0f} +/- {error:.0f} N/rad; offset or sign of the steering, misalignment or lever "
-                  "arm of the INS may be wrong, or the drive has too little sideslip")
+                  f"{value:.0f} N/rad (standard uncertainty {error:.0f}); offset or sign of the steering, misalignment "
+                  "or lever arm of the INS may be wrong, or the drive has too little sideslip")
         return AxleRegression(*failed, (*reasons, reason), basis)
     return AxleRegression(samples.axle, value, error, interval, samples, tuple(reasons), basis,
                           _estimate_model_error(samples, slope))

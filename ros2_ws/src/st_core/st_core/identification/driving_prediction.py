@@ -53,7 +53,7 @@ NUISANCE = (OFFSET, MISALIGNMENT)
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
-    (np.inf, "Not identifiable: determined only", "unidentifiable"))
+    (np.inf, "Not identifiable", "unidentifiable"))
 """(largest relative standard uncertainty of a stiffness, ratio or inertia; beginning of the verdict; status)."""
 INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
 YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
@@ -85,12 +85,13 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     method = f"multi-step prediction, {describe_model(base)}"
     systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), systematic)
-    kind = "Secant" if get_model(base).name.startswith("linear") else "Slope at zero slip of the file's tyre curve"
+    kind = ("Secant" if get_model(base).name.startswith("linear") else
+            "Slope at zero slip of the file's tyre curve, fitted")
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
         relative_error = systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
-        model_error = (f"the value changes with the slip range, model error +/- {100.0 * relative_error:.1f} % included"
-                       if systematic else
+        model_error = (f"the value changes with the slip range; a model error of {100.0 * relative_error:.1f} % is "
+                       "included" if systematic else
                        "its change with the slip range is unknown: drive small and large lateral accelerations")
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
@@ -181,7 +182,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         warnings.append(text)
         estimate = replace(estimate, status="unidentifiable", verdict=f"{text} {estimate.verdict}")
     conflict = describe_contradiction(estimate, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
-                                      "the vehicle file (as +/- 10 %)")
+                                      "the vehicle file (standard uncertainty taken as 10 %)")
     return replace(result, estimates=(estimate, *result.estimates[1:]), coverage=covered,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
@@ -206,9 +207,9 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                           spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
                           *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
-    rejected = [(name, f"{total - used} of {total} predictions are too slow, beyond the limit of lateral acceleration "
-                 "or with gaps") for name, (used, total) in fit.windows.items() if used < total]
-    others = [f"{n} = {fit.values[i]:.4g} +/- {uncertainty[i]:.2g} {QUANTITIES[n].unit} was fitted too."
+    rejected = [(name, f"{total - used} of {total} predictions (too slow, lateral acceleration above the limit, or "
+                 "gaps)") for name, (used, total) in fit.windows.items() if used < total]
+    others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
@@ -228,11 +229,11 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
         return (f"The fit stopped at the bound {value:.4g}: the drives do not determine the value, or contradict other "
                 "values of the vehicle file."), "unidentifiable"
     if not QUANTITIES[name].relative:
-        return (f"{value:.4g} +/- {uncertainty:.2g} {QUANTITIES[name].unit}, from {basis}.",
+        return (f"{value:.4g} {QUANTITIES[name].unit}, standard uncertainty {uncertainty:.2g}, from {basis}.",
                 "identified" if uncertainty < QUANTITIES[name].max_uncertainty else "doubtful")
     relative = uncertainty / abs(value)
     grade, status = next((grade, status) for limit, grade, status in UNCERTAINTY_GRADES if not relative > limit)
-    return f"{grade} to +/- {100.0 * relative:.1f} %, from {basis}.", status
+    return f"{grade}: standard uncertainty {100.0 * relative:.1f} %, from {basis}.", status
 
 
 def describe_model(base: str | Model) -> str:

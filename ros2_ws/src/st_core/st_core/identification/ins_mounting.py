@@ -129,7 +129,8 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
     prefix = {"identified": "", "doubtful": "Poorly determined: ", "unidentifiable": "Not identifiable: "}[status]
     method = "steering versus curvature in tight bends" if name == "cg_to_ins_y" else "lateral velocity of slow driving"
     return ParameterEstimate(name, float(value), unit, uncertainty, spread.interval(index, value, uncertainty), method,
-                             used, f"{prefix}{description}, +/- {text}, from {spread.basis[index]}.", status)
+                             used, f"{prefix}{description}, standard uncertainty {text}, from {spread.basis[index]}.",
+                             status)
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
@@ -138,5 +139,5 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     uncertainty = float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:
         return ""
-    return (f"The rear slip per v_x^2 r is {slip:.2e} +/- {uncertainty:.1e} s^2/m, but the vehicle file gives "
-            f"{expected:.2e} s^2/m: check its rear stiffness and the load on the rear axle.")
+    return (f"The rear slip per v_x^2 r is {slip:.2e} s^2/m (standard uncertainty {uncertainty:.1e}), but the vehicle "
+            f"file gives {expected:.2e} s^2/m: check its rear stiffness and the load on the rear axle.")

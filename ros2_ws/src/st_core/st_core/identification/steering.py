@@ -249,7 +249,7 @@ def _make_estimate(name: str, value: float, spread: Spread, method: str, runs: t
                    basis: str) -> ParameterEstimate:
     uncertainty = float(spread.deviations[0])
     degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
-    verdict = (f"The steering wheel reads {degrees:.2f} +/- {deviation:.2f} deg when driving straight, from {basis} in "
-               f"{spread.basis[0]}.")
+    verdict = (f"The steering wheel reads {degrees:.2f} deg when driving straight, standard uncertainty "
+               f"{deviation:.2f} deg, from {basis} in {spread.basis[0]}.")
     return ParameterEstimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method, runs, verdict,
                              "identified" if deviation < 0.5 else "doubtful")

@@ -200,11 +200,12 @@ def _get_display_unit(parameter: str) -> tuple[float, str]:
 
 
 def _format_value(estimate: ParameterEstimate) -> str:
-    """Value and standard uncertainty, angles in degrees."""
+    """Value and half-width of its 95 % interval, angles in degrees."""
     factor, unit = DISPLAY_UNITS.get(estimate.unit, (1.0, estimate.unit))
-    value, uncertainty = estimate.value * factor, estimate.standard_uncertainty * factor
-    text = f"{format_rounded(value, uncertainty)} +/- {format_rounded(uncertainty, uncertainty)}"
-    return text if unit == "1" else f"{text} {unit}"
+    low, high = estimate.interval95
+    value, half_width = estimate.value * factor, 0.5 * (high - low) * factor
+    text = f"{format_rounded(value, half_width)} ± {format_rounded(half_width, half_width)}"
+    return f"{text if unit == '1' else f'{text} {unit}'} (95 %)"
 
 
 def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification],
@@ -252,8 +253,8 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
             estimates.append(replace(estimate, status="doubtful", verdict=verdict))
         else:
             estimates.append(estimate)
-        comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} +/- "
-                           f"{other.standard_uncertainty:.0f} N/rad, which agrees.")
+        comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} N/rad (standard "
+                           f"uncertainty {other.standard_uncertainty:.0f}), which agrees.")
     return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),
                    figure={**outcome.figure, "paper": paper})
 

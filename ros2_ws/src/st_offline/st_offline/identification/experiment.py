@@ -15,7 +15,7 @@ from st_recordings.runs.errors import RunError, check_readable
 
 from ..evaluation.drawing import FigureOutput, PageFigure
 
-COLUMN_NAMES = ("parameter", "value", "±", "95 % interval", "unit", "in the file", "status")
+COLUMN_NAMES = ("parameter", "value", "standard uncertainty", "95 % interval", "unit", "in the file", "status")
 SI_FACTORS = {"kg": 1.0, "n": 1.0, "kn": 1000.0, "m": 1.0, "mm": 0.001, "rad": 1.0, "deg": math.pi / 180.0}
 
 

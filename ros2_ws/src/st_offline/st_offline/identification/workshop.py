@@ -189,7 +189,8 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 
 CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 10392)",
-                       "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; one row per pitch",
+                       "CSV: pitch_deg, rear_left_kg, rear_right_kg, front_radius_m, rear_radius_m; one row per "
+                       "pitch angle",
                        identify_height, draw_height)
 
 
@@ -246,10 +247,10 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
                        "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
 
-TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tables",
+TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tyre tests",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
                   lambda job: tuple(identify_magic_formula(table, getattr(job.vehicle, table.tyre))
                                     for table in read_tyre_tables(job.files)), draw_tyre)
 LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
-                    "none, or the flat-plank tables for the uncertainty of the tyre", identify_lambda,
+                    "none, or the tables of flat-plank tests for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)
