@@ -12,6 +12,7 @@ from st_core.clock_types import Verdict
 from st_core.log import DriveLog
 from st_core.vehicle import VehicleParameters
 from st_offline.checking.gate import check_bag
+from st_offline.discovery.drives import read_drive
 from st_recordings.runs import ReadSettings, find_runs, read
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.cdr import CAN_MSGS_FRAME, ODOMETRY
@@ -71,6 +72,12 @@ def test_steering_is_decoded_from_the_frames(raw, tmp_path, storage, stamped):
     np.testing.assert_array_equal(run.log.ins_time_ns, log.ins_time_ns)
     assert run.alignment.verdict is Verdict.NOT_NEEDED
     assert any("have no stamp; the times of reception are used" in text for text in run.warnings) == (not stamped)
+
+
+def test_bag_with_frames_is_a_drive_of_a_discovery(raw, tmp_path):
+    (source,) = find_runs([write_bag(tmp_path / "drive", *raw)])
+    drive = read_drive(source, CAR, ReadSettings())
+    assert not drive.problem and drive.metadata["vehicle"] == ""
 
 
 def test_bag_needs_no_alignment_but_a_search_is_done(raw, tmp_path):

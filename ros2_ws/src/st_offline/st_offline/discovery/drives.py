@@ -111,7 +111,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
             raise source.problem
         run = read(source, vehicle, settings)
         checked = check_log(run.log, vehicle, run.auxiliary)
-        recorded = recorded_configuration(run.provenance["recorded"]).vehicle if source.kind == "bag" else None
+        recorded = recorded_configuration(run.provenance.get("recorded", {})).vehicle if source.kind == "bag" else None
         car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
         metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
                     "alignment": run.alignment.verdict.value,
