@@ -79,9 +79,7 @@ def _read_log(file: Path) -> CanLog:
     notes: list[str] = []
     if file.suffix.lower() not in kind.extensions:
         notes.append(f"is a {kind.name} log with the extension {file.suffix or '(none)'}; it was read as such")
-    frames, steps = _read_with_python_can(file, kind, notes)
-    start_ns = int(frames.time_ns[0])
-    return CanLog(frames, (file,), start_ns, start_ns >= FIRST_ABSOLUTE_TIME * 10**9, tuple(notes), tuple(steps))
+    return _read_with_python_can(file, kind, notes)
 
 
 def _read_bag(path: Path) -> CanLog:
@@ -91,7 +89,7 @@ def _read_bag(path: Path) -> CanLog:
     topics = sorted((t for t in storage.topics if t.type_name == CAN_MSGS_FRAME), key=lambda t: t.name)
     if not topics:
         raise RunError(path, f"this bag contains no CAN frames ({CAN_MSGS_FRAME})", "remove it from the command")
-    parts, notes, steps = list[Frames](), list[str](), list[tuple[int, float]]()
+    parts, notes = list[Frames](), list[str]()
     for bus, topic in enumerate(topics, start=1):
         columns = storage.read_fields(topic, _BAG_FIELDS)
         time_ns, length = columns["header.stamp"], columns["dlc"]
@@ -105,18 +103,14 @@ def _read_bag(path: Path) -> CanLog:
             time_ns, columns["id"].astype(np.uint32) | np.uint32(EXTENDED) * columns["is_extended"],
             np.where(np.arange(8) < length[:, None], columns["data"], 0).astype(np.uint8),
             np.minimum(length, 8).astype(np.uint8), np.full(len(length), bus, np.uint8), flags.astype(np.uint8))
-        frames, found = can_frames.remove_clock_steps(frames.select(time_ns > 0))
-        parts.append(frames)
-        steps += found
+        parts.append(frames.select(time_ns > 0))
     if not parts:
         raise RunError(path, f"its CAN frames ({CAN_MSGS_FRAME}) have no times after 1970", "record it again")
-    frames = can_frames.merge_by_time(parts)
-    notes += can_frames.describe_clock_steps(steps)
-    return CanLog(frames, (path,), int(frames.time_ns[0]), True, tuple(notes), tuple(steps))
+    return can_frames.build_log(path, parts, notes)
 
 
-def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[Frames, list[tuple[int, float]]]:
-    """(frames in order of time, clock steps); appends notes on the file. Raises RunError if no frame is usable."""
+def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> CanLog:
+    """Reads a log with further notes on it. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
@@ -144,9 +138,8 @@ def _read_with_python_can(file: Path, kind: Format, notes: list[str]) -> tuple[F
     if kind.name == "candump" and _are_time_steps(frames.time_ns):
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
-    frames, clock_steps = can_frames.remove_clock_steps(frames)
-    notes += [*format_notes, *can_frames.describe_clock_steps(clock_steps)]
-    return can_frames.merge_by_time([frames]), clock_steps
+    log = can_frames.build_log(file, [frames], [*notes, *format_notes])
+    return replace(log, absolute=log.start_ns >= FIRST_ABSOLUTE_TIME * 10**9)
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:

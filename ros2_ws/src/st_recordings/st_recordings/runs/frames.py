@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from struct import Struct
 
@@ -110,12 +111,17 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
                                                       strict=True))
 
 
-def describe_clock_steps(steps: Sequence[tuple[int, float]]) -> list[str]:
-    """A warning about the steps that `remove_clock_steps` found; empty if there are none."""
-    if not steps:
-        return []
-    times = f"{len(steps)} times, first " if len(steps) > 1 else ""
-    return [f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; the times after it were moved forward"]
+def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
+    """Builds the log in one file, without the steps of its clock. parts: each in the order in which it was written.
+    start_ns: None: time of the first frame."""
+    corrected, found = zip(*map(remove_clock_steps, parts), strict=True)
+    frames, steps = merge_by_time(corrected), tuple(chain.from_iterable(found))
+    if steps:
+        times = f"{len(steps)} times, first " if len(steps) > 1 else ""
+        notes = [*notes, f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; the times after it were "
+                 "moved forward"]
+    start_ns = int(frames.time_ns[0]) if start_ns is None else start_ns
+    return CanLog(frames, (file,), start_ns, warnings=tuple(notes), steps=steps)
 
 
 def read_frames(messages: Iterable[bytes]) -> Frames:

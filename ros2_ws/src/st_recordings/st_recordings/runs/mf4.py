@@ -82,7 +82,6 @@ def read_mf4(path: Path) -> frames.CanLog:
         if not 0 <= start_ns < LATEST_START * 10**9:
             raise DamageError("the session start time is invalid")
         parts = []
-        clock_steps: list[tuple[int, float]] = []
         for group in range(len(log.groups)):
             if _find_frame_channel(log, group) is None:
                 decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
@@ -92,18 +91,14 @@ def read_mf4(path: Path) -> frames.CanLog:
                 if valid < recorded:
                     count = format_share(recorded - valid, recorded, "frames")
                     warnings.append(f"{count} are marked as invalid by the logger; they were left out")
-                part, steps = frames.remove_clock_steps(frames.concatenate(pieces))
-                clock_steps += steps
-                parts.append(part)
+                parts.append(frames.concatenate(pieces))
     if not parts and decoded_signals:
         raise RunError(path, "the log contains no raw CAN frames, only decoded signals: "
                        f"{', '.join(decoded_signals)[:200]}",
                        "give the log with the raw frames, or name this file under csv in a run.yaml, as a table")
     if not parts:
         raise RunError(path, "the log contains no CAN frames", "check that the logger was connected to the right bus")
-    warnings += frames.describe_clock_steps(clock_steps)
-    return frames.CanLog(frames.merge_by_time(parts), (path,), start_ns, warnings=tuple(warnings),
-                         steps=tuple(clock_steps))
+    return frames.build_log(path, parts, warnings, start_ns)
 
 
 @contextmanager
