@@ -5,9 +5,9 @@ ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds the slip s [s^2/m]. The term e
-[s^2] is the lateral motion of an INS above the roll axis as the body rolls. If the INS is a distance d_y to the left of
-the CG, it is slower than the CG in left bends and faster in right bends:
+with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds s [rad s^2/m], the rear slip angle
+per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the body rolls. If the
+INS is a distance d_y to the left of the CG, it is slower than the CG in left bends and faster in right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
@@ -139,5 +139,6 @@ def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters)
     uncertainty = float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:
         return ""
-    return (f"The rear slip per v_x^2 r is {slip:.2e} s^2/m (standard uncertainty {uncertainty:.1e}), but the vehicle "
-            f"file gives {expected:.2e} s^2/m: check its rear stiffness and the load on the rear axle.")
+    return (f"The rear slip angle per lateral acceleration is {slip:.4f} rad s^2/m (standard uncertainty "
+            f"{uncertainty:.4f}), but the vehicle file gives {expected:.4f}: check its rear stiffness and the load on "
+            "the rear axle.")
