@@ -84,6 +84,7 @@ def test_steering_ratio_from_slow_and_fast_bends(leaf, weaving, start_vehicle):
     ratio = found["steering_ratio"]
     assert ratio.value == pytest.approx(leaf.steering_ratio, rel=0.005)
     assert ratio.interval95[0] < leaf.steering_ratio < ratio.interval95[1]
+    assert ratio.standard_uncertainty > 0.005 * ratio.value and "a wrong wheelbase" in ratio.verdict
     assert found.estimates[0].parameter == "steering_ratio" and found.correlation.shape == (4, 4)
 
 
