@@ -67,7 +67,7 @@ def run() -> dict:
     if not all(folder.exists() for folder in folders):
         return {"Genesis": "the shared drives are missing"}
     sources = [one for one in find_runs(folders) if not one.name.startswith(UNSUITABLE_DRIVES)]
-    task = Task(genesis(), MODELS, EvaluationSettings())
+    task = Task(genesis(), dict.fromkeys(MODELS), EvaluationSettings())
     costs, accuracies, _ = measure_runs(sources, task)
     draw_advice(costs, accuracies, TOLERANCE, FigureOutput(project_root() / "docs" / "images", ("png",)))
     rows = advice_report.make_advice_rows(costs, accuracies)

@@ -75,15 +75,18 @@ class ModelFile:
         return augment(self.base, {effect: {name: estimate.value for name, estimate in estimates.items()}
                                    for effect, estimates in self.effects.items()})
 
-    def check_vehicle(self, vehicle: VehicleParameters, origin: str) -> None:
-        """Raises ConfigurationError if the values are for a car other than `vehicle`, which was read from `origin`."""
+    def check_vehicle(self, vehicle: VehicleParameters, origin: str, prefix: str = "") -> None:
+        """Raises ConfigurationError if the values are for a car other than `vehicle`, which was read from `origin`.
+
+        prefix: of the message.
+        """
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))
             differences = _describe_differences(self.vehicle, vehicle) if self.vehicle else ""
             remark = f" (they differ in {differences})" if differences else ""
-            raise ConfigurationError(f"vehicle.hash: the values are valid for {expected}, {origin} is {given}{remark}; "
-                                     "use the vehicle file with which they were identified")
+            raise ConfigurationError(f"{prefix}vehicle.hash: the values are valid for {expected}, {origin} is {given}"
+                                     f"{remark}; use the vehicle file with which they were identified")
 
     @property
     def hash(self) -> str:

@@ -92,13 +92,15 @@ def read_model(name: str, vehicle: VehicleParameters, origin: str,
         if name not in MODELS:
             raise ConfigurationError(f"{name}: unknown model; use {', '.join(MODELS)} or a model file (.yaml)")
         return get_model(name), vehicle
+    file = read_model_file(name)
+    if vehicle_is_given or file.vehicle is None:
+        file.check_vehicle(vehicle, origin, f"{name}: ")
+    return file.model(), file.vehicle or vehicle
+
+
+def read_model_file(name: str) -> ModelFile:
+    """Reads a model file. Raises ConfigurationError if it cannot be read or is invalid."""
     try:
-        file = ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
+        return ModelFile.from_yaml(Path(name).read_text(encoding="utf-8"), name)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if vehicle_is_given or file.vehicle is None:
-        try:
-            file.check_vehicle(vehicle, origin)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{name}: {error}") from None
-    return file.model(), file.vehicle or vehicle

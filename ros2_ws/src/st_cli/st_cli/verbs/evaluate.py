@@ -1,6 +1,5 @@
 """The commands `st evaluate`, `st calibrate` and `st course`: score predictions, make bands and courses for them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +9,6 @@ import typer
 from . import _options as shared
 
 if TYPE_CHECKING:
-    from st_core.vehicle import VehicleParameters
     from st_offline.evaluation.work import Task
 
 MODELS: Any = ("kinematic", "linear", "nonlinear")
@@ -34,17 +32,23 @@ class PredictionOptions:
     def make_task(self, read_options: shared.ReadOptions, interval: float = 0.1,
                   **others: Any) -> "tuple[Task, Path | None]":
         """(task, vehicle file that the user named or None). interval: between starts [s]. others: fields of Task."""
+        from st_core.effects import load_folder
         from st_core.log_evaluation import EvaluationSettings
         from st_core.prediction import PredictionSettings
         from st_offline.evaluation.work import Task
+        from st_recordings.car import read_model_file
 
         prediction = PredictionSettings(horizon=self.horizon, step=self.step, minimum_speed=self.minimum_speed)
         filtering: Literal["causal", "zero_phase"] = "zero_phase" if self.acceleration == "zero-phase" else "causal"
         settings = EvaluationSettings(prediction, interval, filtering, self.inputs)
-        models = tuple(read_model(name) for name in dict.fromkeys(self.model))
+        if self.effects is not None:
+            load_folder(str(self.effects.absolute()))
+        models = {name: read_model_file(name) if name.endswith((".yaml", ".yml")) else None for name in self.model}
         vehicle, read_settings = read_options.resolve()
-        parameters, vehicle_file = resolve_vehicle(vehicle, models, self.effects)
-        task = Task(parameters, models, settings, read_settings, vehicle_file=vehicle_file, effects=self.effects,
+        embedded = next(((file.vehicle, name) for name, file in models.items() if file and file.vehicle), None)
+        parameters, vehicle_file = (embedded if embedded and vehicle is None else
+                                    shared.load_vehicle_or_default(vehicle))
+        task = Task(parameters, models, settings, read_settings, vehicle_file=str(vehicle_file), effects=self.effects,
                     **others)
         return task, vehicle
 
@@ -147,36 +151,6 @@ def course(
         parameters, _ = shared.load_vehicle_or_default(vehicle)
         status = build_course(runs, parameters, read_settings, output, shared.console)
     raise typer.Exit(status)
-
-
-def read_model(name: str) -> str | tuple[str, str]:
-    """The name of a model, or (file, content), because remote workers may have no access to the file."""
-    if not name.endswith((".yaml", ".yml")):
-        return name
-    try:
-        return name, Path(name).read_text()
-    except OSError as error:
-        raise typer.BadParameter(f"--model {name}: {error.strerror}") from None
-
-
-def resolve_vehicle(vehicle: Path | None, models: Sequence[str | tuple[str, str]],
-                    effects: Path | None = None) -> tuple["VehicleParameters", str]:
-    """(vehicle parameters, their file): from the vehicle file, else from a model file, else those of the Leaf.
-
-    effects: folder of user-defined effects in the model files, which is loaded.
-    """
-    from st_core.effects import load_folder
-    from st_core.model_file import ModelFile
-
-    if effects is not None:
-        load_folder(str(effects.absolute()))
-    if vehicle is None:
-        for origin, text in (model for model in models if not isinstance(model, str)):
-            embedded = ModelFile.from_yaml(text, origin).vehicle
-            if embedded is not None:
-                return embedded, origin
-    parameters, file = shared.load_vehicle_or_default(vehicle)
-    return parameters, str(file)
 
 
 def _parse_seconds(text: str) -> tuple[float, ...]:

@@ -43,14 +43,14 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, fo
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: names, or (file name, content) of a model.yaml. vehicle_file: source of
+    """Settings of an evaluation. models: by name, None, or by file name, the model file. vehicle_file: source of
     `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table. starts: times of the
     predictions drawn in detail [s], () for an automatic choice. folder: folder of the results; None for no files.
     formats: of the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name,
     content). adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
 
     vehicle: VehicleParameters
-    models: tuple[str | tuple[str, str], ...]
+    models: Mapping[str, ModelFile | None]
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     read: ReadSettings = field(default_factory=ReadSettings)
     vehicle_file: str = ""
@@ -63,6 +63,10 @@ class Task:
     course: tuple[str, Course] | None = None
     adaptive: bool = False
     effects: Path | None = None
+
+    @property
+    def model_files(self) -> list[ModelFile]:
+        return [file for file in self.models.values() if file is not None]
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,6 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     with in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
                                 segment_drive(run.log, run.labels))) as checked:
         signals = task.settings.signals(run.log)
-        check_bands(task, models)
         bands = task.bands[1] if task.bands else None
         scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
         try:
@@ -128,7 +131,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
         "warnings": list(run.warnings), "provenance": dict(run.provenance), "inputs_ahead": list(future_inputs)}
     sums = scorer.get_sums()
     if bands:
-        sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(parse_model_files(task)))
+        sums |= sum_shares(models, task.vehicle, signals, task.settings, collect_intervals(task.model_files))
     seconds = dict(zip(("read", "predict", "draw"), np.diff(times).tolist(), strict=True))
     return RunReport(source.name, "", describe_ranking(evaluation), metadata, tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
@@ -162,26 +165,15 @@ def load_models(task: Task) -> list[Model]:
     models: list[Model] = []
     if task.effects:
         load_folder(str(task.effects.absolute()))
-    for chosen in task.models:
-        if isinstance(chosen, str):
-            models.append(get_model(chosen))
-        else:
-            origin, text = chosen
-            file = ModelFile.from_yaml(text, origin)
-            try:
-                file.check_vehicle(task.vehicle, "the vehicle file")
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{origin}: {error}") from None
-            models.append(file.model())
+    for name, file in task.models.items():
+        if file is not None:
+            file.check_vehicle(task.vehicle, "the vehicle file", f"{name}: ")
+        models.append(get_model(name) if file is None else file.model())
     names = [model.name for model in models]
     for name in names:
         if names.count(name) > 1:
             raise ConfigurationError(f"two models are named {name}: give each name once, and at most one model file")
     return models
-
-
-def parse_model_files(task: Task) -> list[ModelFile]:
-    return [ModelFile.from_yaml(text, name) for name, text in (m for m in task.models if not isinstance(m, str))]
 
 
 def check_bands(task: Task, models: Sequence[Model]) -> None:
@@ -197,7 +189,7 @@ def check_bands(task: Task, models: Sequence[Model]) -> None:
 
 def collect_model_hashes(task: Task, models: Sequence[Model]) -> dict[str, str]:
     """Hash of the model file by model; "" for a built-in model."""
-    return {model.name: "" for model in models} | {file.model().name: file.hash for file in parse_model_files(task)}
+    return {model.name: "" for model in models} | {file.model().name: file.hash for file in task.model_files}
 
 
 def to_file_name(name: str) -> str:
