@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from st_core.vehicle import VehicleParameters
 
 HOOK_LABELS = {
-    "vehicle": "vehicle parameters", "steering": "recorded steering", "inputs": "steering angle, forward acceleration",
-    "slip_angles": "slip angles", "axle_forces": "axle forces", "acceleration": "accelerations",
-    "rates": "additional states", "specific_force": "accelerations", "observe": "sensor readings"}
+    "vehicle": "vehicle parameters", "steering": "recorded steering",
+    "inputs": "steering angle or forward acceleration", "slip_angles": "slip angles", "axle_forces": "axle forces",
+    "acceleration": "accelerations", "rates": "additional states", "specific_force": "accelerations",
+    "observe": "sensor readings"}
 
 
 def effects(

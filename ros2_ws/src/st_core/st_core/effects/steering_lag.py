@@ -15,7 +15,7 @@ from .steering_backlash import compose_affine, scan
 @register
 class SteeringLag(Effect):
     physics = "time_constant delta_dot = delta_measured - delta: column, actuator, or low-pass filter of the sensor"
-    excited_by = "sweeps to 2.5 Hz and steps"
+    excited_by = "sweeps to 2.5 Hz and step steers"
     kind, slot = "physics", "steering"
     confounded_with = ("steering_delay", "yaw_inertia", "tyre_relaxation")
     combinations = (TOTAL_DELAY,)

@@ -9,7 +9,7 @@ from ._base import Effect, Parameter, register
 @register
 class YawRateDelay(Effect):
     physics = "measured r(t) = r(t - time) ~ r - time r_dot: sensor filter, or time stamps of another clock"
-    excited_by = "sweeps and steps, with measured heading"
+    excited_by = "sweeps and step steers, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     order = 20  # before scale and bias; the order does not affect the reading, since both are constant

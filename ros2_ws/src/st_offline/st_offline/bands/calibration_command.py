@@ -82,7 +82,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
     calibrated: dict[tuple[str, str], Band] = {}
     for model in models:
         for mode in MODES:
-            console.print(f"[dim]{escape(model.name)}, {mode}[/dim]", highlight=False)
+            console.print(f"[dim]calibrating {escape(model.name)}, {mode}[/dim]", highlight=False)
             calibrated[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
     hashes = {name: hash_configuration(task.vehicle, settings, digest)
               for name, digest in collect_model_hashes(task, models).items()}
