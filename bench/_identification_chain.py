@@ -6,7 +6,7 @@ import numpy as np
 from _cars import LEAF_FILE, leaf
 from _identification import apply_estimates, with_stiffness
 from st_core.batch import LogBatch
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness
 from st_core.identification.result import Identification
 from st_core.identification.steering import identify_steering_offset

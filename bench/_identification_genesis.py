@@ -10,7 +10,7 @@ from _identification import apply_estimates
 from _mounting import rotate_ins
 from st_core.augmented import augment
 from st_core.batch import LogBatch
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_fit import MISALIGNMENT
 from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting

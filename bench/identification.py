@@ -10,7 +10,7 @@ from _identification import LEVER_ERROR, MISALIGNMENT, TIGHT_BENDS, record, reco
 from _identification_chain import run_procedure
 from _identification_genesis import identify_genesis
 from st_core.augmented import augment
-from st_core.identification.cornering_stiffness import AXLES, identify_stiffness
+from st_core.identification.axle_forces import AXLES, identify_stiffness
 from st_core.identification.driving_prediction import (
     STIFFNESSES,
     fit_stiffness,

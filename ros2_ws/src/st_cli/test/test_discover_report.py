@@ -24,7 +24,7 @@ from st_core.discovery.result import (
     UntestableEffect,
     VaryingEffect,
 )
-from st_core.identification.axle_curve import ForceCurve
+from st_core.identification.axle_forces import ForceCurve
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import drives, quantities, report_text
 from st_offline.discovery.discovery_report import build_document, print_result, write_page

@@ -12,7 +12,7 @@ from st_core.effects import EFFECTS, find_source_file, load_folder
 from st_core.model_file import ModelFile
 from st_core.relations import Candidate, Relation, RelationSearch
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.relation_files import write_files
+from st_offline.discovery.relation_report import write_files
 from support import LEAF
 
 CAR = VehicleParameters.from_yaml(LEAF.read_text())

@@ -8,8 +8,14 @@ from driven import SILENT, drive, weave
 from st_core.augmented import augment
 from st_core.discovery.axles import _combination_values
 from st_core.errors import StCoreError
-from st_core.identification.axle_curve import compute_axle_force, compute_force_error, draw_models, make_axle_curve
-from st_core.identification.cornering_stiffness import fit_axle_regressions, identify_stiffness
+from st_core.identification.axle_forces import (
+    compute_axle_force,
+    compute_force_error,
+    draw_models,
+    fit_axle_regressions,
+    identify_stiffness,
+    make_axle_curve,
+)
 from st_core.tyres import GRAVITY, magic_formula_coefficients, magic_formula_force
 
 SLIP = np.linspace(0.0, 0.12, 9)

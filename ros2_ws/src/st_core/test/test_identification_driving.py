@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from driven import SILENT, Sensors, drive, steps, straight, weave, with_stiffness
 from st_core.augmented import augment
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_fit import MISALIGNMENT
 from st_core.identification.driving_prediction import (
     STIFFNESSES,

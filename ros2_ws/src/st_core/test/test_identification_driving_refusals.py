@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from driven import drive, weave
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_prediction import fit_stiffness, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from st_core.channels import CHANNELS
 from st_core.checks import check
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.log import DriveLog

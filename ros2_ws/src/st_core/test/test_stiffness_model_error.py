@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from driven import SILENT, Sensors, drive, weave
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_prediction import STIFFNESSES, fit_stiffness
 
 FRONT, REAR = 62_000.0, 88_000.0  # N/rad at zero slip

@@ -21,12 +21,15 @@ from st_core.relations.candidates import ALL_TERMS, NEITHER, ODD, RELATIONS, SIG
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
-from st_offline.discovery.figures import curve_unit, draw_relation
-from st_offline.discovery.relation_files import build_relation_document, effect_name, effect_source, write_files
+from st_offline.discovery.figures import draw_relation
 from st_offline.discovery.relation_report import (
     RelationReport,
+    build_relation_document,
     describe_next_drives,
+    effect_name,
+    effect_source,
     report_relation,
+    write_files,
 )
 from st_offline.evaluation.drawing import FigureOutput
 from support import LEAF
@@ -97,9 +100,9 @@ def test_effect_file_meets_the_requirements_on_an_effect(tmp_path, registry, pla
 
 def test_curve_is_drawn_in_engineering_units():
     assert set(quantities.TERM_NAMES) == set(ALL_TERMS)
-    assert [curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+    assert [quantities.curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
-    assert curve_unit("1")[0] == 100.0 and curve_unit("rad")[0] == pytest.approx(57.2958)
+    assert quantities.curve_unit("1")[0] == 100.0 and quantities.curve_unit("rad")[0] == pytest.approx(57.2958)
     drawn = draw_relation(make_relation("front_grip", "speed", NEITHER), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
     pushed = draw_relation(make_relation("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))

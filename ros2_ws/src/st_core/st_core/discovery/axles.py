@@ -9,16 +9,16 @@ from ..augmented import AugmentedModel
 from ..effects import COMBINATIONS, EFFECTS, TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import stability_factor
-from ..identification.axle_curve import (
+from ..identification.axle_forces import (
     ForceCurve,
     compute_axle_force,
     compute_axle_forces,
     compute_force_error,
     draw_models,
+    fit_axle_regressions,
     make_axle_curve,
     select_valid_models,
 )
-from ..identification.cornering_stiffness import fit_axle_regressions
 from ..log import DriveLog
 from ..readings import correct_log
 from ..sideslip import steady_velocity_y

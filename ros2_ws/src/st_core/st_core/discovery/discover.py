@@ -10,7 +10,7 @@ from ..channels import CHANNEL_OF_COLUMN, CHANNELS
 from ..effects import TOTAL_DELAY, get_effect
 from ..errors import StCoreError
 from ..handling import find_implausible_values
-from ..identification.axle_curve import ForceCurve
+from ..identification.axle_forces import ForceCurve
 from ..log import DriveLog
 from ..models import Model
 from ..regression import Z95

@@ -8,7 +8,7 @@ from scipy import stats
 
 from ..augmented import AugmentedModel
 from ..effects import EFFECT_KINDS
-from ..identification.axle_curve import ForceCurve
+from ..identification.axle_forces import ForceCurve
 from .settings import Limits
 
 Outcome = Literal["none", "named", "ambiguous", "several", "varying", "unknown", "not_testable"]

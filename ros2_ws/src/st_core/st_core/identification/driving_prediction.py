@@ -35,7 +35,7 @@ from ..models import Model, get_model
 from ..regression import correlation_matrix, extrapolation_uncertainty
 from ..timeseries import NANOSECOND
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
-from .cornering_stiffness import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
+from .axle_forces import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
 from .driving_fit import DELAY, MISALIGNMENT, QUANTITIES, RELAXATION, DrivingFit, DrivingFitSettings, fit_driving
 from .result import (
     Identification,

@@ -30,8 +30,7 @@ from ..terminal import make_progress_bars
 from .discovery_report import build_document, build_model_file, print_result, write_page
 from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
 from .figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
-from .relation_files import build_relation_document, write_files
-from .relation_report import RelationReport, report_relation
+from .relation_report import RelationReport, build_relation_document, report_relation, write_files
 from .vehicle_update import VehicleUpdate, update_vehicle
 
 

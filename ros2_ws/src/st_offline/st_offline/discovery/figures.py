@@ -20,7 +20,6 @@ from st_core.relations.candidates import QUANTITIES
 
 from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from . import quantities, report_text
-from .relation_files import full_title
 
 AFTER_COLOUR = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
@@ -255,7 +254,7 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
-    (y_scale, unit), (x_scale, x_unit) = curve_unit(c.unit), curve_unit(QUANTITIES[c.quantity])
+    (y_scale, unit), (x_scale, x_unit) = quantities.curve_unit(c.unit), quantities.curve_unit(QUANTITIES[c.quantity])
     at, value = x_scale * relation.at, y_scale * relation.value
     half_width = y_scale * Z95 * relation.deviation
     figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
@@ -276,7 +275,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     distribution.yaxis.set_major_formatter("{x:g}")
     distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
     before, after = relation.position_5s
-    title = (f"PROPOSAL: {full_title(relation)}; held-out position error after 5 s: "
+    title = (f"PROPOSAL: {quantities.full_title(relation)}; held-out position error after 5 s: "
              f"{before:.3f} m without it, {after:.3f} m with it")
     units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
     formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""
@@ -285,8 +284,3 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
                "grey, sparsely driven ranges it is interpolated, and the interval assumes the same smoothness. The "
                "other figures do not contain the relation.")
     return save_figure(figure, output, "relation", title, caption)
-
-
-def curve_unit(unit: str) -> tuple[float, str]:
-    """(factor from SI, unit) for the axis of a curve."""
-    return (100.0, "%") if unit == "1" else quantities.display_unit(unit)

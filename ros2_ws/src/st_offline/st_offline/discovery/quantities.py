@@ -7,7 +7,7 @@ from st_core.channels import LABELS
 from st_core.discovery.result import FittedParameter
 from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, Parameter
-from st_core.relations import Candidate
+from st_core.relations import Candidate, Relation
 from st_core.vehicle import VehicleParameters
 
 MAX_DECIMALS = 6  # numbers that need more are written with an exponent
@@ -160,3 +160,16 @@ def spell_out(name: str) -> str:
         return name
     text = f"{TERM_NAMES[term]} as a function of the {QUANTITY_NAMES[quantity]}"
     return f"{text} times {QUANTITY_NAMES[factor]}" if factor else text
+
+
+def curve_unit(unit: str) -> tuple[float, str]:
+    """(factor from SI, unit) for the axis of a curve."""
+    return (100.0, "%") if unit == "1" else display_unit(unit)
+
+
+def full_title(relation: Relation) -> str:
+    """Description of the relation by its term and quantity."""
+    c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
+    factor = f", for each unit of {QUANTITY_NAMES[c.factor]}" if c.factor else ""
+    dependence = "the same for every" if is_constant else "as a function of the"
+    return f"{TERM_NAMES[c.term]}{factor}, {dependence} {QUANTITY_NAMES[c.quantity]}"

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import chi2
 from st_core.errors import ConfigurationError
-from st_core.identification.cornering_stiffness import identify_stiffness
+from st_core.identification.axle_forces import identify_stiffness
 from st_core.identification.driving_fit import QUANTITIES
 from st_core.identification.driving_prediction import fit_stiffness, identify_steering, identify_yaw_inertia
 from st_core.identification.ins_mounting import identify_ins_mounting
