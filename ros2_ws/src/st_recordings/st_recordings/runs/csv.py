@@ -188,7 +188,8 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
     unclear = describe_unknown_units(table.names, table.sources)
-    candidates = [*missing, *([STEERING_WHEEL] if ROAD_WHEEL in missing else [])]
+    candidates = [*missing, *(COMPUTED_FROM[name] for name in missing if name in COMPUTED_FROM),
+                  *([STEERING_WHEEL] if ROAD_WHEEL in missing else [])]
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")
