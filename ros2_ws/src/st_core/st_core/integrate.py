@@ -127,7 +127,8 @@ def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
-    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; MAX_SUBSTEPS if fewer are too few."""
+    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most
+    MAX_SUBSTEPS, even if that is not stable."""
     speeds = list(speeds)
     return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
                 MAX_SUBSTEPS)

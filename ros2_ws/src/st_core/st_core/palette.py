@@ -1,4 +1,4 @@
-"""Colour and line style of each model in all figures, distinguishable with colour blindness and in grey print."""
+"""Colour and line style of each model in all figures, distinguishable by colour-blind readers and in greyscale."""
 
 from typing import Any
 

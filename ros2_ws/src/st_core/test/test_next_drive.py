@@ -9,12 +9,12 @@ from example_discovery import discovery
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.relations import find_relation
-from st_core.relations.candidates import NEITHER, ODD, Candidate
+from st_core.relations.candidates import NO_PARITY, ODD, Candidate
 from st_core.relations.next_drive import NextDrives, Option, _compute_variance, find_sparse_ranges, suggest_drives
 from st_core.relations.relation_fit import RelationFits, RunWindows
 
-RELATION = Candidate("yaw_moment", "acceleration_x", NEITHER, -4.0, 2.0)
-OTHER = Candidate("front_steer", "acceleration_x", NEITHER, -4.0, 2.0)
+RELATION = Candidate("yaw_moment", "acceleration_x", NO_PARITY, -4.0, 2.0)
+OTHER = Candidate("front_steer", "acceleration_x", NO_PARITY, -4.0, 2.0)
 AT = np.linspace(RELATION.low, RELATION.high, 41)
 HIDDEN = relation(RELATION, lambda acceleration: 0.02 * acceleration)
 SETTINGS = DiscoverySettings(locate_errors=False, block=4.0, windows=100)
@@ -40,13 +40,13 @@ def standard_deviation(fit):
 def test_sparse_ranges_are_those_with_little_driving():
     at = np.linspace(-2.0, 2.0, 41)
     density = np.where(np.abs(at - 1.0) < 0.45, 0.0, 1.0 / 41)
-    (low, high), = find_sparse_ranges(at, density, NEITHER)
+    (low, high), = find_sparse_ranges(at, density, NO_PARITY)
     assert 0.55 < low < 0.8 and 1.2 < high < 1.45
     assert find_sparse_ranges(at, density, ODD) == []  # an odd curve: the opposite sign was driven
     both = np.where(np.abs(np.abs(at) - 1.0) < 0.45, 0.0, 1.0 / 41)
     (positive,) = find_sparse_ranges(at, both, ODD)
     assert positive == pytest.approx((low, high))
-    assert find_sparse_ranges(at, np.full(41, 1.0 / 41), NEITHER) == []
+    assert find_sparse_ranges(at, np.full(41, 1.0 / 41), NO_PARITY) == []
 
 
 def test_drive_without_a_gain_in_precision_is_not_suggested():
@@ -72,7 +72,7 @@ def test_suggested_drive_gives_the_predicted_precision(leaf):
                      for one in (fit, refitted))
     assert most_precise.deviation.max() < 0.8 * now.max()
     assert after / before == pytest.approx(most_precise.deviation / now, rel=0.35)
-    over_position = Candidate("side_force", "position_x", NEITHER, 0.0, 100.0)
+    over_position = Candidate("side_force", "position_x", NO_PARITY, 0.0, 100.0)
     assert suggest_drives(fits, replace(fit, candidate=over_position), {}, 2.0, AT, now, []).options == ()
 
 

@@ -71,8 +71,8 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
     return merge_parameters(config("nodes.yaml"), {
         **bridges,
         "predictor": common,
-        "evaluator": {**common, "output_directory": str(folder / "errors"), "number_when_taken": True},
-        "recorder": {"output_directory": str(folder / "bag"), "number_when_taken": True, "configuration_files": files,
+        "evaluator": {**common, "output_directory": str(folder / "errors"), "number_if_exists": True},
+        "recorder": {"output_directory": str(folder / "bag"), "number_if_exists": True, "configuration_files": files,
                      **({"topics": ALL_TOPICS} if record_all else {})},
     })
 

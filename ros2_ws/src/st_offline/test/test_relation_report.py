@@ -17,7 +17,7 @@ from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
 from st_core.relations import Candidate, Formula, Relation, RelationSearch, needs_search
-from st_core.relations.candidates import ALL_TERMS, NEITHER, ODD, RELATIONS, SIGNED
+from st_core.relations.candidates import ALL_TERMS, NO_PARITY, ODD, RELATIONS, SIGNED
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
@@ -38,7 +38,7 @@ CAR = VehicleParameters.from_yaml(LEAF.read_text())
 RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
          "speed": 20.0, "yaw_rate": 0.6, "steering_rate": 0.5, "lagging_steering": 0.3, "lean": 6.0, "north": 1.0,
          "east": 1.0, "position_x": 50.0, "position_y": 50.0, "run_time": 60.0}
-CANDIDATES = [(place, quantity, ODD if quantity in SIGNED else NEITHER, by) for place, quantity, by in RELATIONS
+CANDIDATES = [(place, quantity, ODD if quantity in SIGNED else NO_PARITY, by) for place, quantity, by in RELATIONS
               if quantity != "run_time"]
 
 
@@ -103,9 +103,9 @@ def test_curve_is_drawn_in_engineering_units():
     assert [quantities.curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
     assert quantities.curve_unit("1")[0] == 100.0 and quantities.curve_unit("rad")[0] == pytest.approx(57.2958)
-    drawn = draw_relation(make_relation("front_grip", "speed", NEITHER), FigureOutput(None, ()))
+    drawn = draw_relation(make_relation("front_grip", "speed", NO_PARITY), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
-    pushed = draw_relation(make_relation("yaw_moment", "acceleration_x", NEITHER), FigureOutput(None, ()))
+    pushed = draw_relation(make_relation("yaw_moment", "acceleration_x", NO_PARITY), FigureOutput(None, ()))
     assert "y in rad/s², u in m/s². " in pushed.caption
 
 
@@ -147,11 +147,11 @@ def test_next_proposal_includes_the_effects_it_requires(tmp_path, registry):
     first, second = tmp_path / "first", tmp_path / "second"
     first.mkdir()
     second.mkdir()
-    relation = make_relation("yaw_moment", "acceleration_x", NEITHER)
+    relation = make_relation("yaw_moment", "acceleration_x", NO_PARITY)
     write_files(RelationSearch(relation, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, first)
     load_folder(str(first / "effects"))
     found = ModelFile.from_yaml((first / "proposed.yaml").read_text()).model()
-    after = replace(make_relation("yaw_moment", "speed", NEITHER), model=found)
+    after = replace(make_relation("yaw_moment", "speed", NO_PARITY), model=found)
     write_files(RelationSearch(after, "", {}), CAR, ["lap"], "2026-01-01T00:00:00", {}, second)
     code = ("import sys; from st_core.effects import load_folder; from st_core.model_file import ModelFile; "
             "load_folder(sys.argv[1] + '/effects'); "
@@ -195,7 +195,7 @@ def test_files_are_listed_with_the_commands_that_use_them():
 
 
 def test_next_drives_are_recommended_with_their_gain():
-    relation = make_relation("yaw_moment", "acceleration_x", NEITHER)
+    relation = make_relation("yaw_moment", "acceleration_x", NO_PARITY)
     brake, sweep = (next(m for m in CATALOGUE if m.name == name) for name in ("brake_in_turn", "sweep"))
     rival = "side_force over speed"
     drives = NextDrives([(-3.0, -2.0), (1.0, 1.5)], {rival: 1.0},

@@ -49,7 +49,7 @@ PREDICTOR = (
 )
 
 _NUMBER_WHEN_TAKEN = Parameter(
-    "number_when_taken", False, "record into NAME_2 if the directory contains files; false: stop")
+    "number_if_exists", False, "record into NAME_2 if the directory contains files; false: stop")
 
 EVALUATOR = (
     _VEHICLE_FILE,

@@ -154,7 +154,7 @@ def test_recorder_reports_the_silent_node(processes: Processes) -> None:
     predictor.send_signal(signal.SIGCONT)
     wait_for(lambda: "messages of all publishers arrive" in processes.log("recorder"), what="report of its end")
     assert [processes.stop(p) for p in (predictor, recording)] == [0, 0]
-    output = health(read_messages(bag))["recorder: senders"]
+    output = health(read_messages(bag))["recorder: publishers"]
     assert {level for _, level, _ in output} == {OK, WARNING}
     assert not [text for _, level, text in output if level == WARNING and "predictor" not in text]
 

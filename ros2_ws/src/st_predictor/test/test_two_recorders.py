@@ -43,14 +43,14 @@ def test_restarted_recorder_writes_a_numbered_directory(tmp_path: Path) -> None:
     from st_predictor.nodes._bag import open_bag
     from st_ros.parameters import ConfigurationError
 
-    values = SimpleNamespace(output_directory=str(tmp_path / "bag"), number_when_taken=True, where="recorder.")
+    values = SimpleNamespace(output_directory=str(tmp_path / "bag"), number_if_exists=True, where="recorder.")
     for number in range(3):
         record(open_bag(values, {}), number)
     found = {path.name: read_numbers(path) for path in tmp_path.iterdir()}
     assert found == {"bag": {"/a": [0]}, "bag_2": {"/a": [1]}, "bag_3": {"/a": [2]}}
-    values.number_when_taken = False
+    values.number_if_exists = False
     with pytest.raises(ConfigurationError, match="contains files"):
         open_bag(values, {})
-    values.number_when_taken, values.output_directory = True, str(tmp_path / "bag" / "metadata.yaml")
+    values.number_if_exists, values.output_directory = True, str(tmp_path / "bag" / "metadata.yaml")
     with pytest.raises(ConfigurationError, match=r"metadata\.yaml"):
         open_bag(values, {})

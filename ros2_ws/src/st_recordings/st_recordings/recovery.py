@@ -202,7 +202,13 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, rep
             os.link(source, report.original)  # so that NAME.mcap exists at all times
         except OSError:
             source.rename(report.original)  # no hard links on this file system
-    temporary.replace(target)
+    try:
+        temporary.replace(target)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        if report.original is not None and not source.exists():
+            report.original.rename(source)
+        raise
     return contents
 
 
@@ -210,11 +216,11 @@ def _build_information(files: Sequence[BagFile], contents: list[Contents], sourc
     topics: dict[tuple[str, str], Topic] = {}
     previous = read_information(source).get("custom_data")
     custom = {str(key): str(text) for key, text in previous.items()} if isinstance(previous, dict) else {}
-    for of_file in contents:
-        counts = of_file.counts()
-        custom.update(collect_custom_data(of_file.metadata))
-        for channel in of_file.channels.values():
-            schema = of_file.schemas.get(channel.schema_id)
+    for file_contents in contents:
+        counts = file_contents.counts()
+        custom.update(collect_custom_data(file_contents.metadata))
+        for channel in file_contents.channels.values():
+            schema = file_contents.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
             topic = topics.setdefault((channel.topic, type_name), Topic(
                 channel.topic, type_name, channel.metadata.get("topic_type_hash", ""),

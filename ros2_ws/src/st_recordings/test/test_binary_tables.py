@@ -131,7 +131,7 @@ def write_version_7_3(file: Path) -> None:
 
 
 @pytest.mark.parametrize(("write", "name", "message"), [
-    (write_version_7_3, "a.mat", r"file of MATLAB version 7\.3; save it with save\(\.\.\., '-v7'\)"),
+    (write_version_7_3, "a.mat", r"MATLAB 7\.3 file; save it with save\(\.\.\., '-v7'\)"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",

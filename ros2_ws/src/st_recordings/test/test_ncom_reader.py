@@ -119,7 +119,7 @@ def test_packets_of_two_units_cause_a_warning(tmp_path: Path) -> None:
     second = b"".join(packets([0.01 * k], east=12.0) for k in range(100))
     file.write_bytes(b"".join(first[k : k + 72] + second[k : k + 72] for k in range(0, len(first), 72)))
     warning = read_ncom(file).warnings[0]
-    assert "100 of 200 packets (50 %) are neither later than those before them nor duplicates" in warning
+    assert "100 of 200 packets (50 %) are out of order or have the time of an earlier packet" in warning
 
 
 @pytest.mark.parametrize(("magic", "record_header", "size"), [

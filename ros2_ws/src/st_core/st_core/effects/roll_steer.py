@@ -1,8 +1,8 @@
-"""Roll steer of the front wheels: delta = delta_measured - gradient lean.
+"""Roll steer of the front wheels: delta = delta_measured - gradient a_f.
 
-lean is the lateral acceleration filtered by the second-order roll motion of the body:
+a_f is the lateral acceleration filtered by the second-order roll motion of the body:
 
-    lean_ddot = (2 pi f)^2 (a_y - lean) - 2 zeta 2 pi f lean_dot,   a_y = (F_f cos delta + F_r) / m
+    a_f_ddot = (2 pi f)^2 (a_y - a_f) - 2 zeta 2 pi f a_f_dot,   a_y = (F_f cos delta + F_r) / m
 
 The change of delta acts only on the slip angle. Its effect on the direction of the force is neglected: 0.1 % of the
 force for a change of 0.01 rad at delta = 0.1 rad.
@@ -21,7 +21,7 @@ class RollSteer(Effect):
     kind, slot = "physics", "front axle"
     confounded_with = ("steering_compliance", "steering_ratio", "front_stiffness")
     combinations = ("front cornering stiffness over mass", "stability factor K", "steady-state yaw gain at 20 m/s")
-    extra_states = ("lean", "lean_rate")
+    extra_states = ("filtered_lateral_acceleration", "filtered_lateral_acceleration_rate")
     extra_units = ("m/s^2", "m/s^3")
     order = 60
     parameters = (
@@ -48,7 +48,7 @@ class RollSteer(Effect):
 
     @staticmethod
     def rates(extra, slips, forces, instant, prepared, theta):
-        lean, lean_rate = extra
+        a_f, a_f_dot = extra
         a_y = (forces[0] * cos(instant.road_wheel_angle) + forces[1]) / theta.constants
         omega = TWO_PI * theta.frequency
-        return lean_rate, omega * (omega * (a_y - lean) - 2.0 * theta.damping * lean_rate)
+        return a_f_dot, omega * (omega * (a_y - a_f) - 2.0 * theta.damping * a_f_dot)

@@ -258,7 +258,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     runs = [sample_run(log, vehicle) for log in logs]
     regressions, covered, correlation, rejected = _fit_regressions(runs, vehicle)
     require_coverage(
-        covered, "Drive bends to both sides at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
+        covered, "Drive left and right turns at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))

@@ -10,7 +10,8 @@ Steering ratio, if no turntables are available:
     L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for another ratio. An error of the wheelbase changes i in proportion.
+fitted too, since a lag would be mistaken for another ratio. If the wheelbase is too
+large by 1 %, i is too small by 1 %.
 
 Yaw inertia, from transients:
 
@@ -79,8 +80,8 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     logs, notes = prepare_drives(logs, vehicle)
     covered = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
                                        lateral_acceleration=(2.0, 3))
-    require_coverage(covered, "Drive bends to both sides, at two or more speeds, with a lateral acceleration of 1 to 4 "
-                              "m/s^2.")
+    require_coverage(covered, "Drive left and right turns, at two or more speeds, with a lateral acceleration of 1 to "
+                              "4 m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
     systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
@@ -159,8 +160,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
                                          lateral_acceleration=(1.0, 3)),
                measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
                                 [run.time for run in runs], 0.5, 5))
-    require_coverage(covered, "Steady bends do not excite the yaw inertia: drive step steers, lane changes or a sine "
-                              "sweep.")
+    require_coverage(covered, "Steady-state cornering does not excite the yaw inertia: drive step steers, lane changes "
+                              "or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
@@ -207,8 +208,8 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                           spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
                           *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
-    rejected = [(name, f"{total - used} of {total} predictions (too slow, lateral acceleration above the limit, or "
-                 "gaps)") for name, (used, total) in fit.windows.items() if used < total]
+    rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
+                 "the limit, or gaps)") for name, (used, total) in fit.windows.items() if used < total]
     others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:

@@ -49,7 +49,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     covered = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5, 1),
                measure_coverage("curvature", "1/m", CURVATURE_EDGES,
                                 [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
-    require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and bends to both sides.")
+    require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and left and right turns.")
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
@@ -115,7 +115,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
         theta, spread, _ = group.fit_least_squares(regressors, angle)
         d_y += float(theta[1] / theta[0])
     return _make_estimate("cg_to_ins_y", d_y, spread, 1, float(1.0 / theta[0]), used,
-                          f"{d_y:+.3f} m from the CG, left +, from bends to both sides", 0.1)
+                          f"{d_y:+.3f} m from the CG, left +, from left and right turns", 0.1)
 
 
 def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float,

@@ -9,7 +9,7 @@ from ..discovery.windows import Windows
 from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
 
-ODD, NEITHER = -1.0, 0.0  # parity of a curve
+ODD, NO_PARITY = -1.0, 0.0  # parity of a curve
 TAIL_SHARE = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
 MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are ill-defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
@@ -124,7 +124,7 @@ class Candidate:
     @property
     def is_one_sided(self) -> bool:
         """Whether it acts to the same side in left and right turns, so that its sign changes in a mirrored drive."""
-        return self.parity == NEITHER and not self.factor and not self.term.endswith("_grip")
+        return self.parity == NO_PARITY and not self.factor and not self.term.endswith("_grip")
 
     @property
     def unit(self) -> str:
@@ -202,7 +202,7 @@ def find_candidates(windows: Windows) -> list[Candidate]:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
-        parity = ODD if quantity in SIGNED else NEITHER
+        parity = ODD if quantity in SIGNED else NO_PARITY
         low, high = _find_range(values[quantity])
         if parity == ODD:
             high = _find_range(np.abs(values[quantity]))[1]

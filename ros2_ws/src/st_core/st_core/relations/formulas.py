@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from ..discovery.loss import Quadratic
 from ..regression import add_ridge
-from .candidates import NEITHER, RELATIONS, Candidate
+from .candidates import NO_PARITY, RELATIONS, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; points in the range of a curve
@@ -96,7 +96,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     if total <= 1e-20:
         return ()
     shapes = []
-    for shape, (text, count, function) in (SHAPES if candidate.parity != NEITHER else ONE_SIDED).items():
+    for shape, (text, count, function) in (SHAPES if candidate.parity != NO_PARITY else ONE_SIDED).items():
         if shape == "inverse" and np.abs(points).min() < 0.05 * np.abs(points).max():
             continue
 
@@ -152,7 +152,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
     formulas = []
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
-        offsets = (False, True) if candidate.parity == NEITHER and shape.name != "constant" else (False,)
+        offsets = (False, True) if candidate.parity == NO_PARITY and shape.name != "constant" else (False,)
         for with_offset in offsets:
             shape_gain, offset = _simulate_shape(fits, fit, without, shape, with_offset)
             if shape_gain >= MIN_RETAINED_GAIN * gain:
@@ -168,7 +168,8 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
 
 def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
                     with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); the gain is -inf for a wrong sign, a large range or a worse path."""
+    """(held-out gain of a shape, its offset); the gain is -inf if the sign differs from that of the curve,
+    the magnitude exceeds MAX_VALUE_RATIO, or the position error is larger."""
     candidate = fit.candidate
     assert candidate is not None
     points = np.linspace(candidate.low, candidate.high, POINTS)

@@ -101,7 +101,7 @@ def _uncertainty(relation: Relation) -> list[str]:
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
                            for low, high in relation.next_drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
-                     "the same smoothness: drive some seconds in this range, turning to both sides")
+                     "the same smoothness: drive some seconds in this range, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
               if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:

@@ -16,7 +16,7 @@ MAX_SYNC_DELAY = 1.0  # s, age of data not yet on the disk above which the node 
 def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) -> BagWriter:
     """Writer of a new bag in the folder of the parameter `output_directory`.
 
-    If that folder contains files, a node with `number_when_taken` (which may have been restarted) uses NAME_2, NAME_3,
+    If that folder contains files, a node with `number_if_exists` (which may have been restarted) uses NAME_2, NAME_3,
     and so on; any other node raises ConfigurationError, as does a folder that cannot be written or is a file.
     """
     names = (f"{values.output_directory}_{number}" for number in itertools.count(2))
@@ -26,7 +26,7 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
             try:
                 return BagWriter(name, records, synced=True)
             except FileExistsError:
-                if not values.number_when_taken or Path(name).is_file():
+                if not values.number_if_exists or Path(name).is_file():
                     raise
                 name = next(names)
     except OSError as error:

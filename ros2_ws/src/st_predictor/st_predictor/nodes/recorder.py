@@ -126,7 +126,7 @@ class RecorderNode(Node):
                 self._bag.write(channel, data, log_ns, sent_ns or log_ns)
                 self._watchdog.record_arrival(topic, data)
         self._bag.flush_when_due()
-        if self._bag.error and self._values.number_when_taken:
+        if self._bag.error and self._values.number_if_exists:
             self._resume()
 
     def _resume(self) -> None:
@@ -163,13 +163,13 @@ class RecorderNode(Node):
 
     def _make_publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._subscribed:
-            return Check("senders", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
+            return Check("publishers", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._record_messages()  # so that messages still queued, after a delay of this node, count as received
         silent = self._watchdog.find_silent_nodes(self._subscribed)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
-            return Check("senders", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
-        return Check("senders", diagnostics.OK, "messages of all publishers arrive")
+            return Check("publishers", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
+        return Check("publishers", diagnostics.OK, "messages of all publishers arrive")
 
     @property
     def exit_status(self) -> int:

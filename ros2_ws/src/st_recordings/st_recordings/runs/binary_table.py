@@ -58,7 +58,7 @@ def _read_arrow(file: Path) -> Any:
     try:
         frame = (pd.read_parquet if file.suffix.lower() == ".parquet" else pd.read_feather)(file)
     except ImportError:
-        raise RunError(file, "files of Apache Arrow need the package pyarrow", "install it, or export a CSV file"
+        raise RunError(file, "Apache Arrow files require the package pyarrow", "install it, or export a CSV file"
                        ) from None
     except Exception as error:  # any, from pyarrow
         raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
@@ -71,7 +71,7 @@ def _read_matlab(file: Path) -> Any:
     try:
         content = loadmat(file, simplify_cells=True)
     except NotImplementedError:
-        raise RunError(file, "this is a file of MATLAB version 7.3", "save it with save(..., '-v7'), or export a CSV "
+        raise RunError(file, "this is a MATLAB 7.3 file", "save it with save(..., '-v7'), or export a CSV "
                        "file") from None
     except Exception as error:  # any, from scipy
         raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None

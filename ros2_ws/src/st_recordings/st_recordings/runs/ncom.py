@@ -91,8 +91,9 @@ def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
     other = regular & np.isin(columns.order, (SAME, LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():
         count = format_share(int(other.sum()), int(regular.sum()), "packets")
-        notes.append(f"{file}: {count} are neither later than those before them nor duplicates; they were left out; if "
-                     "two units were recorded, export the packets of one (tshark -Y 'ip.src == ADDRESS')")
+        notes.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
+                     "they were left out; if two units were recorded, export the packets of one "
+                     "(tshark -Y 'ip.src == ADDRESS')")
     return notes
 
 
