@@ -71,7 +71,8 @@ def test_known_value_changes_less_the_smaller_its_uncertainty():
         problem = with_known_mass(free, deviation)
         fit = fit_problem(problem, "mass")
         moved.append((fit.vector[i] - problem.start[i]) / problem.space.scale[i])
-        assert compare_with_file(problem, fit, "mass").z_score == pytest.approx(moved[-1] / deviation, rel=1e-6)
+        quantity, change = compare_with_file(problem, fit, "mass")
+        assert quantity.z_score(change) == pytest.approx(moved[-1] / deviation, rel=1e-6)
     assert moved[0] == pytest.approx(1.0, abs=0.1) and 0.0 < moved[2] < 0.1 < moved[1] < moved[0]
 
 
