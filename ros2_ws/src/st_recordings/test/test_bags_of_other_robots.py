@@ -2,12 +2,13 @@
 what to do."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from drive_kinds import CAR, assert_same, columns, to_degrees
+from drive_kinds import CAR, assert_same, assert_warned, columns, to_degrees
 from ros_messages import STORE, header, make
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -80,9 +81,10 @@ def make_messages(log: DriveLog, store: Typestore = STORE) -> Messages:
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
 
 
-def write(folder: Path, log: DriveLog, *topics: str) -> Path:
+def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0) -> Path:
+    """stamp_offset_ns: stamps minus times of reception."""
     store = make_store(Stores.ROS2_JAZZY, AUTOWARE)
-    messages = make_messages(log, store)
+    messages = make_messages(replace(log, ins_time_ns=log.ins_time_ns + stamp_offset_ns), store)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic in topics:
             kind = messages[topic](0).__msgtype__
@@ -123,6 +125,15 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
     run = read(source, CAR, settings)
     assert_same(run.log, drive_log, max_lost=0, rotated=rotated)
     assert not run.warnings and run.log.name == "drive" and run.provenance["recorded"] == {}
+
+
+def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_path: Path,
+                                                                            drive_log: DriveLog) -> None:
+    """As of a simulation: a steering topic without stamps has the times of reception."""
+    folder = write(tmp_path / "drive", drive_log, "/pose", "/twist", "/steer", stamp_offset_ns=-10**18)
+    run = read(find_runs([folder])[0], CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0)
+    assert_warned(run.warnings, "the stamps of its topics do not overlap in time; the times of reception are used")
 
 
 @pytest.mark.parametrize(("topics", "settings", "error"), [

@@ -28,18 +28,24 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
-    parts = [pd.DataFrame(columns, index=stamps) for topic in storage.topics
-             for stamps, columns in [_read_columns(storage, topic)] if columns]
+    warnings: list[str] = []
+    parts = [(topic.name, *part) for topic in storage.topics if (part := _read_columns(storage, topic))[1]]
     if not parts:
         return None
     if steering is not None:
-        columns = read_steering_columns(storage, find_steering_topic(storage, steering), steering)
+        topic = find_steering_topic(storage, steering)
+        columns = read_steering_columns(storage, topic, steering)
         channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
-        parts = [part.drop(columns=[ROAD_WHEEL, STEERING_WHEEL], errors="ignore") for part in parts]
-        parts.append(pd.DataFrame({channel: columns[ROAD_WHEEL]}, index=columns["header.stamp"]))
-    merged = pd.concat([part[~part.index.duplicated()] for part in parts], axis=1, sort=True)
+        parts = [(name, stamps, {column: values for column, values in part.items() if column not in (
+            ROAD_WHEEL, STEERING_WHEEL)}) for name, stamps, part in parts]
+        parts.append((topic.name, columns["header.stamp"], {channel: columns[ROAD_WHEEL]}))
+    if max(stamps.min() for _, stamps, _ in parts) > min(stamps.max() for _, stamps, _ in parts):
+        parts = [(name, storage.read_log_times(name, stamps), part) for name, stamps, part in parts]
+        warnings.append(f"{path}: the stamps of its topics do not overlap in time; the times of reception are used")
+    frames = [pd.DataFrame(part, index=stamps) for _, stamps, part in parts]
+    merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)
     text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
-    table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), [])
+    table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), warnings)
     try:
         return build_drive(table, vehicle)
     except RunError as error:
