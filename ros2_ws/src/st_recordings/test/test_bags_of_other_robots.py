@@ -2,7 +2,6 @@
 what to do."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ def vector(x: float, y: float, z: float = 0.0, kind: str = "Vector3") -> Any:
     return make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y), z=float(z))
 
 
-def make_messages(log: DriveLog, store: Typestore = STORE) -> Messages:
+def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int = 0) -> Messages:
     """Topic -> function that makes the message of a row, for every topic of these tests."""
     wheel, (latitude, longitude), nine = columns(log)[7], to_degrees(log), np.zeros(9)
 
@@ -56,7 +55,7 @@ def make_messages(log: DriveLog, store: Typestore = STORE) -> Messages:
                     orientation=orientation(k))
 
     def stamped(k: int) -> Any:
-        return header(int(log.ins_time_ns[k]), "map")
+        return header(int(log.ins_time_ns[k]) + stamp_offset_ns, "map")
 
     return {
         "/imu/data": lambda k: make(
@@ -84,7 +83,7 @@ def make_messages(log: DriveLog, store: Typestore = STORE) -> Messages:
 def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0) -> Path:
     """stamp_offset_ns: stamps minus times of reception."""
     store = make_store(Stores.ROS2_JAZZY, AUTOWARE)
-    messages = make_messages(replace(log, ins_time_ns=log.ins_time_ns + stamp_offset_ns), store)
+    messages = make_messages(log, store, stamp_offset_ns)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic in topics:
             kind = messages[topic](0).__msgtype__
