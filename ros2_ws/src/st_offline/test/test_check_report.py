@@ -161,8 +161,8 @@ def test_clock_offsets_of_many_runs_are_one_sentence():
 
 @pytest.mark.parametrize(("method", "text"), [
     ("none", ""), ("by hand", "INS minus steering clock: -0.430 s, set by hand"),
-    ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, ± 1.2 ms, "
-     "good)")])
+    ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, standard deviation "
+     "1.2 ms, good)")])
 def test_clock_offset_of_the_steering_is_printed(method, text):
     alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text

@@ -67,8 +67,8 @@ def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) ->
               else f"CAN log starts at INS time {_format_seconds(int(alignment.to_reference_ns(start_ns)))} s")
     if alignment.method == "by hand":
         return f"{offset}, set by hand"
-    return (f"{offset} ± {alignment.offset_deviation * 1e3:.1f} ms, drift {alignment.drift_ppm:+.1f} ± "
-            f"{alignment.drift_deviation:.1f} ppm, {alignment.verdict}")
+    return (f"{offset} (standard deviation {alignment.offset_deviation * 1e3:.1f} ms), drift "
+            f"{alignment.drift_ppm:+.1f} ppm ({alignment.drift_deviation:.1f} ppm), {alignment.verdict}")
 
 
 def print_alignment(pair: "RawRun") -> None:
@@ -99,8 +99,8 @@ def print_alignment(pair: "RawRun") -> None:
                           f"{middle:.1f} s later, in the middle of the {span}")
             table.add_row("  its standard deviation", f"{alignment.offset_deviation * 1e3:.2f} ms",
                           f"{own_deviation * 1e3:.2f} ms without the uncertainty of the assumed delay")
-            table.add_row("drift", f"{alignment.drift_ppm:+.2f} ± {alignment.drift_deviation:.2f} ppm",
-                          "INS relative to CAN clock")
+            table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
+                          f"INS relative to CAN clock; standard deviation {alignment.drift_deviation:.2f} ppm")
             table.add_row(span, f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
@@ -108,10 +108,10 @@ def print_alignment(pair: "RawRun") -> None:
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
         table.add_column("signal")
-        for name in ("its offset minus the result, ms", "correlation", "residual / standard deviation"):
+        for name in ("its offset minus the result, ms (deviation)", "correlation", "residual / standard deviation"):
             table.add_column(name, justify="right")
         for row in alignment.signals:
-            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ± {row.deviation * 1e3:.2f}"
+            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({row.deviation * 1e3:.2f})"
             table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
         console.print(table)
 

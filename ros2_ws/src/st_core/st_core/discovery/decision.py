@@ -56,8 +56,8 @@ def judge(e: Evidence, limits: Limits) -> Reason:
                                      "standard_deviation": known.deviation, "z_score": z_score,
                                      "max_file_deviation": limits.max_file_deviation},
                       f"the best fit has {known.key} {_format_with_unit(known.at(change), known.unit)}, the vehicle "
-                      f"file {known.value:g} ± {_format_with_unit(known.deviation, known.unit)}: check the file; if it "
-                      "is correct, another cause has the same effect")
+                      f"file {known.value:g} (standard deviation {_format_with_unit(known.deviation, known.unit)}): "
+                      "check the file; if it is correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")

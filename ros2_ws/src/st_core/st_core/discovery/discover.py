@@ -258,8 +258,8 @@ class _Analysis:
         corrections = estimate_clock_corrections(runs, self.vehicle, self.space, self.settings, deviations,
                                                  self.threads, self._ticker("clocks"))
         self.clock_errors |= corrections
-        warning = (f"the steering clock has an uncertainty of ± {1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of "
-                   f"{len(runs)} runs")
+        warning = ("the offset of the steering clock has a standard deviation of up to "
+                   f"{1e3 * max(uncertain):.0f} ms, in {len(uncertain)} of {len(runs)} runs")
         if corrections:
             warning += (f"; the search corrects the clock of each run, by {1e3 * min(corrections.values()):.0f} to "
                         f"{1e3 * max(corrections.values()):.0f} ms. An error common to all runs")

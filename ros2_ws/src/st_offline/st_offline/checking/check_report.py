@@ -157,8 +157,8 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
-        f"found from the data (by {alignment['method']}, ± {1e3 * (alignment['offset_deviation_s'] or 0.0):.1f} ms, "
-        f"{alignment['verdict']})")
+        f"found from the data (by {alignment['method']}, standard deviation "
+        f"{1e3 * (alignment['offset_deviation_s'] or 0.0):.1f} ms, {alignment['verdict']})")
     return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_zone_note(alignment['offset_s'])}, {origin}"
 
 

@@ -164,7 +164,8 @@ def explain_effects(discovery: Discovery) -> list[str]:
         prior = next((a for a in discovery.assumed if a.key == definition.ratio_to), None)
         signs = [f"{to_words(p.name)}: {p.meaning}" for p in definition.parameters if p.fit and p.meaning]
         parts = (definition.physics, *signs,
-                 f"if the {prior.key} is {prior.value:.4g} ± {prior.deviation:.2g} {prior.unit}" if prior else "",
+                 f"if the {prior.key} is {prior.value:.4g} {prior.unit} (standard deviation {prior.deviation:.2g})"
+                 if prior else "",
                  f"identifiable only together with {', '.join(map(to_words, effect.joint))}: they compensate for each "
                  "other" if effect.joint else "")
         lines.append(f"{to_words(effect.name)}: {'; '.join(filter(None, parts))}")

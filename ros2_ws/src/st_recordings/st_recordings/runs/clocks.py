@@ -101,7 +101,8 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
         latency = delay, float(np.hypot(deviation, slip))
         return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
                 f"{NO_INS_FRAMES}: aligned by the vehicle or wheel speed with an assumed delay of "
-                f"{1e3 * latency[0]:.0f} ± {1e3 * latency[1]:.0f} ms (delay and slip are unknown)")
+                f"{1e3 * latency[0]:.0f} ms, standard deviation {1e3 * latency[1]:.0f} ms (delay and slip are "
+                "unknown)")
     steering = can.first_of("steering_wheel_angle")
     if steering is None:
         return [], ""

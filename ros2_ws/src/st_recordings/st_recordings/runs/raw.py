@@ -86,7 +86,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
         notes.append(f"{can.files[0]}: its clock was set, or it contains several drives; the {used:.1f} of "
                      f"{total:.1f} s ({100.0 * used / total:.0f} %) that match the INS recording are used")
     latency_source = "given" if settings.ins_can_latency or source.settings.get("ins_can_latency") else "assumed"
-    latency = "{:g} ± {:g} ms, ".format(*(1e3 * value for value in options["latency"])) + latency_source
+    delay, deviation = (1e3 * value for value in options["latency"])
+    latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
     return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
                   (*source.notes, *ins.warnings, *can.warnings, *faults, *notes))
