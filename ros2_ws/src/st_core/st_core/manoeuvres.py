@@ -110,6 +110,39 @@ class Manoeuvre:
         return np.array(times), np.array(speeds)
 
 
+def sweep(speed: float, lateral: float, duration: float = 26.0, pause: float = 4.0) -> Manoeuvre:
+    """Sine steering, 0.2 to 2.8 Hz within `duration` [s], then straight for `pause` [s]."""
+    return Manoeuvre("sweep", speed, lateral, SineSweep(0.2, 2.8, duration), duration + pause,
+                     description=f"sine steering 0.2 to 2.8 Hz at {speed:g} m/s")
+
+
+def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) -> Manoeuvre:
+    """Step steer to one side, then to the other, each held for `hold` [s] after driving straight for `pause` [s]."""
+    parts = ((pause, 0.0, 0.0), (hold, 1.0, 1.0), (pause, 0.0, 0.0), (hold, -1.0, -1.0))
+    return Manoeuvre("step", speed, lateral, PiecewiseLinear(parts), 2 * (hold + pause), repetitions=2,
+                     description=f"steps of steering to both sides at {speed:g} m/s")
+
+
+def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, pause: float = 4.0) -> Manoeuvre:
+    """Ramp steer within `up` [s], back within `down` [s], straight for `pause` [s]; then the same to the other side.
+
+    lateral [m/s^2]: more than the tyres can reach.
+    """
+    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (pause, 0.0, 0.0)),
+                     2 * (up + down + pause), description=f"steering slowly increased to the limit at {speed:g} m/s")
+
+
+def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
+                  acceleration: float = 2.0, driving: float = 6.0) -> Manoeuvre:
+    """Circle for `cruise` [s], `braking` [m/s^2] to `down_to` [m/s], then `acceleration` [m/s^2] for `driving` [s]."""
+    pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (driving, acceleration))
+    period = sum(seconds for seconds, _ in pedals)
+    constant = PiecewiseLinear(((period, 1.0, 1.0),))
+    return Manoeuvre("brake_in_turn", speed, lateral, constant, period, 2, pedals, closed_loop=True,
+                     description=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at "
+                                 f"{braking:g} m/s^2 with the steering wheel held")
+
+
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
     """Double lane change: 40 m straight, 3.5 m to the side, 25 m in the other lane, back, 35 m straight.
 
@@ -122,6 +155,26 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
     shape = PiecewiseLinear(tuple((length / speed, first, last) for length, first, last in parts))
     return Manoeuvre("lane_change", speed, lateral, shape, shape.duration, repetitions=2, closed_loop=True,
                      description=f"double lane changes at {speed:g} m/s")
+
+
+def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
+    """Sine steering at one frequency [Hz], for a number of waves."""
+    return Manoeuvre("slalom", speed, lateral, SineSweep(frequency, frequency, waves / frequency), waves / frequency,
+                     description=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
+
+
+def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
+    """Sine steering at 0.25 Hz with a small amplitude about the centre, for a number of waves."""
+    return Manoeuvre("weave", speed, lateral, SineSweep(0.25, 0.25, 4 * waves), 4 * waves,
+                     description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
+
+
+def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) -> Manoeuvre:
+    """Circle for `hold` [s] between ramps of `ramp` [s], then straight for 1 s; then the same to the other side."""
+    return Manoeuvre("circle", speed, lateral,
+                     _both_sides((ramp, 0.0, 1.0), (hold, 1.0, 1.0), (ramp, 1.0, 0.0), (1.0, 0.0, 0.0)),
+                     2 * (hold + 2 * ramp + 1.0), description=f"steady circles to both sides, {speed:g} m/s and "
+                                                          f"{abs(lateral):g} m/s^2, with the steering wheel held")
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
@@ -147,26 +200,15 @@ def _both_sides(*parts: tuple[float, float, float]) -> PiecewiseLinear:
     return PiecewiseLinear((*parts, *((length, -first, -last) for length, first, last in parts)))
 
 
-BRAKING_SPEED = math.sqrt(4.0 * 30.0)  # m/s, at 4 m/s^2 on a radius of 30 m
-BRAKING_PEDALS = ((8.0, 0.0), ((BRAKING_SPEED - 3.0) / 4.0, -4.0), (6.0, 2.0))  # to 3 m/s, then to the initial speed
-BRAKING_TIME = sum(seconds for seconds, _ in BRAKING_PEDALS)
 CATALOGUE = (
-    Manoeuvre("sweep", 14.0, 3.09, SineSweep(0.2, 2.8, 26.0), 30.0,
-              description="sine steering 0.2 to 2.8 Hz at 14 m/s"),
-    Manoeuvre("step", 12.0, 3.96, _both_sides((3.0, 0.0, 0.0), (4.0, 1.0, 1.0)), 14.0, repetitions=2,
-              description="steps of steering to both sides at 12 m/s"),
-    Manoeuvre("ramp_to_limit", 11.0, 15.2, _both_sides((25.0, 0.0, 1.0), (2.0, 1.0, 0.0), (4.0, 0.0, 0.0)), 62.0,
-              description="steering slowly increased to the limit at 11 m/s"),  # tyres cannot reach 15.2 m/s^2
-    Manoeuvre("brake_in_turn", BRAKING_SPEED, 4.0, PiecewiseLinear(((BRAKING_TIME, 1.0, 1.0),)), BRAKING_TIME, 2,
-              BRAKING_PEDALS, closed_loop=True,
-              description="R = 30 m at 4 m/s^2, braking at 4 m/s^2 with the steering wheel held"),
+    sweep(14.0, 3.09),
+    step(12.0, 3.96),
+    ramp_to_limit(11.0, 15.2),
+    brake_in_turn(math.sqrt(4.0 * 30.0), 4.0),
     lane_change(12.0, 4.48),
-    Manoeuvre("slalom", 12.0, 4.0, SineSweep(0.5, 0.5, 24.0), 24.0,
-              description="sine steering of 0.5 Hz to 4 m/s^2 at 12 m/s"),
-    Manoeuvre("weave", 14.0, 1.0, SineSweep(0.25, 0.25, 24.0), 24.0,
-              description="gentle sine steering of 0.25 Hz about the centre at 14 m/s"),
-    Manoeuvre("circle", 6.5, 3.6, _both_sides((2.0, 0.0, 1.0), (10.0, 1.0, 1.0), (2.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
-              30.0, description="steady circles to both sides, 6.5 m/s and 3.6 m/s^2, with the steering wheel held"),
+    slalom(12.0, 4.0),
+    weave(14.0, 1.0),
+    circle(6.5, 3.6),
     there_and_back(8.0, 3.0),
     figure_eight(),
 )

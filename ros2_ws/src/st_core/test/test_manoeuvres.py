@@ -57,6 +57,7 @@ def test_negative_lateral_acceleration_mirrors_the_manoeuvre():
         np.testing.assert_array_equal(mirrored.curvature(times(m)), -m.curvature(times(m)))
     left, right = manoeuvres.lane_change(12.0, 4.0), manoeuvres.lane_change(12.0, -4.0)
     assert left.period == right.period
+    assert manoeuvres.brake_in_turn(10.0, -4.0).speed_at(9.0) == manoeuvres.brake_in_turn(10.0, 4.0).speed_at(9.0)
 
 
 @pytest.mark.parametrize("name", ["step", "ramp_to_limit", "slalom", "weave", "circle", "S1"])
@@ -79,11 +80,12 @@ def test_piecewise_linear_and_sine_sweep():
 
 
 def test_braking_ends_at_the_given_speed_and_driving_restores_the_initial_one():
-    m = replace(BY_NAME["brake_in_turn"], speed=11.0, period=10.0, pedals=((2.0, 0.0), (2.0, -4.0), (6.0, 2.0)))
+    m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, acceleration=2.0, driving=6.0)
+    assert m.period == 10.0
     np.testing.assert_allclose(m.speed_at(np.array([0.0, 2.0, 3.0, 4.0, 5.0, 8.0, 9.9])), [11, 11, 7, 3, 5, 11, 11])
     np.testing.assert_allclose(m.acceleration_at(np.array([1.0, 2.1, 3.9, 4.1, 7.9, 8.1])), [0, -4, -4, 2, 2, 0],
                                atol=1e-9)
-    short = replace(m, period=5.0, pedals=((2.0, 0.0), (1.4, -4.0), (1.6, 2.5)))
+    short = manoeuvres.brake_in_turn(11.0, 4.0, 2.0, 4.0, 5.4, 2.5, 1.6)
     assert short.speed_at(short.period - 1e-9) == pytest.approx(9.4)
 
 

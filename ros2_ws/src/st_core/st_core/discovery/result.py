@@ -1,9 +1,10 @@
 """Result of a discovery, as plain data; `Discovery.document` is the body of discovery.json."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal, get_args
 
+import numpy as np
 from scipy import stats
 
 from ..augmented import AugmentedModel
@@ -339,10 +340,8 @@ class Discovery:
         return unseparated_combinations(self.combinations, self.effects)
 
     def document(self) -> dict[str, Any]:
-        """The body of discovery.json: only dicts, tuples, strings and numbers."""
-        no_models: dict[str, Any] = dict.fromkeys(MODELS)
-        content = asdict(replace(self, **no_models))
-        return {name: value for name, value in content.items() if name not in MODELS}
+        """The body of discovery.json: only dicts, lists, strings and numbers."""
+        return {f.name: plain_data(getattr(self, f.name)) for f in fields(self) if f.name not in MODELS}
 
 
 def unseparated_combinations(combinations: Sequence[Combination],
@@ -354,3 +353,14 @@ def unseparated_combinations(combinations: Sequence[Combination],
     delay = [c for c in unexplained if c.is_time]
     others = [c for c in unexplained if not c.is_time]
     return (*([c for c in others if "stiffness" in c.name] or others[:1]), *delay)
+
+
+def plain_data(value: Any) -> Any:
+    """Convert dataclasses, mappings, tuples and NumPy numbers to dicts, lists and numbers."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain_data(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain_data(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [plain_data(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
