@@ -34,7 +34,7 @@ def test_missing_duplicate_and_short_drives_are_rejected(identify, log, leaf):
 
 @pytest.mark.parametrize("identify", [identify_stiffness, fit_stiffness])
 def test_circle_has_too_little_excitation_for_stiffness(identify, circle, leaf):
-    with pytest.raises(IdentificationError, match=r"excitation: lateral acceleration: 1 of 11 bins .* Drive left and right turns"):
+    with pytest.raises(IdentificationError, match=r"lateral acceleration: 1 of 11 bins .* Drive left and right turns"):
         identify([circle], leaf)
 
 
