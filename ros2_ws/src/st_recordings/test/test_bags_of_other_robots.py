@@ -73,8 +73,9 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
             pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose(k), covariance=np.zeros(36)),
             twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist(k), covariance=np.zeros(36))),
         "/steer": lambda k: make("std_msgs/msg/Float64", data=float(wheel[k])),
-        "/vehicle/status/steering_status": lambda k: store.types["autoware_vehicle_msgs/msg/SteeringReport"](
-            stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k]))),
+        **dict.fromkeys(("/vehicle/status/steering_status", "/second/steering_status"), lambda k: store.types[
+            "autoware_vehicle_msgs/msg/SteeringReport"](
+            stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k])))),
         "/vehicle/status/velocity_status": lambda k: store.types["autoware_vehicle_msgs/msg/VelocityReport"](
             header=stamped(k), longitudinal_velocity=float(log.velocity_x[k]),
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
@@ -140,6 +141,8 @@ def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_
      "for example from robot_localization, or export"),
     (("/pose", "/twist", "/steer"), ReadSettings(), "recognised as road_wheel_angle .*; name the topic of the steering "
      "angle with --steering-topic; or record"),
+    (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status", "/second/steering_status"),
+     ReadSettings(), "may each contain the road_wheel_angle; name the right one with --steering-topic"),
     (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),
     (("/odom", "/vehicle/status/steering_status"), ReadSettings(), "no message of type st_msgs/msg/Steering; .*, or "
      "name the topic of the steering angle with --steering-topic")])

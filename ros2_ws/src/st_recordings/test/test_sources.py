@@ -156,6 +156,8 @@ def test_drive_that_is_named_alone_is_read_as_its_run_file_says(tmp_path: Path) 
     for given in ([drive], [drive, file], [tmp_path / "b.csv", drive]):
         (run,) = [run for run in find_runs(given) if drive in run.files]
         assert run.run_file == file and run.settings["leave_out"]
+    others = touch(tmp_path, "c.ncom", "c.blf")
+    assert {run.run_file for run in find_runs([drive, *others]) if drive in run.files} == {file}
     touch(tmp_path, "a.run.yaml", content="csv: [a.csv, b.csv]\n")
     (run,) = find_runs([drive])
     assert run.run_file is None and run.files == (drive,)

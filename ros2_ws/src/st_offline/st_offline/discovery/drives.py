@@ -112,7 +112,10 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         run = read(source, vehicle, settings)
         checked = check_log(run.log, vehicle, run.auxiliary)
         recorded = recorded_configuration(run.provenance.get("recorded", {})).vehicle if source.kind == "bag" else None
-        car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
+        try:
+            car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
+        except StCoreError:
+            car = ""  # an earlier version allowed other values; only its name is needed
         metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
                     "alignment": run.alignment.verdict.value,
                     "clock_deviation_s": json_ready(run.alignment.offset_deviation),

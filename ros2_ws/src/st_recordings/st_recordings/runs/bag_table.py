@@ -39,6 +39,10 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         parts = [(name, stamps, {column: values for column, values in part.items() if column not in (
             ROAD_WHEEL, STEERING_WHEEL)}) for name, stamps, part in parts]
         parts.append((topic.name, columns["header.stamp"], {channel: columns[ROAD_WHEEL]}))
+    for channel in (ROAD_WHEEL, STEERING_WHEEL):
+        if len(topics := [name for name, _, part in parts if channel in part]) > 1:
+            raise RunError(path, f"topics {' and '.join(topics)} may each contain the {channel}",
+                           "name the right one with --steering-topic")
     if max(stamps.min() for _, stamps, _ in parts) > min(stamps.max() for _, stamps, _ in parts):
         parts = [(name, storage.read_log_times(name, stamps), part) for name, stamps, part in parts]
         warnings.append(f"{path}: the stamps of its topics do not overlap in time; the times of reception are used")

@@ -197,6 +197,7 @@ def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
     joined = np.full((len(all_times), len(names)), np.nan)
     for group, times, (start, end) in zip(groups, group_times, pairwise([*starts, len(names)]), strict=True):
         joined[np.searchsorted(all_times, times), start:end] = group[:, start:end]
+    joined[np.searchsorted(all_times, group_times[0]), :time] = groups[0][:, :time]
     joined[:, time] = all_times
     return joined
 

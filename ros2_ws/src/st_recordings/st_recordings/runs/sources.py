@@ -65,8 +65,9 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
         loose = [f for f in loose if not _is_document(f)] or loose
     described = [run for path in loose if (run := _find_described_run(path)) is not None]
     undescribed = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
-    if any(f.suffix.lower() in CAN_EXTENSIONS for f in undescribed):  # CAN logs that `each` does not describe
-        described, undescribed = [], loose
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in undescribed):  # CAN logs that no run.yaml describes
+        described = [run for run in described if not run.can]
+        undescribed = [f for f in loose if not any(f in run.files for run in described)]
     described = [run for run in described if run not in runs]  # its run.yaml is listed, too
     return _assign_distinct_names([*runs, *described, *_group_files(undescribed, given=True)])
 
