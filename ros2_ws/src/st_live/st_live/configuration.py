@@ -85,7 +85,9 @@ def make_replay_parameters(folder: Path, vehicle: Path, recorded: RecordedConfig
     """
     model_file = {"model_file": str(model)} if model else {}
     common = {"vehicle_file": str(vehicle), "use_sim_time": True, **model_file}
-    nodes = {node: {**recorded.nodes.get(node, {}), **common} for node in ("predictor", "evaluator")}
+    nodes = {node: {**{name: value for name, value in recorded.nodes.get(node, {}).items()
+                       if name != "number_when_taken"},  # older name of number_if_exists
+                    **common} for node in ("predictor", "evaluator")}
     merged = merge_parameters(config("nodes.yaml"), {
         # The files named in the recording may have moved or changed; `set_bands_and_course` sets those of this run.
         "predictor": {**nodes["predictor"], "bands_file": "", "course_file": ""},
