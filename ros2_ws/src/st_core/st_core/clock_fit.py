@@ -115,7 +115,7 @@ class Fit:
     offset: float  # s
     drift: float  # s/s
     offset_deviation: float  # standard deviation [s]; inf if the signals have no motion in common
-    drift_deviation: float  # standard deviation [s/s]
+    drift_deviation: float  # standard deviation [s/s]; inf like offset_deviation
     residual: tuple[float, ...]  # of each signal, RMS divided by the standard deviation of the signal
     correlation: tuple[float, ...]  # of each signal
 
@@ -128,7 +128,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
-    independent residuals. The curvature is the product of the slopes of both recordings, in which their noise cancels.
+    independent residuals and a reference without noise. The curvature is the product of the slopes of both recordings,
+    in which their noise cancels.
     A weak prior (100 ppm) limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the
     signals do not vary.
     """
