@@ -153,6 +153,13 @@ def test_bag_that_lacks_a_quantity_is_refused(tmp_path: Path, drive_log: DriveLo
         read(source, CAR, settings)
 
 
+def test_bag_without_odometry_is_found_next_to_other_runs(tmp_path: Path, drive_log: DriveLog) -> None:
+    write(tmp_path / "ins_driver", drive_log, "/imu/data", "/fix", "/twist", "/steer")
+    write(tmp_path / "odometry", drive_log, "/odom", "/steer")
+    write(tmp_path / "imu_only", drive_log, "/imu/data", "/steer")
+    assert [run.name for run in find_runs([tmp_path])] == ["ins_driver", "odometry"]
+
+
 @pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/imu/data", "/fix", "/twist", "/steer")])
 def test_bag_of_ros_1_is_read(tmp_path: Path, drive_log: DriveLog, topics) -> None:
     file = write_ros1(tmp_path / "drive.bag", drive_log, *topics)

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from st_core.log import INS_SIGNALS
 from st_core.vehicle import VehicleParameters
 
 from .bag_storage import Storage, Topic, open_bag
 from .cdr import ODOMETRY, CdrLayout
 from .columns import Layout, find_columns
-from .csv import ROAD_WHEEL, STEERING_WHEEL, build_drive
+from .csv import ROAD_WHEEL, STEERING_WHEEL, build_drive, find_missing_channels
 from .csv_table import parse_table
 from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
@@ -59,21 +60,39 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
                        f"--steering-topic; or {ADVICE}") from None
 
 
-def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp."""
+def has_ins_channels(path: Path) -> bool:
+    """Whether the messages of a bag contain every INS channel of a drive, or channels from which it can be derived."""
+    try:
+        storage = open_bag(path)
+        storage.use_definitions({topic.type_name for topic in storage.topics})
+        found = [_find_fields(storage, topic)[1] for topic in storage.topics]
+    except RunError:
+        return False
+    return not find_missing_channels({channel for fields in found for channel in fields}, (), INS_SIGNALS)
+
+
+def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[str, str]]]:
+    """(field with the stamp, channel -> (name of its column, field)) of the first message of a topic; no channels if
+    the type is unknown or has no stamp."""
     try:
         example = storage.store.deserialize_cdr(next(storage.messages(topic.name)), topic.type_name)
         layout = CdrLayout(storage.store, topic.type_name, example)
     except Exception:  # any, from rosbags
-        return np.empty(0), {}
+        return "", {}
     paths = [path for path, field in layout.fields.items() if field.count == 1]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
-    found = {channel: source.column for channel, source in find_columns(storage.path, names, Layout()).items()}
-    found.pop("t", None)
+    found = {channel: (names[source.column], paths[source.column])
+             for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}
     stamp = next((path for path in STAMPS if path in layout.fields), "")
-    if not found or not stamp:
+    return stamp, found if stamp else {}
+
+
+def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp."""
+    stamp, found = _find_fields(storage, topic)
+    if not found:
         return np.empty(0), {}
-    columns = storage.read_fields(topic, [stamp, *(paths[column] for column in found.values())])
+    columns = storage.read_fields(topic, [stamp, *(field for _, field in found.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
-    return stamps, {channel if channel in (ROAD_WHEEL, STEERING_WHEEL) else names[column]: columns[paths[column]]
-                    for channel, column in found.items()}
+    return stamps, {channel if channel in (ROAD_WHEEL, STEERING_WHEEL) else name: columns[field]
+                    for channel, (name, field) in found.items()}

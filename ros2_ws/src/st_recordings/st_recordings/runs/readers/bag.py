@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 from st_core.vehicle import VehicleParameters
 
@@ -33,5 +34,14 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
     return bag.read_odometry(source.where, settings.odometry, source.files)
 
 
+def has_drive(path: Path) -> bool:
+    """Whether a bag may contain a drive: with odometry, or without it as a table of other messages."""
+    if bag.has_odometry(path):
+        return True
+    from ..bag_table import has_ins_channels
+
+    return bag.lacks_odometry(path) and has_ins_channels(path)
+
+
 register(Reader("bag", "bag", (*EXTENSIONS, ROS1_EXTENSION), read, read_ins, is_folder=bag.is_bag,
-                has_drive=bag.has_odometry, lacks_steering=bag.lacks_steering))
+                has_drive=has_drive, lacks_steering=bag.lacks_steering))
