@@ -25,10 +25,6 @@ for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evalua
     app.command(**COMMAND_OPTIONS.get(verb, {}))(verb)
 
 
-# A full or read-only disk is reported in one line, without a traceback.
-DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-
-
 def main() -> None:
     if os.environ.get(suite.DISCOVERY_RANGE, "LOCALHOST") == "LOCALHOST":  # unless the user set another range
         os.environ.update(suite.make_loopback_environment(os.environ))
@@ -44,7 +40,7 @@ def main() -> None:
               file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        if error.errno not in DISK_ERRORS:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
             raise
         print(f"st: {error.filename or 'output'}: {error.strerror}; free some space or choose another --output",
               file=sys.stderr)

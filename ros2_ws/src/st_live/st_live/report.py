@@ -1,5 +1,6 @@
 """Reports the results of a run: summary.json, paths.png, the table in the terminal, and the exit status."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.markup import escape
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE, RC
-from st_recordings.results import Results, format_band_lines, read_results, summarise, write_summary
+from st_recordings.paths import replace_file
+from st_recordings.results import Results, format_band_lines, read_results, summarise
 from st_recordings.runs.errors import RunError
 
 from .node import TABLE_MODES, make_error_table
@@ -40,7 +42,7 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
             console.out(error, style="red", highlight=False)
             return 1
         summary = summarise(results, {**extra, "exit_statuses": outcome.statuses})
-        write_summary(folder / "summary.json", summary)
+        replace_file(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
         draw_paths(results, f"{extra['what']}: {make_headline(summary)}", folder / "paths.png")
     title = f"{extra['what']}: mean error over each horizon, at the INS point"
     console.print(make_error_table(summary["models"], title))

@@ -56,10 +56,9 @@ def load_car(text: str) -> Car:
                        f"known cars are {', '.join(list_cars())}; or name the folder of a car")
     file = folder / "car.yaml"
     table = read_yaml_mapping(file) if file.exists() else {}
-    unknown = set(table) - set(STEERING_DEFAULTS)
-    if unknown:
-        raise RunError(file, f"{', '.join(sorted(unknown))}: unknown", f"known keys are {', '.join(STEERING_DEFAULTS)}")
-    values = {**STEERING_DEFAULTS, **table}
+    if unknown := sorted(table.keys() - STEERING_DEFAULTS.keys()):
+        raise RunError(file, f"{', '.join(unknown)}: unknown", f"known keys are {', '.join(STEERING_DEFAULTS)}")
+    values = STEERING_DEFAULTS | table
     if isinstance(values["steering_sign"], bool) or values["steering_sign"] not in (1, -1):
         raise RunError(file, f"steering_sign: {values['steering_sign']!r} is neither 1 nor -1")
     latency = values["steering_latency"]

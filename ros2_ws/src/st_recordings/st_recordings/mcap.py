@@ -32,7 +32,7 @@ CHUNK_SIZE = 1024 * 1024
 FLUSH_PERIOD = 0.5
 """Period [s] of writes. A killed process loses up to 1 s of data: this period and the delay of flush_when_due."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors of writing the index after which the newest chunks are dropped until it fits; after others, all are kept."""
+"""Errors when writing the index for which the newest chunks are dropped until it fits; for others, all are kept."""
 SHORTEST_SYNC_PERIOD = 0.25
 """Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -42,10 +42,10 @@ _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
 class BagWriter:
     """Writes one bag.
 
-    message_count: number of messages, with those not yet written to the file. syncer: synchronises file and disk; None
-    if not requested. A full or failing disk does not raise an error: the bag is closed after its last complete chunk,
-    `error` gives the reason, and messages that are not in the file are counted in `lost`. If the directory is renamed
-    or deleted, the file is closed with its index, `error` reports this, and `moved` is set.
+    message_count: number of messages, including those not yet written to the file. syncer: synchronises file and disk;
+    None if not requested. A full or failing disk does not raise an error: the bag is closed after its last complete
+    chunk, `error` gives the reason, and `lost` counts the messages that are not in the file. If the directory is
+    renamed or deleted, the file is closed with its index, `error` reports this, and `moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -268,7 +268,7 @@ class Syncer:
     power failure then loses only the last data of the file.
 
     error: text of the last error, or empty. It is never cleared, because data of a failed call may be missing even if
-    later calls succeed. count: number of calls, with failed ones. longest: duration of the slowest call [s].
+    later calls succeed. count: number of calls, including failed ones. longest: duration of the slowest call [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):

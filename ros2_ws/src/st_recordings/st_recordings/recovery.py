@@ -28,7 +28,7 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """A file cannot be recovered and is unchanged; files before it may be repaired. The text is one line."""
+    """A file cannot be recovered and is unchanged; earlier files of the bag may be repaired. The text is one line."""
 
 
 @dataclass

@@ -1,7 +1,6 @@
-"""Reads the configuration, predictions, scores and other results that live nodes recorded, and writes summary.json."""
+"""Reads the configuration, predictions, scores and other results that live nodes recorded, and summarises them."""
 
 import importlib.metadata
-import json
 import platform
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from st_core.evaluation import Statistic
 from st_core.vehicle import VehicleParameters
 
 from .car import read_vehicle
-from .paths import config, json_ready, replace_file, source_version
+from .paths import config, json_ready, source_version
 from .runs.bag_storage import Storage, open_bag, recorded_parameters, recorded_text
 from .runs.cdr import get_field
 from .runs.errors import RunError
@@ -94,9 +93,9 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class MeanErrors:
-    """Scores (n,) of one model and mode, in order of their start times.
+    """Mean errors over each horizon (n,) of one model and mode, in order of the start times.
 
-    longitudinal, lateral [m], yaw [rad]: means over the horizon, NaN where the score is not complete.
+    longitudinal, lateral [m], yaw [rad]: NaN where the score is not complete.
     """
 
     start_ns: np.ndarray
@@ -301,11 +300,6 @@ def _summarise_errors(scores: MeanErrors | None) -> dict[str, Any]:
             statistic.add(getattr(scores, axis)[complete])
         result[axis] = {k: json_ready(getattr(statistic, k)) for k in ("mean", "max", "rmse")}
     return result
-
-
-def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    """Writes summary.json. Raises OSError."""
-    replace_file(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
 def collect_versions() -> dict[str, str]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from ros_messages import STORE, definition, header, odometry, serialise
 from st_recordings.mcap import BagWriter
-from st_recordings.results import DRAWN_STARTS, read_results, summarise, write_summary
+from st_recordings.paths import replace_file
+from st_recordings.results import DRAWN_STARTS, read_results, summarise
 from st_recordings.runs.errors import RunError
 
 ERROR, STATUS, ODOMETRY = "st_msgs/msg/PredictionError", "st_msgs/msg/PredictorStatus", "nav_msgs/msg/Odometry"
@@ -110,16 +111,16 @@ def test_truncated_recording_is_refused(run_folder: Path) -> None:
         read_results(run_folder)
 
 
-def test_failed_write_leaves_the_previous_summary(tmp_path: Path) -> None:
+def test_failed_write_leaves_the_previous_file(tmp_path: Path) -> None:
     file = tmp_path / "summary.json"
-    write_summary(file, {"ticks": 1})
+    replace_file(file, "{}")
     before = file.read_text()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
     try:
         with pytest.raises(OSError):
-            write_summary(file, {"ticks": "x" * 1000})
+            replace_file(file, "x" * 1000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_text() == before and list(tmp_path.iterdir()) == [file]

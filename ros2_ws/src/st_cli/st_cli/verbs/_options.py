@@ -32,7 +32,7 @@ def _check_sign(value: int | None) -> int | None:
 
 
 def in_range(minimum: float, unit: str, maximum: float = math.inf) -> Callable[[float | None], float | None]:
-    """Callback of an optional number; typer's own message about a number out of range has no unit."""
+    """Callback that rejects a number outside the range; its message has the unit, which typer's own lacks."""
     def check(value: float | None) -> float | None:
         if value is not None and not minimum <= value <= maximum:
             limit = f"above the maximum of {maximum:g}" if value > maximum else f"below the minimum of {minimum:g}"
@@ -73,7 +73,7 @@ def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """The parts of a text between commas, without spaces around them; empty parts are ignored."""
+    """Splits a list of names at its commas; removes spaces around the names, and empty names."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
@@ -92,11 +92,11 @@ class ReadOptions:
     signals: Annotated[Path | None, typer.Option(
         help="Signal table for the DBC; default: that of --car, else that of the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
-        callback=_check_sign, help="1 if the sensor, as decoded by DBC and table, is positive to the left; -1: to the "
-        "right. Default that of --car, else 1; live: else that of config/nodes.yaml.")] = None
+        callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table, is positive to the left, "
+        "-1 if to the right. Default: that of --car, else 1; live: else that of config/nodes.yaml.")] = None
     steering_latency: Annotated[float | None, typer.Option(
-        callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s; default "
-        "that of --car, else 0; live: else that of config/nodes.yaml.")] = None
+        callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
+        "Default: that of --car, else 0; live: else that of config/nodes.yaml.")] = None
     steering_topic: Annotated[str | None, typer.Option(
         help="Bags of other recorders: the topic with the steering angle, of any type defined in the bag. Default: the "
         "one of type st_msgs/Steering.")] = None
@@ -199,9 +199,10 @@ BAG_INPUTS = ("car", "vehicle", "steering_sign", "steering_topic", "steering_fie
 
 
 def expand_options(group: type, *names: str, **annotations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator for a command: one option per field replaces its parameter of type `group` (a dataclass).
+    """Decorator that replaces the parameter of type `group`, a dataclass, of a command by one option per field.
 
-    names: fields to use, default all. annotations: those that differ from `group`. Similar warnings are grouped.
+    names: fields to use, default all. annotations: by field, if they differ from those in `group`. The decorated
+    command also groups similar warnings.
     """
     used_fields = [f for f in fields(group) if not names or f.name in names]
 

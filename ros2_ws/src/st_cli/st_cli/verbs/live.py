@@ -17,7 +17,6 @@ SCENARIOS = ("S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, 
 def demo(
     scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
     drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", **shared.FILE),
-    # No --car: DBC, table and steering on these buses are always those of the virtual Leaf.
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
         **shared.FILE),

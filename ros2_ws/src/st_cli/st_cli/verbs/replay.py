@@ -121,14 +121,14 @@ def foxglove(
 
     with shared.report_errors("foxglove"):
         car = resolve_vehicle_file(vehicle)
-        domain = read_domain_id() if domain is None else domain
+        domain = (read_domain_id() if domain is None else domain) or 0
         markers = merge_parameters(config("nodes.yaml"), {"markers": {"vehicle_file": str(car)}})["markers"]
         with tempfile.TemporaryDirectory(prefix="st-foxglove-") as name, \
-                Suite(Path(name), {"markers": markers}, domain or 0) as suite:
+                Suite(Path(name), {"markers": markers}, domain) as suite:
             relay = [sys.executable, "-m", "st_live.nodes.relay", "--host", host, "--port", str(port)]
             suite.start("foxglove_relay", relay)
             suite.start_node("st_predictor", "markers")
-            shared.console.print(f"ws://{host}:{port} relays ROS domain {domain or 0}; layout: "
+            shared.console.print(f"ws://{host}:{port} relays ROS domain {domain}; layout: "
                                  "config/foxglove/st.json; Ctrl-C ends it", highlight=False, soft_wrap=True)
             try:
                 while True:
