@@ -81,15 +81,15 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
 
 
-def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0) -> Path:
-    """stamp_offset_ns: stamps minus times of reception."""
+def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, rows: slice = slice(None)) -> Path:
+    """stamp_offset_ns: stamps minus times of reception. rows: of the log."""
     store = make_store(Stores.ROS2_JAZZY, AUTOWARE)
     messages = make_messages(log, store, stamp_offset_ns)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic in topics:
             kind = messages[topic](0).__msgtype__
             connection = writer.add_connection(topic, kind, typestore=store)
-            for k, time_ns in enumerate(log.ins_time_ns.tolist()):
+            for k, time_ns in [*enumerate(log.ins_time_ns.tolist())][rows]:
                 writer.write(connection, time_ns, store.serialize_cdr(messages[topic](k), kind))
     return folder
 
@@ -158,6 +158,20 @@ def test_bag_without_odometry_is_found_next_to_other_runs(tmp_path: Path, drive_
     write(tmp_path / "odometry", drive_log, "/odom", "/steer")
     write(tmp_path / "imu_only", drive_log, "/imu/data", "/steer")
     assert [run.name for run in find_runs([tmp_path])] == ["ins_driver", "odometry"]
+
+
+def test_split_bag_whose_first_file_has_no_odometry_is_read(tmp_path: Path, drive_log: DriveLog) -> None:
+    """The INS was switched on after the recorder."""
+    first, folder = slice(0, 500), tmp_path / "splits"
+    folder.mkdir()
+    for number, topics, rows in ((0, ("/steer",), first), (1, ("/odom", "/steer"), slice(first.stop, None))):
+        bag = write(tmp_path / f"part_{number}", drive_log, *topics, rows=rows)
+        (bag / f"{bag.name}.mcap").rename(folder / f"drive_{number}.mcap")
+    for given in ([folder], sorted(folder.iterdir())):
+        (source,) = find_runs(given)
+        assert [file.name for file in source.files] == ["drive_0.mcap", "drive_1.mcap"]
+        log = read(source, CAR, STEER).log
+        np.testing.assert_allclose(log.velocity_x, drive_log.velocity_x[first.stop:], atol=2e-4)
 
 
 @pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/imu/data", "/fix", "/twist", "/steer")])

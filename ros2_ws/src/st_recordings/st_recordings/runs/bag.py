@@ -62,9 +62,9 @@ def has_odometry(path: Path) -> bool:
     return ODOMETRY in types or (NCOM in types and bool(types & {STEERING, CAN_FRAMES}))
 
 
-def lacks_odometry(path: Path) -> bool:
-    """Whether a bag contains messages, but neither odometry nor INS packets."""
-    types = _read_types(path)
+def lacks_odometry(path: Path, files: Sequence[Path] = ()) -> bool:
+    """Whether a bag contains messages, but neither odometry nor INS packets. files: see `open_bag`."""
+    types = _read_types(path, files)
     return bool(types) and not types & {ODOMETRY, NCOM}
 
 
@@ -74,9 +74,10 @@ def lacks_steering(path: Path) -> bool:
     return ODOMETRY in types and not types & {STEERING, CAN_FRAMES}
 
 
-def may_need_can_frames(path: Path) -> bool:
-    """Whether the steering of a bag may be in its own CAN frames (can_msgs/Frame), recorded by another bridge."""
-    types = _read_types(path)
+def may_need_can_frames(path: Path, files: Sequence[Path] = ()) -> bool:
+    """Whether the steering of a bag may be in its own CAN frames (can_msgs/Frame), recorded by another bridge. files:
+    see `open_bag`."""
+    types = _read_types(path, files)
     return types >= {ODOMETRY, CAN_MSGS_FRAME} and not types & {STEERING, CAN_FRAMES}
 
 
@@ -87,10 +88,10 @@ def may_carry_steering(topic: Topic) -> bool:
         topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
 
-def _read_types(path: Path) -> set[str]:
-    """Types of the recorded messages; empty for a bag that cannot be read."""
+def _read_types(path: Path, files: Sequence[Path] = ()) -> set[str]:
+    """Types of the recorded messages; empty for a bag that cannot be read. files: see `open_bag`."""
     try:
-        return {*open_bag(path).by_type}
+        return {*open_bag(path, files).by_type}
     except RunError:
         return set()
 

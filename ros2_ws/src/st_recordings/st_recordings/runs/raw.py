@@ -213,7 +213,7 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         if run.problem is not None:
             raise run.problem
     if [run.kind for run in runs] == ["bag"] and not runs[0].can:
-        if may_need_can_frames(runs[0].where) and (settings.search or settings.offset is not None):
+        if may_need_can_frames(runs[0].where, runs[0].files) and (settings.search or settings.offset is not None):
             return runs[0]
         raise RunError(runs[0].where, "all its messages are on one clock, so there is nothing to align")
     raw = [run for run in runs if run.can]

@@ -118,7 +118,12 @@ def _search_folder(folder: Path) -> list[RunSource]:
     # A run of `each` may be a part of a recording that another run.yaml describes.
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
     loose = [path for path in files if path not in used or path.is_dir()]
-    return runs + _group_files([path for path in loose if _may_be_in_a_run(path, files)], given=False)
+    usable = {path for path in loose if _may_be_in_a_run(path, files)}
+    # A file of a split bag may lack odometry, for example if the INS was switched on later.
+    bags = [path for path in loose if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]
+    for group in _group_split_bags(bags):
+        usable.update(group if usable.intersection(group) else ())
+    return runs + _group_files([path for path in loose if path in usable], given=False)
 
 
 def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:

@@ -15,11 +15,11 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
-    if steering is None and any(map(bag.may_need_can_frames, source.files)):
+    if steering is None and bag.may_need_can_frames(source.where, source.files):
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
-    if settings.odometry is None and bag.lacks_odometry(source.where):
+    if settings.odometry is None and bag.lacks_odometry(source.where, source.files):
         from ..bag_table import read_bag_as_table
 
         if (run := read_bag_as_table(source.where, vehicle, steering, source.files)) is not None:
