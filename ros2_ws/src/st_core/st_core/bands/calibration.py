@@ -1,4 +1,4 @@
-"""Calibration of the band of one model and mode from runs: first the scale of its errors, then the conformal factors.
+"""Calibration of the band of one model and mode: first the scale of its errors, then the conformal factors.
 
 Runs are assumed exchangeable. The windows (predictions) of one run are not, because they overlap. One window drawn at
 random from each of n runs, and one from a future run, have n + 1 exchangeable scores. For any distribution of the
@@ -88,7 +88,7 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
                 raise NotFiniteError(f"errors of {pair[0]} are not finite, first for the start at {first:.1f} s, "
                                      "though all inputs were measured: correct the model or use a shorter --step")
             curves_of.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
-    scored_starts = np.concatenate(scored) if scored else starts[:0]
+    scored_starts = np.concatenate([starts[:0], *scored])
     if not len(scored_starts):
         raise StCoreError(f"no prediction has a completely measured horizon of {horizon:g} s; leave the run out")
     return ErrorSamples(log.name, conditions_at(signals, scored_starts),
@@ -103,15 +103,15 @@ def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
 
 def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.ndarray,
                  settings: EvaluationSettings) -> np.ndarray:
-    """Mask (n,) of starts with a completely measured horizon, also after the models' own corrections of the drive."""
+    """Mask (n,) of starts with a completely measured horizon, in the recorded drive and as each model corrects it."""
     measured = np.ones(len(starts_ns), bool)
     times = starts_ns[:, None] + half_step_grid(0, settings.prediction.steps, settings.prediction.step)
-    own_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
-    for log in {id(log): log for log in (signals.log, *own_logs)}.values():
-        own = signals if log is signals.log else signals.for_log(log)
-        state, = own.ins_at(starts_ns, "x")
-        acceleration, = own.ins_at(times, "velocity_x_dot")
-        angle = own.road_wheel_angle_at(times)
+    corrected_logs = [correct_log(model, signals.log, signals.maximum_gap) for model in models]
+    for log in {id(log): log for log in (signals.log, *corrected_logs)}.values():
+        drive = signals if log is signals.log else signals.for_log(log)
+        state, = drive.ins_at(starts_ns, "x")
+        acceleration, = drive.ins_at(times, "velocity_x_dot")
+        angle = drive.road_wheel_angle_at(times)
         measured &= np.isfinite(state) & np.isfinite(angle).all(axis=1) & np.isfinite(acceleration).all(axis=1)
     return measured
 
@@ -120,17 +120,17 @@ ROUNDING = 1.0e-9  # tolerance for rounding errors of levels
 
 
 def compute_highest_level(runs: int) -> float:
-    """The highest level that this number of runs supports, n/(n + 1) [1]."""
+    """Highest level that a number of runs supports, n/(n + 1) [1]."""
     return runs / (runs + 1.0)
 
 
 def count_runs_needed(level: float) -> int:
-    """Minimum number of runs that support a level in (0, 1): the smallest n with n/(n + 1) >= level."""
+    """Smallest number n of runs that supports a level in (0, 1): n/(n + 1) >= level."""
     return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
-    """Raises a one-line StCoreError for 0 runs, or a level outside (0, 1) or above the highest that they support."""
+    """Raises a one-line StCoreError for 0 runs, or a level outside (0, 1) or above the highest supported level."""
     if not runs:
         raise StCoreError("no usable run to calibrate bands with")
     for level in levels:
@@ -196,7 +196,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
     too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) ahead [s].
-    Raises a one-line StCoreError for too few runs with common conditions, as `check_levels`, and for errors not finite.
+    Raises a one-line StCoreError for too few runs with common conditions, for a level as `check_levels`, and for errors
+    that are not finite.
     """
     check_levels(levels, len(runs))
     if len(runs) < MIN_CALIBRATION_RUNS:
@@ -209,7 +210,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
         scale, domain = _fit_scale_of(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
-        for run in (runs[number] for number in group):
+        for number in group:
+            run = runs[number]
             rows = domain.contains(run.conditions)
             if rows.any():
                 ratio = np.abs(run.errors[pair][rows]) / scale(run.conditions[rows])

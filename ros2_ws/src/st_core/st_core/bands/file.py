@@ -1,4 +1,4 @@
-"""The file bands.yaml: the bands of one car, its models and one configuration, with the recordings used.
+"""The file bands.yaml: the bands of one car, by model and mode, with their settings and the recordings used.
 
     schema: 2
     units: "..."                                         text for the reader; not part of the hash
@@ -168,7 +168,7 @@ def hash_configuration(vehicle: VehicleParameters, settings: Mapping[str, Any], 
 
 
 def _to_flow(value: Any) -> str:
-    """A value as JSON, which is valid YAML; floats have a decimal point, since YAML reads 1e-05 as text."""
+    """A value in YAML flow style; floats have a decimal point, since YAML reads 1e-05 as text."""
     if isinstance(value, float):
         return format_number(value)
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Bands while driving: half-widths from the conditions at the start, their adaptation to scores, and their coverage.
+"""Live bands: half-widths under the conditions at the start, their adaptation to scores, and their coverage.
 
 A sequential test detects coverage significantly below the nominal level p; the alternative is q = ALTERNATIVE_RATIO p.
 Each scored window contributes its log likelihood ratio:
@@ -30,10 +30,10 @@ from .calibration import LEVELS, Band, ModelMode, to_predicted_frame
 from .file import Bands
 from .scale import MAX_LOG_SCALE, activity_instants, compute_magnitudes, compute_scalar_features, steering_activity
 
-GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; bands are 5 % wider than with the best constant factor
+GAIN, START_GAIN, SETTLING_TIME = 0.1, 0.3, 30.0  # 1/s, 1/s, s; 5 % wider bands than with the best constant factor
 MIN_FACTOR, MAX_FACTOR = 0.05, 100.0  # 1; far below and above calibrated factors
 DEFAULT_FACTORS = {0.5: 1.6, 0.9: 3.0}  # median and 90 % quantile of the largest of 300 correlated normal errors
-SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors, which contains most manoeuvres on a road
+SCALE_FORGETTING = 120.0  # s; averaging time of the squared errors; long enough for most manoeuvres on a road
 DEFAULT_SCALE = (0.3, 0.3, 0.02)  # m, m, rad at 1 s ahead, proportional to the squared time; errors soon replace it
 WARM_UP = 120.0  # s of scored driving before a band without a calibration is issued
 PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
@@ -106,9 +106,10 @@ class AdaptiveBand:
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Correct the factors, and a scale estimated from the run, by errors (points, 3) [m, m, rad] in the predicted
-        frame. Call in order of time. Returns, by level, whether the whole path was inside; empty without `issue` for
-        this start, or with an error that is not finite.
+        """Whether the whole path was inside, by level; empty without `issue` for this start, or for errors not finite.
+
+        Updates the factors, and the scale if it is estimated from the run. Call in order of time. errors: (points, 3)
+        [m, m, rad] in the predicted frame.
         """
         while self._issued and self._issued[0][0] < start_ns:
             self._issued.popleft()
@@ -124,7 +125,7 @@ class AdaptiveBand:
         for level, issued in factors.items():
             updated = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
-        if self._band is None:  # the running mean square of the errors, forgotten after SCALE_FORGETTING
+        if self._band is None:  # exponentially weighted mean square of the errors
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
             fraction = weight / (self._weight + PRIOR_WEIGHT)
             self._squares += fraction * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
@@ -236,9 +237,9 @@ class AdaptiveBands:
         return min(band.remaining_warm_up for (_, mode), band in self._bands.items() if mode == "forecast")
 
     def issue(self, start_ns: int, condition: Sequence[float], modes: Iterable[str]) -> tuple[set[ModelMode], str]:
-        """Update `half_widths` for predictions of these modes from start_ns. condition: from `conditions_now`.
+        """((model, mode) pairs with a band, reason if calibrated pairs have none) for predictions from start_ns.
 
-        Returns the (model, mode) pairs with a band, and the one-line reason if calibrated pairs have none.
+        Updates `half_widths` for these modes. condition: from `conditions_now`.
         """
         reason = ""
         if self._calibrated and not self._calibrated.update(condition):

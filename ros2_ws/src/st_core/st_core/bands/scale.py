@@ -86,7 +86,7 @@ def find_bins(conditions: np.ndarray, name: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDomain:
-    """Conditions with enough calibration runs: cells of speed and lateral acceleration, and limits of the others."""
+    """Conditions with enough calibration runs: cells of speed and lateral acceleration, and two upper limits."""
 
     starts: np.ndarray  # number by (speed, lateral acceleration) bin, 0 if fewer than MIN_RUNS_IN_CELL had MIN_STARTS
     largest: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
@@ -196,8 +196,10 @@ class Scale:
 
 
 def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], time: np.ndarray) -> Scale:
-    """Scale of the errors of several runs. conditions, errors: (n, 4) and (n, points, 3) for each run. time: (points,)
-    ahead [s]. Raises StCoreError if the fit fails."""
+    """Scale of the errors of several runs. Raises StCoreError if the fit fails.
+
+    conditions, errors: (n, 4) and (n, points, 3) for each run. time: (points,) ahead [s].
+    """
     knots = make_knots(float(time[-1]))
     selected = [select_evenly(len(run)) for run in conditions]
     phi = np.concatenate([compute_features(run[rows]) for run, rows in zip(conditions, selected, strict=True)])

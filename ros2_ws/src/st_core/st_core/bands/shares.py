@@ -5,9 +5,9 @@
 p: parameters of vehicle and model file with a known uncertainty, assumed independent. s: the six states at the start
 and the measured pose at t, with the white noise of this recording. The derivatives are central differences of whole
 predictions with steps of one standard deviation, along and across the predicted heading; the errors are along and
-across the measured one, which differs little. The residual contains errors of the
-model structure, parameters without an uncertainty, slow errors of the sensors, and noise of the inputs; it is negative
-if the uncertainties exceed the errors. Only hindsight is decomposed. Checked by: test_bands_shares.py.
+across the measured heading, which is nearly the same. The residual contains errors of the model structure, parameters
+without an uncertainty, slow sensor errors, and noise of the inputs; it is negative if the uncertainties exceed the
+errors. Only hindsight is decomposed. Checked by: test_bands_shares.py.
 """
 
 import contextlib
@@ -86,7 +86,7 @@ def sum_squared_contributions(
 
 
 def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameters]]:
-    """By uncertain parameter, the cars with a value one standard deviation lower and higher; without invalid cars."""
+    """Cars with a value one standard deviation lower and higher, by uncertain parameter; without invalid cars."""
     variants = {}
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:
@@ -96,7 +96,7 @@ def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameter
 
 
 def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
-    """By parameter of an effect, the models with a value one standard deviation lower and higher, within its bounds."""
+    """Models with a value one standard deviation lower and higher, within its bounds, by parameter of an effect."""
     variants: dict[str, list[Model]] = {}
     if not isinstance(model, AugmentedModel):
         return variants

@@ -12,7 +12,7 @@ from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
 CONFIDENCE = 0.95  # of the tests of consistency
-PROJECTED = ("x_scale", "y_scale", "position_scale", "map_shear")  # findings that a wrong projection may cause
+PROJECTION_FINDINGS = ("x_scale", "y_scale", "position_scale", "map_shear")  # which a wrong projection may cause
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|
 
 
@@ -40,7 +40,7 @@ class RunComparison:
         if self.consistent:
             return (f"{self.name} is consistent across all {self.runs} runs, "
                     f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, "
-                    f"{'the projection, ' if self.name in PROJECTED else ''}the car or its vehicle file")
+                    f"{'the projection, ' if self.name in PROJECTION_FINDINGS else ''}the car or its vehicle file")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
                 f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
                 "load or the day, or some of the runs are faulty")
@@ -51,8 +51,8 @@ class RunComparison:
 
 
 def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
-    """Comparisons of the quantities of findings that at least MIN_COMPARED_RUNS runs estimate, most often reported
-    first; without quantities that are consistent and whose interval contains the neutral value."""
+    """Comparisons of all quantities with a finding that at least MIN_COMPARED_RUNS runs estimate, most often reported
+    first; without those that are consistent with the neutral value in all runs."""
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():
@@ -72,7 +72,7 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
 
 
 def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, tuple[float, float, float]]:
-    """Estimates (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects."""
+    """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         rows = np.array([run[name] for run in runs if name in run], float)

@@ -44,9 +44,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); comparison with the vehicle and trial of the corrections, unless it is None. Each
-    check works on a copy without the known faults. Never raises for the content of a recording: channels that are too
-    short or too inaccurate are not compared.
+    accelerations, other speeds); and with a vehicle, comparison with it and trial of the corrections. Each check works
+    on a copy without the faults found before. Never raises for the content of a recording: channels that are too short
+    or too inaccurate are not compared.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -83,8 +83,10 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,
                      stuck: list[Finding], broken: set[str], results: _Results) -> None:
-    """Compare the channels with each other and with the vehicle. stuck: findings of `find_stuck_channels`. broken:
-    channels that keep faulty samples."""
+    """Add the results of comparing the channels with each other and with the vehicle.
+
+    stuck: findings of `find_stuck_channels`. broken: channels that still have faulty samples.
+    """
     recorded = motion
     motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck))
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
@@ -130,12 +132,12 @@ def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without those that are due to a wrong yaw rate, or to channels that were derived, not measured; lags
-    that an unmeasured sideslip explains become notes, except that of the steering, and have no correction.
+    """The findings without consequences of a wrong yaw rate, and of channels that were derived rather than measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
-    lags the course by tau (`sideslip` corrects that), so such a lag is no fault.
+    lags the course by tau (`sideslip` corrects that). A lag explained by it has no correction, and becomes a note
+    unless it is that of the steering.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
@@ -193,8 +195,8 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _
 
 
 def _correct_units_without_lag(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """Result of `correct_units` without the lag between yaw and yaw rate, which would change size and sign of their
-    ratio. The lag is restored afterwards, since it is checked later."""
+    """Result of `correct_units`, applied without the lag between yaw and yaw rate, which would change their ratio. The
+    lag is restored afterwards, since it is checked later."""
     lag = inertial.estimate_yaw_rate_lag(motion)
     if not lag:
         return correct_units(motion)
@@ -221,7 +223,7 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
 
 
 def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
-    """Factors that `correct_units` divided by, and the yaw offset that it subtracted, by name of the finding."""
+    """Factors that `correct_units` divided out, and the yaw offset that it subtracted, by name of the finding."""
     removed = {}
     for finding in unit_findings:
         corrections = finding.advice.entry.get("correct", {}).values() if finding.advice else ()

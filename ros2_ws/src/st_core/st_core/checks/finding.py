@@ -61,7 +61,7 @@ class Finding:
     where: tuple[tuple[float, float], ...] = ()  # stretches [s since the first INS measurement]; empty: all
     effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
-    tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if it was tried
+    tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
 
     @property
     def concerns_only_acceleration(self) -> bool:
@@ -75,7 +75,7 @@ class Finding:
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings; those of equal name, severity, times and value are merged into one for all their channels."""
+    """The findings, with one for all channels in place of those of equal name, severity, times and value."""
     groups: dict[tuple, Finding] = {}
     for finding in findings:
         key = (finding.name, finding.severity, finding.where, finding.value)
@@ -160,9 +160,9 @@ class InsQuality:
 class AuxiliaryData:
     """Data recorded in addition to the drive, all optional.
 
-    stamps: time stamps of "INS" and "steering" [int64 ns] as recorded, before rows were left out. missing: number of
-    rows without a usable value, by channel; a row that lacks only an acceleration was kept. ins_speed: of CAN frames,
-    or of NCOM packets recorded with odometry.
+    stamps: recorded time stamps of "INS" and "steering" [int64 ns], before rows were left out. missing: number of rows
+    without a usable value, by channel; a row that lacks only an acceleration was kept. ins_speed: from CAN frames, or
+    from NCOM packets recorded with odometry.
     """
 
     stamps: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -170,7 +170,7 @@ class AuxiliaryData:
     wheel_speed: Series | None = None  # forward speed from the wheels or the car's speed signal [m/s]
     ins_speed: Series | None = None  # forward speed [m/s]
     quality: InsQuality | None = None
-    corrected: tuple[str, ...] = ()  # phrases on the corrections by run.yaml
+    corrected: tuple[str, ...] = ()  # descriptions of the corrections in run.yaml
     implausible: tuple[Finding, ...] = ()  # findings about samples that the reader left out, see `plausibility`
     start_ns: int | None = None  # time of the first recorded INS measurement; None: the first one of the drive
     geographic: bool = False  # whether x and y are east and north, computed from latitude and longitude
@@ -220,8 +220,8 @@ SYSTEMATIC_UNCERTAINTY = {
 }
 """Systematic uncertainty of an estimate, half-width of a 95 % interval, in the finding's unit (scales: fraction of the
 value), by the finding's name or its last part. It covers filters, interpolation, roll and the car's response to
-steering, which the variation between blocks does not show, and is added in quadrature (GUM: type B). The values are
-from the errors of the estimates on the development drives of bench/checks, not on the test drives."""
+steering, which the variation between blocks does not show, and is added in quadrature (GUM: type B). The values were
+set from the errors on the development drives of bench/checks, not on its test drives."""
 
 
 def neutral_value(name: str) -> float:

@@ -66,8 +66,8 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the result
-    of the fit [s], which may be outside the searched range.
+    whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the fitted
+    lag [s], which may be outside the searched range of MAX_LAG.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -108,7 +108,7 @@ def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) ->
 
 
 def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
-    """Fits of the best offset and of all offsets that are not significantly worse, the smallest first.
+    """Fits of the best offset and of all offsets that are not significantly worse, the smallest offset first.
 
         (1 - r^2) / (1 - r_best^2) <= F(0.975; n, n),   n = 2 cutoff T: independent samples of the residual in time T
     """
@@ -137,8 +137,8 @@ def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> flo
 
 
 def _compute_residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
-    """(1 - r^2 at each offset, number of samples), from the samples common to all offsets. Different samples would bias
-    the comparison, since a filtered derivative is least accurate at its ends."""
+    """(1 - r^2 at each offset, number of samples), from the samples common to all offsets. With different samples the
+    comparison would be biased, since a filtered derivative is least accurate at its ends."""
     series = [_select_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
@@ -210,7 +210,7 @@ class Tolerances:
 
 def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,
                     removed_reference_scale: float = 1.0) -> CheckResult:
-    """Result of a comparison. title: of its panel, which shows both series as recorded. removed_scale,
+    """Result of a comparison. title: of the panel, which shows both series in recorded units. removed_scale,
     removed_reference_scale: factors already divided out of the channel and of the reference."""
     if agreement is None:
         return [], {}, None
@@ -298,7 +298,7 @@ def _make_advice(channel: str, key: str, value: float) -> Advice:
 
 
 def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
-    """Text on other lags that fit equally well; "" if there are none. response: lag of the car, added to them [s]."""
+    """Text on other lags that fit equally well; "" if there are none. response: lag of the car [s], added to each."""
     others = sorted(lag + response for lag in agreement.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""

@@ -1,4 +1,4 @@
-"""Drive as the checks correct it, its windows in time, and ratios between its channels."""
+"""A drive as corrected by the checks, its time windows, and ratios between its channels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -30,7 +30,7 @@ SLOPE_ITERATIONS = 8  # of the robust fit of a slope
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive with signals as in DriveLog, corrected for the findings so far; accelerations may be NaN."""
+    """A drive corrected for the findings so far, with the signals of DriveLog; accelerations may be NaN."""
 
     time: np.ndarray  # s since the first INS measurement
     x: np.ndarray
@@ -72,7 +72,7 @@ class Motion:
         return replace(self, **signals)
 
     def shifted_earlier(self, seconds: float, *names: str) -> "Motion":
-        """The motion with INS channels shifted to earlier times; beyond the recorded time, the value at its end."""
+        """The motion with INS channels shifted to earlier times; the first or last value is held beyond the drive."""
         return replace(self, **{name: np.interp(self.time + seconds, self.time, getattr(self, name)) for name in names})
 
     def select_ins(self, mask: np.ndarray) -> "Motion":
@@ -124,10 +124,10 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car drives; either positions or velocity may have a wrong unit. True if the recording is too short.
+    """Whether the car is driven, even if positions or velocity have a wrong unit. True if the recording is too short.
 
-    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows; and the direction
-    of travel must persist, or the forward velocity far exceed its noise, neither of which is true of a parked car.
+    The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition, the
+    direction of travel must persist or the forward velocity far exceed its noise; neither holds for a parked car.
     """
     length = max(1.0, 5.0 * float(np.median(np.diff(motion.time))))
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
@@ -223,8 +223,8 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
-    """Ratios of channels in windows of `length` [s], or shorter ones for a small car, whose path in a window would be
-    much longer than the distance between its ends. min_distance: smallest motion in a window that is used [m]."""
+    """Ratios of channels in windows of `length` [s], halved repeatedly for a small car whose path in a window would be
+    much longer than its chord. min_distance: smallest motion in a used window [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -1,8 +1,8 @@
 """Detection of samples that are physically impossible: spikes, sentinel values, values out of range, wrap-arounds.
 
-Each channel is examined alone, before any comparison, so that a faulty sample is not mistaken for a wrong unit.
-A step from one sample to the next is large if it exceeds both a physical limit and a multiple of the channel's median
-step, which makes the test valid in any unit:
+Each channel is examined alone, before any comparison, so that a faulty sample is not mistaken for a wrong unit. A step
+from one sample to the next is large if it exceeds both a physical limit and a multiple of the channel's median step,
+which makes the test valid in any unit:
 
     |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the steps that are not 0
 """
@@ -187,7 +187,7 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
 
 
 def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
-    """Samples out of range, if most samples are within range and a large step leads out of it or back. A channel in
+    """Samples out of range, if most samples are in range and a large step leads out of range or back. A channel in
     another unit would exceed the range gradually, without a large step."""
     outside = np.abs(channel.values) > channel.limits.largest
     if not outside.any() or outside.mean() > MAX_BAD_SHARE:
@@ -202,14 +202,14 @@ def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
 
 
 def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion. One of
-    the steps may be missing at a gap or at an end of the drive."""
+    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion. At a gap
+    or an end of the drive, one large step suffices."""
     first, last = find_groups(channel.step != 0.0)
     count = last - first + 1
     usual_count = float(np.percentile(count, 98))
     sentinels = []
-    # A sentinel 0 is nearer to the usual values than others, so a step of 8 median steps suffices, except for
-    # velocity_x, since cars stop. In a channel that holds its values, it must also reach 0.3 of the limit.
+    # A sentinel 0 is nearer to the usual values than other codes, so 8 median steps count as large, except for
+    # velocity_x, since cars stop. In a channel that holds its values, the step must also reach 0.3 of the limit.
     zero_step = max(8.0 * channel.median_step, 0.0 if usual_count < 2.0 else 0.3 * channel.limit)
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
@@ -231,8 +231,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
 
 def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large and irregular; equal large steps would be a turn in another unit.
-    """
+    stretches in which most steps are large and irregular; equal large steps would be a turn in another unit."""
     if not large.any():
         return np.zeros(0, np.int64)
     half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)  # samples

@@ -103,8 +103,8 @@ def make_residual_regression(motion: Motion) -> Regression:
 
 
 def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Estimate]]:
-    """(motion corrected for the causes found, the findings, an estimate of every cause as its finding reports it); with
-    fewer than MIN_WINDOWS windows, the motion as given and no estimates."""
+    """(motion corrected for the causes found, the findings, reported estimate of every cause); with fewer than
+    MIN_WINDOWS windows, the motion as given and no estimates."""
     causes: dict[str, Estimate] = {}
     corrected = motion
     for _ in range(ITERATIONS):  # the effect of a large cause is nonlinear and biases the other estimates
@@ -127,7 +127,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
         alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
         estimate = problem.estimate((*alongside, name))[name]
         estimates[name] = _convert_to_reported(name, estimate.shifted(causes[name].value if name in causes else 0.0))
-    estimates["position_scale"] = estimates["velocity_scale"].inverse()  # if the velocity is correct
+    estimates["position_scale"] = estimates["velocity_scale"].inverse()  # assumes a correct velocity
     return corrected, findings, estimates
 
 
@@ -151,13 +151,13 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
-    """Median misfit of positions and velocity after one second [m], apart from scales of x and y; inf if too short."""
+    """Median misfit of positions and velocity after one second [m], with fitted scales of x and y; inf if too short."""
     problem = make_residual_regression(motion)
     return problem.fit(AXIS_SCALES)[1] if len(problem.time) >= MIN_WINDOWS else np.inf
 
 
 def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> bool:
-    """Whether yaw, not the positions, lags by `lag` [s]. corrected: the motion without that lag of yaw.
+    """Whether yaw, not the position, lags by `lag` [s]. corrected: the motion without that lag of yaw.
 
     At constant speed both explanations fit; yaw is then wrong if its correction removes most of the position lag.
     """
@@ -172,7 +172,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings). The sign of velocity_y is reversed if that explains positions better than any cause."""
+    """(motion, findings), with the sign of velocity_y reversed if that explains positions better than any cause."""
     problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
@@ -197,7 +197,8 @@ def make_lateral_sign_finding() -> Finding:
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; without correction those that a wrong sign of velocity_y explains equally well, as on a circle."""
+    """The findings; those that a wrong sign of velocity_y explains equally well, as on a circle, lose their correction.
+    """
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
@@ -232,14 +233,15 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
 
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
                  always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further causes. min_values: smallest reported value by cause. always: causes found so far."""
+    """Names of further causes among the candidates. min_values: smallest reported value by cause. always: causes found
+    so far."""
     causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, always,
                                    () if "velocity_scale" in always else AXIS_SCALES)
     axes = [name for name in AXIS_SCALES if name in causes]
     if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
         return tuple(causes)
-    # An equal scale error of both axes of satellite positions is far rarer than a scale error of the velocity.
+    # In satellite positions, an equal scale error of both axes is far rarer than a scale error of the velocity.
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
         is_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE
@@ -277,7 +279,7 @@ def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
 
 
 def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
-    """The motion without these causes, each with its estimated value."""
+    """The motion corrected for these causes."""
     value = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
     ahead, scale = value["position_reference"], 1.0 + value["velocity_scale"]
     y = motion.y / (1.0 + value["y_scale"])
@@ -309,17 +311,16 @@ MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
-MIN_AGE, MAX_AGE = 0.15, 1.2  # of stale samples, divided by the sampling interval
-MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # age of a stale sample divided by the median age
+MIN_AGE, MAX_AGE = 0.15, 1.2  # limits of the age of a stale sample divided by the sampling interval
+MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # limits of the age of a stale sample divided by the median age
 MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
 MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
 MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(the motion, with evenly spaced times in place of jittering time stamps; the findings: jitter, or others).
-
-    Each position step is checked against the integrated velocity for jumps, stale samples, noise and jitter:
+    """(motion, findings) of a check of each position step against the integrated velocity, for jumps, stale samples,
+    noise and jitter; jittering time stamps are replaced by evenly spaced ones, and nothing else is then reported:
 
         d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 

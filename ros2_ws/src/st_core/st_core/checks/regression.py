@@ -1,7 +1,7 @@
 """Robust linear regression of a residual on its possible causes.
 
 Neighbouring samples share their errors, so confidence intervals are from a bootstrap over blocks of driving
-(`st_core.regression`). Causes are found by forward selection: the cause that explains most is added and all are
+(`st_core.regression`). Causes are found by forward selection: the cause that reduces the loss most is added and all are
 refitted, until no further cause is significant and relevant.
 """
 
@@ -23,7 +23,7 @@ RIDGE = 1e-6  # fraction of the normal matrix that is added to it, so that a dra
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimated value."""
+    """An estimated value with its uncertainty."""
 
     value: float
     deviation: float  # standard deviation
@@ -54,7 +54,7 @@ class Estimate:
         return Estimate(factor * self.value, abs(factor) * self.deviation, abs(factor) * self.half_width)
 
     def inverse(self) -> "Estimate":
-        """Estimate of 1 / value, to first order, since the exact interval is unbounded if the value may be 0."""
+        """Estimate of 1 / value, by first-order error propagation; the exact interval may be unbounded."""
         value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
         return Estimate(value, self.deviation * value**2, self.half_width * value**2)
 
@@ -136,7 +136,7 @@ class Regression:
         """The significant and relevant causes, selected one at a time and fitted together.
 
         min_values: smallest reported value by cause. always: causes that are fitted in any case. alongside: causes that
-        are fitted together with a candidate that is insignificant without them, because they act as slow noise on it.
+        are also fitted if a candidate is insignificant without them, because they act as slow noise on it.
         """
         causes: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]

@@ -15,7 +15,7 @@ from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_s
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
-MIN_HELD_SHARE = 0.7  # minimum fraction of a held channel's samples in stretches of equal values of the usual length
+MIN_HELD_SHARE = 0.7  # minimum fraction of samples in stretches of equal values that have the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_LONG_SHARE = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
@@ -31,8 +31,8 @@ CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
 MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
-MAX_SPEED_NOISE = 0.5  # m/s; a receiver reports up to this speed while the car stands and its position is constant
-MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only if the yaw rate is larger
+MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
+MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
 RTK_MODES = (5, 6)  # NCOM position modes: RTK float, RTK integer
 ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which a rounded channel may stay constant
@@ -82,8 +82,8 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding], start_ns: int) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. left_out: findings on samples left out, where gaps are not
-    reported. start_ns: zero of the times in the findings."""
+    """Findings on time stamps, gaps and missing values. left_out: findings on samples that were left out, whose times
+    are not reported as gaps. start_ns: zero of the times in the findings."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
@@ -101,7 +101,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
     share, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
     if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
-        # The sensor is slower than the rows if its samples are evenly spaced; one interval in a hundred may deviate.
+        # Evenly spaced samples show a sensor that is slower than the rows; one interval in a hundred may deviate.
         row = float(np.median(row_spacing))
         expected = row / max(1.0 - share, 1e-9)
         within = np.abs(spacing - expected) <= 1.05 * row
@@ -293,6 +293,8 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
     """
     inside = (motion.time >= begin) & (motion.time <= end)
+    if name == "road_wheel_angle":
+        inside &= motion.velocity_x > MIN_CURVATURE_SPEED
     if inside.sum() < 3:
         return False
     if name in RATES:
@@ -300,20 +302,16 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         change = max(abs(float(rate(motion)[inside].mean())) - bias, 0.0) * (end - begin)
         return change > max(ROUNDING_STEPS * step, min_change)
     related, min_change = RELATED_QUANTITIES[name]
-    if name == "road_wheel_angle":
-        inside &= motion.velocity_x > MIN_CURVATURE_SPEED
-        if inside.sum() < 3:
-            return False
     expected = related(motion)[inside]
-    rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
-    low, high = np.percentile(expected, [5, 95])
-    if name == "road_wheel_angle":  # the steering may be held, as at its stop: then curvature changes with speed only
+    change = np.ptp(np.percentile(expected, [5, 95]))
+    if name == "road_wheel_angle":  # if the driver holds it, as at its stop, curvature changes with speed only
         speed = motion.velocity_x[inside]
         curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
         unexplained = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
-        upper, lower = np.percentile(unexplained, [95, 5])
-        return bool(high - low > min_change and upper - lower > min_curvature_change * np.median(np.abs(curvature)))
-    return bool(high - low > max(min_change, rounding))
+        return bool(change > min_change and np.ptp(np.percentile(unexplained, [5, 95]))
+                    > min_curvature_change * np.median(np.abs(curvature)))
+    rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
+    return bool(change > max(min_change, rounding))
 
 
 def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -345,7 +343,7 @@ CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", 
 
 
 def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """The motion without the samples of frozen or clipped channels, which become gaps, unless they are the majority."""
+    """The motion with gaps in place of the samples of frozen or clipped channels, unless these are the majority."""
     for finding in findings:
         if finding.name not in ("channel_frozen", "channel_clipped"):
             continue

@@ -1,4 +1,4 @@
-"""Trial of corrections: each is applied to its run, and is proposed unless predictions become worse.
+"""Trial of corrections: each is applied to the run, and is proposed unless predictions become worse.
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
 from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
@@ -40,7 +40,7 @@ REDUCED_STARTS = 100  # smallest number after a reduction, largest 199; more wou
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # they result in steps with few digits
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # which yield steps with few digits
 MERGE_GAP = 1.0  # s; stretches closer than this are merged
 State = tuple[DriveLog, VehicleParameters]
 
@@ -154,7 +154,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
-    For a small car, none above the usual speed is proposed, since it would make the tyres softer throughout.
+    For a small car, no speed above its median speed is proposed, since it would make the tyres softer throughout.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

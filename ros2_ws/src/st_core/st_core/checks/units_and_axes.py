@@ -23,7 +23,7 @@ MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
-COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which is uncertain by ten per cent in one short bend
+COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which has an error of ten per cent in one short bend
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 MAX_SCALE_ERROR = 0.005  # largest relative scale error of a sound gyroscope or projection
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
@@ -42,7 +42,7 @@ MotionAndFinding = tuple[Motion, Finding | None]
 
 
 def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
-    """The factor in a table of units that is within UNIT_TOLERANCE of this factor, or None."""
+    """The factor in a table of units that is within UNIT_TOLERANCE of the given one, or None."""
     return next((known for known in table if is_near(factor, known, UNIT_TOLERANCE)), None)
 
 
@@ -123,7 +123,7 @@ def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
 
 
 def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
-    """Correct a yaw rate that is in the same wrong unit as yaw, as the course shows; yaw is corrected later."""
+    """Correct a yaw rate in the same wrong unit as yaw, by comparison with the course; yaw is corrected later."""
     ratios = compute_ratios(motion)
     size = _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE)
     if size in ANGLES and _matches(abs(ratios.yaw_to_rate), 1.0) and _matches(abs(ratios.yaw_to_course), size):
@@ -213,7 +213,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 
 
 def _remove_wraps(motion: Motion) -> np.ndarray:
-    """The yaw, with the integrated yaw rate in place of steps left by unwrapping an angle in another unit as rad."""
+    """The yaw, with the integrated yaw rate in place of steps that remain if another unit was unwrapped as rad."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)

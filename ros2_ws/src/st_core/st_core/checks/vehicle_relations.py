@@ -65,7 +65,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
-    # If correlation and gain differ in sign, the driver countersteers (side wind, bank), which determines no lag.
+    # If correlation and gain differ in sign, the driver countersteers (side wind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
     findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
@@ -80,7 +80,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
-    """Finding of steering not correlated with curvature; None if it is, if either hardly varies, or if too short."""
+    """Finding of steering without correlation to curvature; None with one, if either hardly varies, or if too short."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
@@ -120,9 +120,9 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
-    """Uncertainty of `compute_response_time` [s] from that of both axle stiffnesses, half-width of a 95 % interval.
+    """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, half-width of a 95 % interval.
 
-    It is the part that exceeds the systematic uncertainty of a steering lag, as for a fast car that hardly understeers.
+    Only the part above the systematic uncertainty of a steering lag, which a fast car with little understeer has.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
@@ -145,7 +145,7 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
                        wheel_measured: bool) -> Finding | None:
     """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
 
-    understeer: expected and largest plausible gain; since stiffnesses may be rough, a gain of 1 is plausible as well.
+    understeer: expected and largest plausible gain; a gain of 1 is plausible too, since stiffnesses may be inaccurate.
     """
     (expected, largest), value, limit = understeer, gain.value, LIMITS.steering_unit_ratio
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
@@ -211,7 +211,7 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel
 
 def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Estimate, unit: str, effect: float,
                   advice: Advice) -> Finding:
-    """Finding of an effect [m], at most a warning, since the cause may be the car rather than the recording."""
+    """Finding with an effect [m], at most a warning, since the cause may be the car rather than the recording."""
     severity = Severity.NOTE if LIMITS.severity(effect) is Severity.NOTE else Severity.WARNING
     return Finding(name, severity, channels, text, estimate.value, unit, estimate.interval, (), effect, advice)
 
