@@ -111,8 +111,8 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] in the equations for a recorded one (float or array), by the effects of ratio, offset
-        and map; effects that need signals, and those of `steering`, are not applied."""
+        """Road wheel angle [rad] that the equations use for a recorded one (float or array): with the effects of ratio,
+        offset and map, but without effects that need signals or act in `steering`."""
         acting = compose(self.base, self.effects).acting
         hooks = [(index, e.inputs, ()) for index, e in enumerate(acting) if e.inputs and not e.signals]
         return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).effects)[0] if hooks else angle
@@ -149,9 +149,9 @@ class AugmentedModel(Model):
 def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedModel:
     """The base model with further effects.
 
-    effects: values by effect and parameter, by default null for parameters that are not fitted; or names (initial
-    values). Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated effect, one that
-    does not apply to the base model, an unknown parameter, and a value that is missing or outside its bounds.
+    effects: values by effect and parameter (null for a parameter that is not fitted and not given), or names of effects
+    at their initial values. Raises ConfigurationError, naming effect, parameter and limit, for an unknown or repeated
+    effect, one that does not apply to the base model, an unknown parameter, and a missing or out-of-bounds value.
     """
     base = get_model(base)
     if not isinstance(effects, Mapping):
@@ -215,9 +215,9 @@ def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values
 def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
     """The vehicle with effects folded into its parameters; each effect must define `fold`.
 
-    Predictions from the same readings do not change. If steering ratio or offset changed, however, the road wheel angle
-    must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the factor of
-    steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
+    It predicts the same as the vehicle with the effects, from the same readings. If steering ratio or offset changed,
+    the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the
+    factor of steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
     """
     for effect in effects:
         assert effect.fold is not None

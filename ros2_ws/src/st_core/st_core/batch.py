@@ -1,8 +1,8 @@
 """Predicts from many starts of a recorded drive at once; the result contains the states at horizon points.
 
-The results equal `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
-blocks. In addition to the result, memory contains the tables of one block and the two inputs of the log on the grid:
-16 bytes per half step, 32 for a model that corrects the measurements.
+The results equal those of `prediction.predict` with the inputs of the log, for any backend. Starts are computed in
+blocks. In addition to the result, memory holds the tables of one block and the two inputs of the log on the grid: 16
+bytes per half step, 32 for a model that corrects the measurements.
 
 5 s horizons of starts 0.1 s apart overlap fifty-fold. If the starts are multiples of half an integration step apart,
 they share instants: one grid for the log, in which point index * q + phase is stored at [phase, index], with q half
@@ -157,7 +157,7 @@ Signals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals of a drive as corrected by a model."""
+    """Signals of a drive, corrected by a model."""
 
     signals: LogSignals
     sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)

@@ -65,7 +65,7 @@ class _Prepared(NamedTuple):
 
 
 def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
-    """Select and resample the signals that vary, and are known in both recordings."""
+    """The signals that vary and are known in both recordings, resampled."""
     usable, reasons = [], []
     for signal in signals:
         known = [np.isfinite(v) for v in (signal.reference, signal.other)]
@@ -101,7 +101,7 @@ def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with an offset [ns] given for the log time at_ns, of unknown uncertainty, checked by the signals."""
+    """Alignment with an offset [ns] given for the log time at_ns, of unknown uncertainty, checked with the signals."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
     given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
@@ -286,13 +286,12 @@ def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, 
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
                         latency: float = 0.0, latency_uncertainty: float = 0.0) -> Alignment:
-    """Alignment by CAN frames with the time of the INS: a robust line (soft L1) through their offsets.
+    """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through their offsets, or
+    through the median offset of each second if there are two or more frames per second.
 
-    At two frames per second or more, the median offset of each second is used.
-
-    other_time_ns: log stamp of each frame that contains a time; an INS without GNSS lock sends none. reference_time_ns:
-    time in the frame, UTC. resolution: resolution of the time in the frame [s]. latency: delay from the time in a frame
-    to its stamp in the log [s], with its standard deviation latency_uncertainty [s].
+    other_time_ns: log stamp of each frame with a time; an INS without GNSS lock sends none. reference_time_ns: time in
+    the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in a frame to its stamp in
+    the log [s], with standard deviation latency_uncertainty [s].
     """
     if len(other_time_ns) < 2:
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")

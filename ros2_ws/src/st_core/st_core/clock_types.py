@@ -11,8 +11,8 @@ MAX_SPAN = 48 * 3600.0  # s, duration of a recording; a longer one means that a 
 
 
 class Verdict(StrEnum):
-    """Verdict on an alignment. doubtful: the user should check its figure. refused: no usable alignment was found. not
-    needed: all signals were recorded on one clock."""
+    """Verdict on an alignment. doubtful: the user should check the alignment figure. refused: no usable alignment was
+    found. not needed: all signals were recorded on one clock."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"

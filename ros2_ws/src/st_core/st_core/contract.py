@@ -1,8 +1,8 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` describes in one line how an effect violates the requirement, or returns "": for a base
-model and that model with the effect at its initial values.
-The checks cover all backends: floats, the numpy batch, the compiled lanes and CasADi. Checked by: test_contract.py.
+Each function in `REQUIREMENTS` compares a base model with that model and the effect at its initial values, and returns
+one line that describes the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
+and CasADi. Checked by: test_contract.py.
 """
 
 import importlib.util
@@ -33,7 +33,7 @@ READING = Measured(3.0, -2.0, 0.2, 12.0, 0.1, 0.25, 0.4, 2.9, 0.3)
 
 
 def check_effect(effect: type[Effect], vehicle: VehicleParameters) -> dict[str, str]:
-    """By requirement, the description of its violation, "" if it is fulfilled; an exception counts as a violation."""
+    """Description of the violation of each requirement, "" if it is fulfilled; an exception counts as a violation."""
     docstring = effect.__doc__ or sys.modules[effect.__module__].__doc__ or ""
     problems = {"the equation is written in the file":
                 "" if docstring.strip() else "no docstring; write one with the equation, units and signs"}
@@ -120,7 +120,7 @@ def _check_stability(effect: type[Effect], vehicle: VehicleParameters, base: Mod
 
 
 def describe_instability(base: Model, model: Model, vehicle: VehicleParameters, speeds: Iterable[float]) -> str:
-    """Description of an instability of straight driving that the base does not have, "" if there is none."""
+    """Description of an instability in straight driving that the base does not have, "" if there is none."""
     for speed in speeds:
         if base.name != "kinematic":
             before, after = (float(lateral_modes(m, vehicle, speed).real.max()) for m in (base, model))

@@ -211,8 +211,8 @@ FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two hori
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
 """Initial E [m^2], in the order of the forecasts of `CourseTracker`, from errors of real laps held out in turn."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
-MAX_JUMP = 2.0  # m, plus 0.1 of the distance driven: largest difference between it and the displacement, else a restart
-MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons that a pass must cover ahead of the car; horizons of it that are used
+MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
+MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons ahead of the car that a pass must cover, and for which it is used
 
 
 class EgoMotion(NamedTuple):
@@ -286,9 +286,8 @@ class CourseTracker:
     driven. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
     docs/manual/forecast.md.
 
-    `update` is called at every start, in order of time. horizon, step [s].
-
-    It restarts when time runs backward or pauses for longer than a horizon, and when the position jumps.
+    `update` is called at every start, in order of time. The tracker restarts when time runs backward or pauses for
+    longer than a horizon, and when the position jumps. horizon, step [s].
     """
 
     def __init__(self, course: Course, vehicle: VehicleParameters, horizon: float = 5.0, step: float = 0.05):
@@ -384,7 +383,7 @@ class CourseTracker:
         return _Candidate(square, speed, curvature)
 
     def _mix(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
-        """The forecast from weighted candidates, mixed with the other forecasts by their errors."""
+        """The forecast from the weighted candidates, mixed with the other forecasts according to their errors."""
         length = min(len(candidate.speed) for candidate in candidates)
         course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
                                    for name in ("speed", "curvature"))

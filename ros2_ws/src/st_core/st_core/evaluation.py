@@ -30,7 +30,7 @@ class Score:
     """
 
     model: str
-    mode: Mode  # hindsight: re-simulated with the measured inputs (the paper's protocol); otherwise as issued
+    mode: Mode  # hindsight: simulated again with the measured inputs (the paper's protocol)
     start_ns: int
     complete: bool
     incomplete_reason: str
@@ -103,7 +103,7 @@ class Evaluator:
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
-        """Add an issued prediction (at the CG). With a forecast, hindsight is scored from the same start."""
+        """Add a prediction (at the CG) to be scored. A forecast is scored in hindsight too, from the same start."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._waiting.setdefault(key, []).append((model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:

@@ -69,7 +69,7 @@ def _rk4_step_six_states(derivative: Derivative, state: tuple, w_start: Any, w_m
 
 
 class StepTooLongWarning(UserWarning):
-    """The integration step is outside the stability region of Runge-Kutta at a speed of the drive."""
+    """The integration step is too long for Runge-Kutta to be stable at a speed of the drive."""
 
 
 def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) -> np.ndarray:
@@ -127,8 +127,7 @@ def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds
 
 
 def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
-    """Number of equal sub-steps of a step [s] for stability at all speeds [m/s]; at most
-    MAX_SUBSTEPS, even if that is not stable."""
+    """Number of substeps of a step [s] for stability at all speeds [m/s]; MAX_SUBSTEPS if more would be needed."""
     speeds = list(speeds)
     return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
                 MAX_SUBSTEPS)

@@ -361,7 +361,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """All bins that are not empty; starts with unknown conditions (NaN) are in none, reversing in none of speed."""
+    """The bins that are not empty. A start with unknown conditions (NaN) is in none, one in reverse in no speed bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [

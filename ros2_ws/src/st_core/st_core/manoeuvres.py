@@ -1,4 +1,4 @@
-"""Manoeuvres for the virtual car, for drives suggested by `st discover` and for the benchmark of discovery.
+"""Manoeuvres for the virtual car, for drives that `st discover` suggests, and for the benchmark of discovery.
 
 A manoeuvre is defined by its speed and its target lateral acceleration, so that any car can drive it:
 

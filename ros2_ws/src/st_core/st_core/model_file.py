@@ -63,7 +63,7 @@ class ModelFile:
     @classmethod
     def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated") -> "ModelFile":
-        """The file of a model, with its vehicle. intervals: by (effect, parameter). source: of fitted values."""
+        """The content for a model and its vehicle. intervals: by (effect, parameter). source: of the fitted values."""
         effects = {effect.name: {p.name: EffectValue(model.values[effect.name][p.name],
                                                   (intervals or {}).get((effect.name, p.name)),
                                                   source if p.fit else p.source) for p in effect.parameters}
@@ -76,10 +76,8 @@ class ModelFile:
                                    for effect, estimates in self.effects.items()})
 
     def check_vehicle(self, vehicle: VehicleParameters, origin: str, prefix: str = "") -> None:
-        """Raises ConfigurationError if the values are for a car other than `vehicle`, which was read from `origin`.
-
-        prefix: of the message.
-        """
+        """Raises ConfigurationError, with this prefix in its message, if the values are for a car other than `vehicle`,
+        which was read from `origin`."""
         if self.vehicle_hash and vehicle.hash != self.vehicle_hash:
             expected, given = (f"{name!r} {digest[:12]}" for name, digest in (
                 (self.vehicle_name, self.vehicle_hash), (vehicle.name, vehicle.hash)))

@@ -6,7 +6,7 @@ MODEL_COLOUR = {"kinematic": "#1f77b4", "linear": "#ff7f0e", "nonlinear": "#7e2f
 MODEL_LINE = {"kinematic": (0, (6, 2)), "linear": "solid", "nonlinear": (0, (2, 1)), "augmented": (0, (6, 1, 1, 1))}
 MEASURED_COLOUR = "#7f7f7f"
 OTHER_COLOUR = "#d55e00"  # any other model
-# Time after the start at which the path of a model is labelled [s]; different, so that the labels do not overlap.
+# Time after the start at which the path of a model is labelled [s]; these differ so that the labels do not overlap.
 LABEL_TIMES = {"kinematic": 5.0, "linear": 4.3, "nonlinear": 3.6, "augmented": 2.9}
 OTHER_LABEL_TIME = 2.2
 # Settings of matplotlib (rcParams) for all figures.

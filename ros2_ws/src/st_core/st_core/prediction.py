@@ -23,7 +23,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps in a horizon; both [s]. Raises ConfigurationError unless a whole number from 1 to below 1e6."""
+    """Number of steps in a horizon; both [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -135,7 +135,7 @@ class Predictor:
     model that requires a signal not measured live.
     """
 
-    SPAN = 2.0  # s of history at least, for late samples and the settling of the filter
+    SPAN = 2.0  # s, minimum length of the history, for late samples and the settling of the filter
 
     def __init__(self, vehicle: VehicleParameters, models: Sequence[str | Model],
                  settings: PredictionSettings | None = None, runners: Mapping[str, Runner] | None = None):

@@ -24,8 +24,8 @@ COURSE_TIME = 0.2  # s, duration of the displacement that defines the course
 RATE_WIDTH_NS = 200_000_000  # averaging time of the yaw rate [ns], which is noisy if derived from the course
 MAX_DERIVATIVE_ERROR = 1e-6  # rad/s; a gyroscope differs by more because of its noise
 MAX_COURSE_ERROR = 0.0015
-"""rad, RMS of the part of (direction of the displacement - yaw) that depends on the yaw rate; a larger value means that
-yaw is a heading. Genesis drives with the heading of the INS have 0.003 to 0.03, GNSS courses up to 0.0004."""
+"""Largest RMS [rad] of the part of (direction of the displacement - yaw) that depends on the yaw rate, for yaw to count
+as a course. It is 0.003 to 0.03 in Genesis drives with the heading of the INS, up to 0.0004 with GNSS courses."""
 
 
 def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:

@@ -36,7 +36,8 @@ class TimeSeries:
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
     samples further apart the signal is unknown. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks: by time of a sample [ns], the reason why the signal is unknown since the previous sample; set by the owner.
+    breaks: by time of a sample [ns], the reason why the signal is unknown between the previous sample and this one; set
+    by the owner.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):
@@ -210,9 +211,9 @@ def interpolate(time_ns: np.ndarray, values: np.ndarray, instants_ns: np.ndarray
 
 
 def low_pass_step(filtered: float, before: float, now: float, spacing: float, cutoff: float) -> tuple[float, float]:
-    """(filtered value, its derivative) at the sample `now`, `spacing` [s] after the sample `before`; see the module.
+    """(filtered value, its derivative) at the sample `now`, `spacing` [s] after the sample `before`.
 
-    filtered: filtered value at `before`. cutoff [Hz].
+    filtered: filtered value at `before`. cutoff [Hz]. Equations: see the module docstring.
     """
     x = 2.0 * math.pi * cutoff * spacing
     decay = -math.expm1(-x)  # 1 - e
@@ -227,7 +228,7 @@ def filtered_derivative(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
 
     causal: the same numbers as from `low_pass_step` in live use. zero_phase: the filter is applied forward and backward
     between gaps, then central differences are taken: no delay, twice the attenuation; for logs only. cutoff [Hz].
-    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for another mode.
+    maximum_gap [s]. Raises StCoreError if times_ns [ns] is not increasing, and for an unknown mode.
     """
     times_ns, values = np.asarray(times_ns, np.int64), np.asarray(values, float)
     if np.any(np.diff(times_ns) <= 0):

@@ -1,4 +1,4 @@
-"""Axle and tyre force laws, stateless: slip angle and load in, lateral force out.
+"""Lateral force of axles and tyres as a function of slip angle and load, without state.
 
 Sign convention of the package: a slip angle is positive when the wheel slides to its left, so the force that opposes it
 is negative. Linear: F_y = -C alpha with C > 0. The Magic Formula table keeps its SAE sign, p_ky1 < 0, which makes

@@ -141,7 +141,7 @@ class VehicleParameters:
     def uncertainty(self, key: str) -> float | None:
         """Standard deviation [SI] of a value, by its key in the file ("mass", "tyre_front.lambda_muy").
 
-        Stated in the file and > 0, else from DEFAULT_UNCERTAINTIES; None if neither contains it, or if it is 0.
+        As stated in the file if > 0, else from DEFAULT_UNCERTAINTIES; None if neither contains it, or if it is 0.
         """
         if (entry := self.provenance.get(key)) and entry.uncertainty:
             return entry.uncertainty
@@ -327,7 +327,7 @@ def _read_provenance(key: str, entry: Mapping[str, Any], factor: float) -> Prove
 
 
 def _check_scale(car: VehicleParameters) -> None:
-    """Raises ConfigurationError if a value does not fit the size or mass of the car, by a factor of about 20 to 100."""
+    """Raises ConfigurationError if a value is 20 to 100 times too large or small for the size or mass of the car."""
     for key, low, high, reference, name in (
             ("mass", 3.0, 3000.0, car.wheelbase**3, f"a wheelbase of {car.wheelbase:g} m"),
             ("yaw_inertia", 0.003, 4.0, car.mass * car.wheelbase**2,

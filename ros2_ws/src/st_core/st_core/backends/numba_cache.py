@@ -81,7 +81,7 @@ def _list_base_folders() -> Iterator[Path]:
 def find_reachable(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    They are found by the names in its code and closure, attributes of modules included. excluded: modules to exclude.
+    They are found by the names in its code and closure, attributes of modules included. excluded: names of modules.
     """
     reachable: list[FunctionType] = []
     seen: set[FunctionType] = set()

@@ -5,8 +5,8 @@ by LLVM. Three vectors are interleaved, because each operation within a vector w
 Measurements: docs/measurements/performance.md.
 
 The functions of `st_core.ops` have versions without branches. Sine, cosine: x = n pi/2 + r with |r| <= pi/4. pi/2 is
-split into two parts, the first with 33 bits, so that n times it is exact up to |n| = 2^20 or 1.6e6 rad. Arc tangent: in
-each of four ranges atan x = base + atan t with one division and |t| <= tan(pi/12). The polynomials interpolate at
+split into two parts, the first with 33 bits, so that its product with n is exact up to |n| = 2^20 or 1.6e6 rad. Arc
+tangent: in each of four ranges atan x = base + atan t, one division, |t| <= tan(pi/12). The polynomials interpolate at
 Chebyshev nodes in r^2 or t^2, with relative errors < 6e-17. They are evaluated by Estrin's scheme, since the longest
 chain of operations limits the speed. The arc tangent of an infinite number is NaN here. Checked by: test_backends.py.
 """
@@ -165,7 +165,7 @@ def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.
 
 
 def can_compile(model: Model, p: Any, fields: int, states: int) -> bool:
-    """Whether numba can compile the kernel for these numbers of fields of w and of states; compiles or loads it."""
+    """Whether numba can compile the kernel for these numbers of fields in w and of states; compiles or loads it."""
     return _get_kernel(model, p, _collect_numbers(p, []), fields, states) is not None
 
 

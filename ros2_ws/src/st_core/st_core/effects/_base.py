@@ -134,13 +134,13 @@ class Effect:
 
     name: unique; default: the name of its file. parameters: a tuple, or parameter if there is only one. physics: the
     equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
-    one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (one of the two may name the
-    other), by sensitivity vectors of a single-track car on circle, step, sweep and limit. needs: channels required to
-    observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS whose deviation from
-    the vehicle file it may explain. imitated_by: causes outside the library with the same effect. ratio_to: key of the
-    vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force: whether it is
-    observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base model, if it
-    turns one into another. signals: names of the inputs that it requires in addition to steering angle and
+    one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (it is enough if one of the
+    two names the other), by the sensitivities of a single-track car on circle, step, sweep and ramp_to_limit. needs:
+    channels required to observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS
+    whose deviation from the vehicle file it may explain. imitated_by: causes outside the library that act like it.
+    ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force:
+    whether it is observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base
+    model, if it turns one into another. signals: names of the inputs that it requires in addition to steering angle and
     acceleration. extra_states, extra_units: names and units of its states. costly: whether it evaluates the tyres
     again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
     since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
@@ -198,7 +198,7 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
         raise ConfigurationError(f"effect {name}: {problem}")
     names = [*(p.name for p in effect.parameters), "constants"]
     theta = namedtuple("Theta", names, module=effect.__module__)  # type: ignore[misc]  # names known at run time only
-    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # kernels are cached by the type, pickled by its path
+    theta.__qualname__ = f"{effect.__qualname__}.Theta"  # path by which the type is pickled, for the cache of kernels
     effect.Theta = theta
     if effect.fold is None and effect.vehicle:
         effect.fold = staticmethod(effect.vehicle)
@@ -259,7 +259,7 @@ def _check_names(effect: type[Effect]) -> Iterator[str]:
 
 
 def find_source_file(effect: type[Effect]) -> str:
-    """Path of the file of an effect. When the file changes, compiled functions of the effect are outdated."""
+    """Path of the file that defines an effect; compiled functions are outdated when it changes."""
     return str(getattr(sys.modules.get(effect.__module__), "__file__", effect.__module__))
 
 

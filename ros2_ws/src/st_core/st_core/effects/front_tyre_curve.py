@@ -3,8 +3,8 @@
     D = peak D of the file,   1 - E = curvature (1 - E of the file) at every load,   slope K unchanged
 
 curvature > 1 means an earlier and sharper peak, < 1 a later one. The tyre parameters are clipped to the limits of the
-vehicle file. A fit determines the curve only within the slip angles of the drives; `identification.axle_forces` has
-that part with its confidence band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
+vehicle file. A fit determines the curve only within the slip angles of the drives; `identification.axle_forces`
+estimates this part, with its confidence band. Source: Pacejka, Tire and Vehicle Dynamics, ch. 4.3.
 """
 
 from dataclasses import replace

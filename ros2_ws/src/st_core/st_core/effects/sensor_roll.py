@@ -12,7 +12,7 @@ from ._base import ANY, Effect, Parameter, register
 
 
 def displace(measured, shift, speed):
-    """Readings of a point that is displaced by -shift a_y to the left; speed [m/s]: of the car, for a_y."""
+    """Readings of a point displaced by -shift a_y to the left. speed: v_x of the car, which determines a_y [m/s]."""
     yaw, to_left = measured.yaw, -shift * speed * measured.yaw_rate
     return measured._replace(x=measured.x - sin(yaw) * to_left, y=measured.y + cos(yaw) * to_left,
                              velocity_x=measured.velocity_x - to_left * measured.yaw_rate,
