@@ -15,9 +15,10 @@ from st_core.vehicle import VehicleParameters
 from st_predictor import convert
 from st_predictor.map_drawing import History, Pose, Ribbon, make_car_outline
 from st_recordings.results import find_configuration, format_band_lines
-from st_recordings.runs.bag import read_bag
+from st_recordings.runs.bag import read_metadata_records
 from st_recordings.runs.bag_storage import open_bag
 from st_recordings.runs.cdr import load_typestore
+from st_recordings.runs.errors import RunError
 from st_ros.polling import to_nanoseconds
 
 from .configuration import find_bag
@@ -246,8 +247,10 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
     vehicle: file to use instead of the recorded one, for the outline. Raises RunError, ConfigurationError.
     """
     bag = find_bag(path)
-    open_bag(bag)
-    car, recorded, _ = find_configuration(read_bag(bag).records, vehicle)
+    if not any(f"/{topic.name}".endswith("/ins/odometry") for topic in open_bag(bag).topics):
+        raise RunError(bag, "it contains no topic ins/odometry, which the view shows",
+                       "play it with `st replay`, and show the folder of that run")
+    car, recorded, _ = find_configuration(read_metadata_records(bag), vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)
     stream.send_recording_name(path.name)

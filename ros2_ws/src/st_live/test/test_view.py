@@ -17,16 +17,21 @@ import urllib.request
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
+from ros_messages import STORE
+from ros_messages import odometry as serialised_odometry
+from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
 from st_live.node import Status
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
-from st_live.recorded_view import format_errors, make_grid_lines, to_screen
+from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen
 from st_live.suite import SuiteError
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
+from st_recordings.runs.cdr import ODOMETRY
+from st_recordings.runs.errors import RunError
 from st_ros.polling import from_nanoseconds
 from support import LEAF
 
@@ -41,6 +46,18 @@ def test_heading_up_view_has_left_on_the_left_and_ahead_up(yaw: float) -> None:
     left = to_screen(pose, 120.0 - 10.0 * math.sin(yaw), -40.0 + 10.0 * math.cos(yaw))
     assert ahead == pytest.approx([0.0, -10.0], abs=1e-9)
     assert left == pytest.approx([-10.0, 0.0], abs=1e-9)
+
+
+def test_bag_without_steering_is_drawn_and_one_without_odometry_refused(tmp_path: Path) -> None:
+    for topic in ("/ins/odometry", "/odom"):
+        with Writer(tmp_path / topic[1:4], version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection(topic, ODOMETRY, typestore=STORE)
+            for k in range(20):
+                writer.write(connection, k * 50_000_000, serialised_odometry(
+                        k * 50_000_000, 0.1 * k, 0.0, 0.0, 2.0))
+    assert draw_recording(tmp_path / "ins", tmp_path / "view.rrd", LEAF) == 10
+    with pytest.raises(RunError, match="it contains no topic ins/odometry, which the view shows; play it with"):
+        draw_recording(tmp_path / "odo", tmp_path / "other.rrd", LEAF)
 
 
 def test_north_up_view_has_east_on_the_right() -> None:
