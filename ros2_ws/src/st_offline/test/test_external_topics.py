@@ -8,6 +8,7 @@ import pytest
 from ros_messages import STORE, header, make, odometry, serialise
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.vehicle import VehicleParameters
+from st_offline.checking import gate
 from st_offline.checking.gate import check_bag
 from st_recordings.paths import config
 from st_recordings.runs import ReadSettings, find_runs, read
@@ -94,6 +95,16 @@ def test_invalid_steering_field_is_refused_with_its_name(tmp_path, topic, field,
 def test_bag_of_ros_1_is_not_replayed(tmp_path):
     with pytest.raises(RunError, match="the nodes receive no messages of ROS 1; convert the bag with rosbags"):
         check_bag(tmp_path / "drive.bag", None, True)
+
+
+def test_bag_without_odometry_is_not_replayed(tmp_path, monkeypatch):
+    """It is refused before it is read and checked, although other commands read it as a table."""
+    monkeypatch.setattr(gate, "read", lambda *args, **kwargs: pytest.fail("read"))
+    folder = tmp_path / "drive"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.write(writer.add_connection("/angle", FLOAT, typestore=STORE), START_NS, serialise(FLOAT, data=0.0))
+    with pytest.raises(RunError, match=r"no message of type nav_msgs/msg/Odometry, which the nodes need; use st check"):
+        gate.check_bag(folder, None, True, ReadSettings(steering=SteeringField("/angle")))
 
 
 def test_missing_steering_topic_is_reported_with_the_option(tmp_path):

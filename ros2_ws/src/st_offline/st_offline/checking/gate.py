@@ -13,9 +13,9 @@ from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters
 from st_recordings.results import find_configuration
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
-from st_recordings.runs.bag import may_carry_steering, may_need_can_frames
+from st_recordings.runs.bag import lacks_odometry, may_carry_steering, may_need_can_frames
 from st_recordings.runs.bag_storage import ROS1_EXTENSION, open_bag
-from st_recordings.runs.cdr import CAN_MSGS_FRAME
+from st_recordings.runs.cdr import CAN_MSGS_FRAME, ODOMETRY
 
 from . import check_report
 
@@ -63,6 +63,9 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
         other = ", or name a topic with --steering-topic" if has_other else ""
         raise RunError(bag, f"its steering is only in CAN frames ({CAN_MSGS_FRAME}), which the nodes do not receive",
                        f"use st check, evaluate or discover, which decode them{other}")
+    if not (settings and settings.odometry) and lacks_odometry(bag):
+        raise RunError(bag, f"it contains no message of type {ODOMETRY}, which the nodes need",
+                       "use st check, evaluate or discover, which read the drive in other messages if they contain one")
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
     # The bag is read before its vehicle is known: a steering wheel angle is read with ratio 1 and converted here.
