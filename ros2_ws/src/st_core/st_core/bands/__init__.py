@@ -9,12 +9,12 @@ from .calibration import Band, ErrorSamples, NotFiniteError, calibrate, compute_
 from .file import Bands
 from .live import AdaptiveBand, AdaptiveBands, BandCoverage, CalibratedBands, CoverageMonitor, conditions_now
 from .scale import (
-           CONDITIONS,
-           CalibrationDomain,
-           activity_instants,
-           compute_conditions,
-           conditions_at,
-           steering_activity,
+    CONDITIONS,
+    CalibrationDomain,
+    activity_instants,
+    compute_conditions,
+    conditions_at,
+    steering_activity,
 )
 
 __all__ = ["CONDITIONS", "AdaptiveBand", "AdaptiveBands", "Band", "BandCoverage", "Bands", "CalibratedBands",

@@ -22,7 +22,6 @@ from .regression import Estimate, Regression, add_systematic_uncertainty
 MAX_LAG = 1.5  # s, in both directions
 MIN_COMMON_TIME = 15.0  # s
 NO_BIAS, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
-LAG_TEST_LEVEL = 0.95
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
@@ -104,7 +103,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
     """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
     (smallest, residual), common = _compute_residual_shares(pair, [best_offset, offset])
-    return residual > _compute_f_limit(common, cutoff, LAG_TEST_LEVEL) * smallest
+    return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
 
 def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
@@ -307,9 +306,10 @@ def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
 def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
     """(agreement of yaw rate and change of yaw, tolerances). The effect of a wrong initial yaw rate decays within
     LIMITS.yaw_settling_time."""
+    agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF,
+                               derived_is_angle=True)
     position_effect = LIMITS.yaw_settling_time * float(np.median(np.abs(motion.velocity_x))) * HORIZON
-    return compare_series(
-        motion.time, motion.yaw, motion.time, motion.yaw_rate, GYRO_CUTOFF, derived_is_angle=True), Tolerances(
+    return agreement, Tolerances(
         "yaw_rate", "yaw", "rad/s", LIMITS.lag, GYRO_SCALE_ERROR, GYRO_BIAS, LIMITS.severe_lag, severe_scale=0.03,
         severe_bias=0.01, position_effect=position_effect, min_correlation=GYRO_CORRELATION)
 
@@ -317,7 +317,7 @@ def compare_yaw_rate(motion: Motion) -> tuple[Agreement | None, Tolerances]:
 def estimate_yaw_rate_lag(motion: Motion) -> float:
     """Lag of the yaw rate behind yaw [s]; 0 unless it is significant, severe (LIMITS) and improves the correlation."""
     agreement = compare_series(motion.time, motion.yaw, motion.time, motion.yaw_rate, ACCELERATION_CUTOFF,
-                           derived_is_angle=True)
+                               derived_is_angle=True)
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation):
         return 0.0

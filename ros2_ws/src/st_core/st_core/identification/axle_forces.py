@@ -1,26 +1,25 @@
 """Axle forces versus slip angle: cornering stiffness by regression, and force curves of a model.
 
-The axle cornering stiffnesses are from a regression of measured axle forces on slip angles.
+The cornering stiffness is the slope of measured axle force versus slip angle. The forces
 
     F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,    F_r = (l_f m a_y - I_z r_dot) / L
 
 follow from the force and moment balance of the single-track car, with a_y at the CG, and the slip angles from the
-velocity at each axle. The stiffness is the slope of force versus slip; an intercept absorbs offsets of steering and
-INS. Slow and nearly straight driving, |a_y| above 4 m/s^2 and slip angles above 2 deg are left out.
+velocity at each axle. An intercept absorbs offsets of steering and INS. Slow and nearly straight driving, |a_y| above
+4 m/s^2 and slip angles above 2 deg are left out.
 
 The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
 if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
 slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
-paper, section on parameter identification. Checked by: test_identification_driving.py, test_axle_curve.py,
-test_stiffness_model_error.py.
+paper, section on parameter identification.
 
-Lateral force of an axle in a model versus slip angle, with an uncertainty band, and its deviation from measurement.
+The force curve is the axle force in the model's equations of motion in steady cornering, with equal slip of both axles,
+without forward acceleration and steering effects. Offsets cancel in
 
     F(alpha) = (F_model(-alpha) - F_model(alpha)) / 2,   alpha >= 0
 
-F_model is the axle force in the model's equations of motion in steady cornering with equal slip of both axles, without
-forward acceleration and steering effects; offsets cancel. The slip angle is computed from the measured steering, as in
-the regression, so compliance and roll steer change the curve. Checked by: test_axle_curve.py.
+The slip angle is computed from the measured steering, as in the regression, so compliance and roll steer change the
+curve. Checked by: test_identification_driving.py, test_axle_curve.py, test_stiffness_model_error.py.
 """
 
 from collections.abc import Iterable, Sequence
@@ -54,7 +53,7 @@ MIN_SPEED, MAX_RADIUS, MAX_ACCELERATION = 3.0, 300.0, 4.0  # m/s, m, m/s^2
 MAX_SLIP = np.deg2rad(2.0)
 MIN_AXLE_SAMPLES = 500  # minimum number of samples in a regression
 SLIP_BIN_COUNT = 12
-MAX_RANGE_RATIO = 0.8  # mean slip in the lower / in the full range; above it, extrapolation multiplies errors by over 5
+MAX_RANGE_RATIO = 0.8  # mean slip in the lower range / in the full range; above, extrapolation multiplies errors by > 5
 MAX_RELATIVE_UNCERTAINTY = 0.1  # ratio of standard uncertainty to stiffness above which the stiffness is doubtful
 SLIP_QUANTILE = 0.995  # quantile of |slip angle| that counts as the largest slip angle of the drives
 
@@ -141,7 +140,7 @@ class AxleRegression:
 
 
 def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral forces of (front, rear) axle [N] along the lateral axis of the wheels, left +; see the module."""
+    """Lateral forces of the (front, rear) axle [N] along the lateral axis of the wheels, left +; see the module."""
     lateral = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
     yaw = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
     return ((vehicle.cg_to_rear_axle * lateral + yaw) / np.cos(samples.road_wheel_angle),
@@ -149,14 +148,14 @@ def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> 
 
 
 def compute_slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Slip angles of (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
+    """Slip angles of the (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
     angle = samples.road_wheel_angle
     state = 0.0, 0.0, samples.velocity_x, samples.velocity_y, 0.0, samples.yaw_rate  # position and yaw have no effect
     return models.slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
 
 
 def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
-    """Regressions of (front, rear) axle on drives with measured sideslip.
+    """Regressions of the (front, rear) axle on drives with measured sideslip.
 
     vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
     used. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
@@ -250,7 +249,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
+    """Both stiffnesses by regression, with a covariance from the variation between runs, or between blocks of few runs.
 
     A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError.
     """

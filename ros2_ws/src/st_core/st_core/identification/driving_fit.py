@@ -2,8 +2,8 @@
 
 Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
 of yaw rate and lateral velocity at the INS are assumed to have Student's distribution, and the effects that represent
-the parameters are fitted together, without a prior. Noise of the slip angle does not attenuate the estimates, as it
-would in a regression of force on slip. Checked by: test_driving_fit.py.
+the parameters are fitted together, without a prior. Unlike in a regression of force on slip, noise of the slip angle
+does not attenuate the estimates. Checked by: test_driving_fit.py.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -134,8 +134,8 @@ class DrivingFit:
     at_bound: tuple[str, ...]  # names of values at a bound
     noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
     residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
-    run_of: np.ndarray  # (n,) of the residuals
-    time: np.ndarray  # (n,) of the residuals [s]
+    run_of: np.ndarray  # (n,) index of the run of each residual
+    time: np.ndarray  # (n,) time of each residual [s]
     windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
     mean_squared_curvature: float  # of the path [1/m^2]
     acceleration: float  # mean |v_x r| [m/s^2]
@@ -172,8 +172,7 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
         raise IdentificationError(
             f"too little driving: {total} of {len(windows)} predictions are faster than "
             f"{settings.minimum_speed:.3g} m/s and below {settings.maximum_acceleration:g} m/s^2 for "
-            f"{settings.horizon:g} s, "
-            f"{settings.min_windows} are needed")
+            f"{settings.horizon:g} s, {settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)

@@ -1,17 +1,16 @@
 """Stiffnesses, steering and yaw inertia from multi-step predictions of several drives at once.
 
 Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
-Stiffness: the nonlinear model yields the slope at small slip at the static load, given the tyre curve of the vehicle
-file, and the linear model the secant that predicts best in the slip range of the drives. For a tyre with another curve
-the value depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
+Stiffness: the nonlinear model yields the slope at zero slip and static load, given the tyre curve of the vehicle file,
+and the linear model the secant that predicts best in the slip range of the drives. If the true curve differs, the value
+depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
     L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for another ratio. If the wheelbase is too
-large by 1 %, i is too small by 1 %.
+fitted too, since a lag would be mistaken for another ratio. A wheelbase too large by 1 % makes i too small by 1 %.
 
 Yaw inertia, from transients:
 
@@ -105,7 +104,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     """Standard uncertainty of each stiffness [N/rad] as the slope at zero slip, from a second fit to windows below the
     median peak acceleration (`regression.extrapolation_uncertainty`); empty if the drives do not cover two slip ranges.
 
-    The measure of the slip range is the mean |v_x r| weighted by its square, with which the secant of a brush tyre
+    The slip range is measured by the mean |v_x r| weighted by its square, with which the secant of a brush tyre
     decreases about linearly.
     """
     try:
@@ -122,7 +121,7 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
 
 
 def find_largest_slip(logs: Sequence[DriveLog], vehicle: VehicleParameters, settings: DrivingFitSettings) -> np.ndarray:
-    """SLIP_QUANTILE of |slip angle| of (front, rear) axle [rad], at the speeds and accelerations of the settings."""
+    """SLIP_QUANTILE of |slip angle| of the (front, rear) axle [rad], within the limits of the settings."""
     slips = []
     for run in (sample_run(log, vehicle) for log in logs):
         used = ((run.velocity_x >= settings.minimum_speed)
@@ -190,8 +189,8 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                          reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
-    """Identification with the results of a fit. reported: parameters that become estimates. systematic: standard
-    uncertainties by parameter, added in quadrature to those from the variation between drives."""
+    """Result of an experiment from a fit. reported: parameters that become estimates. systematic: standard uncertainty
+    by parameter, added in quadrature to that from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS

@@ -37,7 +37,7 @@ SAMPLE_INTERVAL = 0.1  # s; filtered samples at shorter intervals are redundant
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """cg_to_ins_x [m], ins_misalignment [rad, + if the heading is too far left], and with tight bends cg_to_ins_y [m].
+    """Estimates of cg_to_ins_x [m], ins_misalignment [rad, + to the left], and with tight bends cg_to_ins_y [m].
 
     vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too few or unusable drives.
     """
@@ -85,7 +85,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6): one sample of the mask per SAMPLE_INTERVAL."""
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6), of one sample in the mask per SAMPLE_INTERVAL."""
     where = np.flatnonzero(mask)
     if len(where):
         where = where[np.unique(np.floor(run.time[where] / SAMPLE_INTERVAL), return_index=True)[1]]
@@ -134,7 +134,7 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """A sentence if the slip s differs by 2 standard deviations from that of the vehicle file; "" also if uncertain."""
+    """Sentence on a slip s that differs by 2 standard deviations from the vehicle file; else, or if uncertain, ""."""
     expected = rear_slip_coefficient(vehicle)
     uncertainty = float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:

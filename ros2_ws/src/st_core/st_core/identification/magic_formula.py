@@ -11,14 +11,13 @@ from STARTS. With two loads, p_ky4 is taken from the vehicle file; with one load
 Slip angle [rad] and force [N] of one tyre in steady state may have either sign convention (`check_table`). Source:
 paper, parameter identification and appendix. Checked by: test_identification_experiments.py.
 
-Stiffness scale of the Magic Formula from the cornering stiffness C of an axle.
+The stiffness scale of the Magic Formula follows from the cornering stiffness C of an axle:
 
     lambda_ky = C / (2 |K|),   K: stiffness of one tyre with lambda_ky = 1 at its static load F_z
     (u(lambda) / lambda)^2 = (u(C) / C)^2 + (u(K) / K)^2 + (d ln K / d ln F_z)^2 (u(F_z) / F_z)^2
 
-u(K) requires the tyre's flat-plank table: errors of p_ky1, p_ky2 and p_ky4 are strongly correlated and nearly cancel in
-K, so it cannot be computed from their separate uncertainties. Source: paper, equation of lambda_Ky. Checked by:
-test_identification_result.py.
+u(K) requires the tyre's flat-plank table, since the errors of p_ky1, p_ky2 and p_ky4 are strongly correlated and nearly
+cancel in K. Source: paper, equation of lambda_Ky. Checked by: test_identification_result.py.
 """
 
 import math
@@ -166,9 +165,9 @@ class TyreFit:
 
 
 def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
-    """Fit a tyre in two stages, and then simultaneously. start: source of nominal_load and of all parameters that are
-    not fitted; its scale factors are replaced by 1. Raises IdentificationError for a table that does not determine a
-    tyre.
+    """Fit of a tyre in two stages, and then simultaneously. Raises IdentificationError for an unsuitable table.
+
+    start: source of nominal_load and of all parameters that are not fitted; its scale factors are replaced by 1.
     """
     levels, level = find_load_levels(data)
     data, flipped = check_table(data, levels, level, start.nominal_load)
@@ -277,7 +276,7 @@ def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) 
 
 
 def _with_values(tyre: MagicFormula, names: Sequence[str], values: Any) -> MagicFormula:
-    """The tyre with values in the order of names, without SHIFT; a value is a number or an array over several tyres."""
+    """The tyre with values in the order of names, without SHIFT; each value is a number or an array over tyres."""
     return tyre._replace(**{name: value for name, value in zip(names, values, strict=True) if name != SHIFT})
 
 

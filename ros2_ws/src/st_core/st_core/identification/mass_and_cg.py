@@ -9,11 +9,10 @@ suspension; u_s: standard uncertainty of one scale, whose error repeats in every
 the interval has the degrees of freedom of Welch and Satterthwaite. Source: paper, parameter identification.
 Checked by: test_identification_experiments.py.
 
-Height of the CG: rear load versus pitch with the front axle lifted.
-
-The car rests on free-rolling wheels with locked suspension, so each ground force is vertical and passes through the
-centre of its wheel. Moments about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level
-car, the height r of the line between the wheel centres at the CG:
+The height of the CG follows from the rear load versus pitch with the front axle lifted. The car rests on free-rolling
+wheels with locked suspension, so each ground force is vertical and passes through the centre of its wheel. Moments
+about the front wheel centres, with pitch theta (nose up), wheelbase l, and, for the level car, the height r of the line
+between the wheel centres at the CG:
 
     m_r(theta) = m_r(0) + m (h - r) / l tan(theta)
     one pitch:   h = r + l (m_r(theta) - m_r(0)) / (m tan(theta))          (ISO 10392)
@@ -120,7 +119,7 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
 
 
 def _check_scales(readings: np.ndarray, rejected: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
-    """Warnings. readings: (n, 4) of the weighings used. rejected: number of others. front: cg_to_front_axle [m]."""
+    """Warnings on the weighings used. readings: (n, 4). rejected: number of others. front: cg_to_front_axle [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
@@ -262,7 +261,7 @@ def _compute_radii(data: LiftRows, rear_share: float) -> tuple[float, str]:
 
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
-    """Rear load minus the level rear load of the lift (n,) [kg]; NaN in rows with a small pitch, unless all are small.
+    """Rear load minus the level rear load of the same lift, (n,) [kg]; NaN at small pitch, unless all are small.
 
     The level load of a lift is the mean of its level rows, or else the intercept of its line.
     """

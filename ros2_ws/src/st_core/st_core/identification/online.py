@@ -62,7 +62,7 @@ class OnlineEstimate:
 class DrivingTime:
     """Duration of the driving so far [s], by kind."""
 
-    used: float = 0.0  # neither too slow nor above the lateral acceleration of SETTINGS
+    used: float = 0.0  # within the limits of SETTINGS for speed and lateral acceleration
     straight: float = 0.0  # |L r / v| below a quarter of MIN_BEND_ANGLE
     left: float = 0.0  # L r / v above MIN_BEND_ANGLE
     right: float = 0.0  # L r / v below -MIN_BEND_ANGLE
@@ -216,7 +216,7 @@ class OnlineIdentifier:
                                 for driven, needed, kind in rows if driven < needed) for name, rows in needs.items()}
 
     def _describe_implausible_values(self) -> Mapping[str, str]:
-        """Reasons why values are implausible, by parameter."""
+        """Reason why a value is implausible, by parameter."""
         fit, (offset, ratio, scale) = self.fit, self.fit.values
         if fit.residual_ratio > MAX_RESIDUAL_RATIO:
             return dict.fromkeys(NAMES, f"the residual is {100 * fit.residual_ratio:.0f} % of the yaw rate: "

@@ -12,8 +12,8 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-FILTER_SETTLING_TIME = 0.2  # settling time of the filter [s], discarded at both ends of each gap-free section
-MAXIMUM_GAP = 0.1  # longest interval between samples that is interpolated [s]
+FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each gap-free stretch
+MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # of a usable drive: s of INS and steering, number of INS samples
 MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; acts like 0.1 deg at the steering wheel at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
@@ -59,7 +59,6 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
     _, a_y = ins_to_cg_acceleration(0.0, velocity_y_dot + speed * yaw_rate, yaw_rate, yaw_acceleration, d_x, d_y)
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, cutoff).sample(log.steering_time_ns, angle, time_ns)
-    # Nearer than FILTER_SETTLING_TIME to the ends of a gap-free stretch, the filter has not settled.
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
     stretch = np.searchsorted(begins, time_ns, side="right") - 1

@@ -1,6 +1,6 @@
 """Ratio and offset of the steering from experiments.
 
-Steering ratio from turntables, which measure the angles of both front wheels versus the steering-wheel angle.
+The steering ratio is from turntables, which measure the angles of both front wheels versus the steering-wheel angle:
 
     delta = (left + right) / 2,    delta_k = a_j + b delta_h,k + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
@@ -12,7 +12,7 @@ The steering-wheel offset cannot be identified, because the zero of the turntabl
 driving. A cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %).
 Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
 
-Offset of the steering wheel sensor from straight driving, by two methods.
+The offset of the steering wheel sensor is estimated from straight driving, by two methods.
 
 Method of the paper: the offset with which the predicted yaw rate agrees best with the measured one. Direct method: the
 mean reading in windows of nearly constant steering, corrected for the remaining curvature kappa,
@@ -82,7 +82,7 @@ def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[f
 
 
 def _group_columns(groups: Sequence[str]) -> dict[str, np.ndarray]:
-    """1 for the points of a group, 0 for others, (n,) by name."""
+    """Indicator column (n,) of each group, by name: 1 for its points, 0 for others."""
     return {str(name): (np.asarray(groups) == name).astype(float) for name in dict.fromkeys(groups)}
 
 
