@@ -199,6 +199,19 @@ def test_single_drive_is_read_with_the_run_file_of_its_folder(tmp_path: Path) ->
     assert "unknown key offste" in str(find_runs([a])[0].problem)
 
 
+@pytest.mark.parametrize(("name", "text"), [
+    ("run.yaml", "csv: a.csv\noffste: 1\n"), ("run.yaml", "csv: a.csv: b\n"), ("run.yaml", "csv: [a.csv, a_2.csv]\n"),
+    ("all.run.yaml", "each: 'a*.csv'\noffste: 1\n")])
+def test_invalid_run_file_refuses_only_the_recordings_that_it_names(tmp_path: Path, caplog, name: str,
+                                                                    text: str) -> None:
+    a, b = touch(tmp_path, "a.csv", "b.csv", content=DRIVE)
+    (file,) = touch(tmp_path, name, content=text)
+    assert str(find_runs([a])[0].problem).startswith(str(file))
+    assert find_runs([b])[0].problem is None and find_runs([b])[0].files == (b,)
+    assert [record.getMessage() for record in caplog.records if record.getMessage().startswith(f"warning: {file}")]
+    assert "recordings that this file does not name are read without it" in caplog.text
+
+
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
     (run,) = find_runs([tmp_path])

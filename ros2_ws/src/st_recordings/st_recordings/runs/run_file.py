@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from st_core.errors import ConfigurationError, StCoreError
 from .can_formats import EXTENSIONS as CAN_EXTENSIONS
 from .can_formats import is_can_log
 from .columns import COLUMNS, UNITS, Layout, find_unit
-from .errors import RunError, shorten
+from .errors import RunError, log_warnings, shorten
 from .readers import READERS, find_reader
 from .run_types import Label, RunSource
 
@@ -44,9 +45,33 @@ def find_described_run(file: Path) -> RunSource | None:
         raise own.problem
     if own and own.files == (file,):
         return own
-    paths = [path for path in sorted(file.parent.glob(f"*{RUN_FILE}")) if is_run_file(path) and path.is_file()
-             and re.search(r"^each\s*:", path.read_text("utf-8", "replace"), re.MULTILINE)]
-    return next((run for path in paths for run in read_run_file(path) if file in run.files), None)
+    for path in sorted(file.parent.glob(f"*{RUN_FILE}")):
+        if is_run_file(path) and path.is_file() and re.search(r"^each\s*:", _read_leniently(path), re.MULTILINE):
+            try:
+                runs = read_run_file(path)
+            except RunError as error:
+                if _may_concern(path, file):
+                    raise
+                _log_unused(error)
+                continue
+            if (run := next((run for run in runs if file in run.files), None)) is not None:
+                return run
+    return None
+
+
+def _read_leniently(path: Path) -> str:
+    return path.read_text("utf-8", "replace")
+
+
+def _may_concern(path: Path, file: Path) -> bool:
+    """Whether an invalid run.yaml may be about a recording: by its own name, or a name or pattern in its text."""
+    text = _read_leniently(path)
+    return path.name == file.stem + RUN_SUFFIX or file.name in text or any(
+        fnmatch(file.name, Path(word).name) for word in re.findall(r"[^\s'\",\[\]]+", text))
+
+
+def _log_unused(error: RunError) -> None:
+    log_warnings([f"{error}; recordings that this file does not name are read without it"])
 
 
 def read_yaml_mapping(file: Path) -> dict[str, Any]:
@@ -97,7 +122,8 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads another run.yaml, with the stem or in the folder of `file`, that lists it or is invalid; else None."""
+    """Reads another run.yaml, with the stem or in the folder of `file`, that lists it, or is invalid and may be about
+    it; else None."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:
@@ -105,7 +131,9 @@ def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
             if "each" not in content and file in (run := _parse_single_run(own, content)).files:
                 return run
         except RunError as error:
-            return RunSource(own.name, "", (own,), problem=error, run_file=own)
+            if _may_concern(own, file):
+                return RunSource(own.name, "", (own,), problem=error, run_file=own)
+            _log_unused(error)
     return None
 
 
