@@ -286,7 +286,7 @@ def test_run_yaml_gives_files_and_settings(tmp_path: Path) -> None:
     ("ins: y.ncom\ncan: 1.log", "ins: 'y.ncom' does not exist"),
     ("csv: e*.csv", r"csv: no file matches 'e\*\.csv'"),
     ("csv: [d.csv, 3]", "csv: expected a file or a list of files"),
-    ("ins: x.ncom", "the key can names no CAN log"),
+    ("ins: x.ncom", "can: names no CAN log"),
     ("ins: x.ncom\ncan: /logs/*.mf4", "can: '/logs/\\*.mf4' is not a valid pattern"),
     ("ins: x.ncom\ncan: g**", r"can: 'g\*\*' is not a valid pattern"),
     ("ins: x.ncom\ncan: 1.log\noffset: soon", "offset: 'soon' is not a number"),

@@ -116,14 +116,12 @@ class ReadOptions:
 
         Raises RunError for a car that cannot be read.
         """
-        from st_recordings.car import STEERING_DEFAULTS
         from st_recordings.runs import ReadSettings
 
         options = self.fill_in_car()
-        settings = STEERING_DEFAULTS | options.sensor_settings | others
         return options.vehicle, ReadSettings(dbc=options.dbc, signals=options.signals, offset=self.offset,
                                              ins_can_latency=self.ins_can_latency, steering=self.steering,
-                                             odometry=self.odometry_topic, **settings)
+                                             odometry=self.odometry_topic, **options.sensor_settings, **others)
 
     def fill_in_car(self, complete: bool = False) -> "ReadOptions":
         """The options, with files and steering sensor of the car where the user gave none.

@@ -43,8 +43,8 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
-    position: number of the last line that was read. last: its text. `unread`: makes a line the next one. header: line
-    that replaces the header when a reader restarts after an unreadable line; empty if the reader parses no header.
+    position: number of the last line that was read. last: its text. `unread` puts a line back, to be read next. header:
+    line that replaces the header when a reader restarts after an unreadable line; empty if it parses no header.
     """
 
     header = ""
@@ -164,7 +164,8 @@ class _AscLines(Lines):
     _are_relative, _seconds = False, 0.0  # whether times are relative to the previous line; last time since the start
 
     def convert(self, line: str) -> str:
-        """Writes times since the start and English months, and removes a.m. or p.m. from hours outside 1 to 12."""
+        """Converts times to seconds since the start and months to English; removes a.m. or p.m. after hours outside 1
+        to 12."""
         if stamp := _ASC_STAMP.match(line):
             seconds = float(".".join(stamp.groups()))
             self._seconds = seconds + (self._seconds if self._are_relative else 0.0)

@@ -24,6 +24,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, ChunkIndex
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.summary import Summary
+from numpy.lib.stride_tricks import sliding_window_view
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -69,10 +70,11 @@ def load_typestore() -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """Store in which recorded definitions of these types replace its own; the same store if none differs or on clashes.
+    """Store in which the recorded definitions of these types replace its own; the given store if none differs, or if
+    they contradict each other.
 
-    definitions: definitions in the recording (bag_storage.Storage.definitions). A definition that cannot be parsed is
-    ignored: its type remains as in the store, or unknown.
+    definitions: as returned by bag_storage.Storage.definitions. A definition that cannot be parsed is ignored: its type
+    remains as in the store, or unknown.
     """
     recorded: dict[str, Any] = {}
     for name in types:
@@ -179,8 +181,7 @@ class CdrLayout:
     def column(self, buffer: np.ndarray, starts: np.ndarray, path: str) -> np.ndarray:
         """One field of the messages that begin at `starts` in a uint8 buffer: (n,) or (n, count); stamps in ns."""
         field = self.fields[path]
-        windows = np.ndarray((max(len(buffer) - field.width + 1, 0), field.width), np.uint8, buffer.data, 0, (1, 1))
-        values = windows[starts + field.offset].view(field.dtype)
+        values = sliding_window_view(buffer, field.width)[starts + field.offset].view(field.dtype)
         if path.endswith("stamp"):
             return values[:, 0].astype(np.int64) * 1_000_000_000 + values[:, 1].astype(np.uint32).astype(np.int64)
         return values if field.count > 1 else values[:, 0]

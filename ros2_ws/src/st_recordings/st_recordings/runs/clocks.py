@@ -84,7 +84,8 @@ def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, floa
 
 
 def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1) -> tuple[list[SharedSignal], str]:
-    """(pair for a log without INS frames, warning): speed and vehicle or rear wheel speed, else curvature and steering.
+    """(pair for a log without INS frames, warning): INS speed and vehicle or rear wheel speed, or else curvature and
+    steering wheel angle.
 
     steering_sign: +1 if the decoded sensor is positive to the left. ([], "") if the log has neither speed nor steering.
     """

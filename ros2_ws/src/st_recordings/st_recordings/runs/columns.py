@@ -161,10 +161,11 @@ AMBIGUOUS = {normalise(name) for name in
 MAX_NAME_LENGTH = 200
 """Characters; of a longer name, only the end counts."""
 PATH_RANK = 1000
-"""Added to the rank of a name at the end of a path, such as /ins/odometry/twist/twist/linear/x from PlotJuggler, or
-with the name of its source, such as ego_velocity_x."""
+"""Added to the rank of a name that follows a path, as in /ins/odometry/twist/twist/linear/x from PlotJuggler, or the
+name of a source, as in ego_velocity_x."""
 DOUBTFUL_RANK = 500
-"""Rank of names that also denote roll and pitch: read if no other column is a heading."""
+"""Rank of the names theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading.
+"""
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
     r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
@@ -208,7 +209,7 @@ class ColumnSource:
 
 
 class _Meaning(NamedTuple):
-    """What the name of a column denotes."""
+    """The channel that the name of a column denotes."""
 
     channel: str  # a key of COLUMNS, or _STEERING
     rank: int  # of the name among the names of the channel
@@ -290,11 +291,8 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 def _find_column(names: Sequence[str], named: str) -> int | None:
     """Finds the index of a column by its name: an exact match, or else one that ignores case, then also punctuation,
     then also the unit. Returns None without a match."""
-    for form in (str, str.lower, normalise, _without_unit):
-        for number, name in enumerate(names):
-            if form(name) == form(named):
-                return number
-    return None
+    return next((number for form in (str, str.lower, normalise, _without_unit)
+                 for number, name in enumerate(names) if form(name) == form(named)), None)
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from struct import Struct
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction and in Linux
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
@@ -136,7 +137,7 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     ends = np.cumsum(sizes)
     buffer = np.frombuffer(b"".join(parts) + bytes(FRAME_HEAD_LENGTH + MAX_DATA_LENGTH), np.uint8)
     at, remaining = np.array(firsts, np.int64) + ends - sizes, np.array(counts, np.int64)
-    heads = _sliding_windows(buffer, FRAME_HEAD_LENGTH)
+    heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)
     offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
@@ -170,11 +171,11 @@ def _locate_first_frame(message: bytes) -> tuple[int, int]:
 
 
 def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:
-    heads = _sliding_windows(buffer, FRAME_HEAD_LENGTH)[at]
+    heads = sliding_window_view(buffer, FRAME_HEAD_LENGTH)[at]
     words = heads[:, :12].copy().view("<i4")
     length = heads[:, 16]
     width = 8 if int(length.max()) <= 8 else MAX_DATA_LENGTH
-    payload = _sliding_windows(buffer, width)[at + FRAME_HEAD_LENGTH]
+    payload = sliding_window_view(buffer, width)[at + FRAME_HEAD_LENGTH]
     payload[np.arange(width) >= length[:, None]] = 0
     extended, error, remote, fd = ((heads[:, k] != 0).astype(np.uint8) for k in range(12, 16))
     return Frames(
@@ -182,8 +183,3 @@ def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:
         id=words[:, 2].view(np.uint32) | extended.astype(np.uint32) * np.uint32(EXTENDED),
         payload=payload, length=length, bus=np.zeros(len(at), np.uint8),
         flags=error * np.uint8(ERROR) | remote * np.uint8(REMOTE) | fd * np.uint8(FD))
-
-
-def _sliding_windows(buffer: np.ndarray, width: int) -> np.ndarray:
-    """A view in which row k is the `width` bytes from byte k on."""
-    return np.ndarray((len(buffer) - width + 1, width), np.uint8, buffer.data, 0, (1, 1))

@@ -17,7 +17,8 @@ SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
 MAX_LOST_SHARE = 0.01  # of the rows; if more are not later than those before them, the clock may have been set back
-MAX_END_STEP = 10.0  # 95th percentiles of the time steps; if the first or last step is longer, its outer stamp is wrong
+MAX_END_STEP = 10.0
+"""Multiple of the 95th percentile of the time steps; if the first or last step is longer, its outer stamp is wrong."""
 
 
 @dataclass(frozen=True)

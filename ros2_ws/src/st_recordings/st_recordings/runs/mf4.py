@@ -271,8 +271,5 @@ def _find_bus(log: Any, group: int) -> int:
     """Finds the bus in the name of a group or of its source, such as CAN1_Rx (layout 2); 0 if it is unknown."""
     channel_group = log.groups[group].channel_group
     source = channel_group.acq_source
-    for text in (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None)):
-        match = _BUS.search(text or "")
-        if match:
-            return int(match.group(1))
-    return 0
+    texts = (channel_group.acq_name, getattr(source, "name", None), getattr(source, "path", None))
+    return next((int(match[1]) for text in texts if (match := _BUS.search(text or ""))), 0)

@@ -42,7 +42,7 @@ def read_ncom(file: Path) -> NcomLog:
     except NcomError as error:
         problem = str(error).removeprefix(f"{file}: ")
         raise RunError(file, problem, "remove the file from the command, or name the right one") from None
-    warnings = _damage_warnings(columns, file)
+    warnings = _describe_damage(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
     fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
@@ -76,7 +76,7 @@ def read_ncom(file: Path) -> NcomLog:
         warnings=tuple(warnings))
 
 
-def _damage_warnings(columns: file_decoder.Columns, file: Path) -> list[str]:
+def _describe_damage(columns: Columns, file: Path) -> list[str]:
     lost = []
     with file.open("rb") as stream:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MAGIC  # a capture has headers between the packets

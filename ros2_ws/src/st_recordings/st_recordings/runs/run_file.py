@@ -154,7 +154,7 @@ def _build_run(path: Path, content: Mapping[str, Any], name: str, key: str, file
     reader = find_reader(files[0], key)
     assert reader is not None  # _FILE_KEYS are the keys of the readers
     if reader.needs_can and not logs:
-        raise RunError(path, "the key can names no CAN log", "list the logs, a folder that contains them, or a pattern")
+        raise RunError(path, "can: names no CAN log", "list the logs, a folder that contains them, or a pattern")
     for setting in ("columns", "units"):
         if setting in content and not reader.is_table:
             raise RunError(path, f"{setting}: only {' and '.join(TABLE_KEYS)} files have columns, and other files have "

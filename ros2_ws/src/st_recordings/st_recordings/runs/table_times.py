@@ -157,7 +157,7 @@ def _is_mostly_hhmmss(times: np.ndarray) -> bool:
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
-    """Whether all numbers are valid HHMMSS.ss, and a step, to a new minute, exceeds the median step by 40."""
+    """Whether all numbers are valid HHMMSS.ss and a step exceeds the median step by 40, as at the start of a minute."""
     if len(times) < 3 or not is_valid_hhmmss(times).all():
         return False
     steps = np.diff(times)

@@ -29,7 +29,8 @@ TRUE_HEADING_NAMES = ("trueheading", "truehead", "headingtrue", "heading2", "dua
 MIN_HEADING_AGREEMENT = 0.5
 """A yaw rate channel is not used if the magnitude of its correlation with the derivative of the heading is lower."""
 MIN_TURN_RATE = 0.01
-"""rad/s, due to heading noise of 0.1 deg at 5 Hz; below this median |derivative|, the yaw rate is not checked."""
+"""[rad/s]. The yaw rate is not checked if the median magnitude of the derivative of the heading is lower; a heading
+noise of 0.1 deg at 5 Hz has about this derivative."""
 
 
 def read_vbo(file: Path, layout: Layout) -> Table:
@@ -106,9 +107,8 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
 
 def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
     """Column -> unit, from [channel units], which lists the last columns only, and from velocity in [header]."""
-    lines = [line.strip() for line in sections.get("channel units", sections.get("units", "")).splitlines()]
-    while lines and not lines[-1]:
-        lines.pop()
+    text = sections.get("channel units", sections.get("units", ""))
+    lines = [line.strip() for line in text.rstrip().splitlines()]
     units = dict(zip(names[-len(lines) :], lines, strict=False)) if lines and len(lines) <= len(names) else {}
     for line in sections.get("header", "").lower().splitlines():
         if line.strip().startswith("velocity "):

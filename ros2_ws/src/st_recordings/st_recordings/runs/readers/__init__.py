@@ -22,9 +22,9 @@ class Reader:
     read: reads the whole drive of a run; raises RunError. None for a kind that never contains the steering angle, so
     that a run needs CAN logs. read_ins: reads only the INS, for a run with CAN logs. is_folder: whether a folder is one
     recording. has_drive: whether a file contains a drive, by a quick test; True if undecided. is_incomplete: whether a
-    file without a drive is probably meant as one, so that it is reported. lacks_steering: whether a recording contains
-    no steering angle, so that CAN logs belong to it. is_table: whether it has columns and may consist of several files;
-    `read` and `read_ins` then apply the correction factor of yaw.
+    file without a drive probably should contain one, so that the missing channels are reported. lacks_steering: whether
+    a recording contains no steering angle, so that CAN logs belong to it. is_table: whether it has columns and may
+    consist of several files; `read` and `read_ins` then apply the correction factor of yaw.
     """
 
     kind: str
@@ -47,7 +47,7 @@ class Reader:
         return self.needs_can or self.lacks_steering(path)
 
     def may_contain_drive(self, path: Path) -> bool:
-        """Whether a file contains a drive or the INS measurements of one, or is probably meant to."""
+        """Whether a file contains a drive or the INS measurements of one, or probably should."""
         return self.has_drive(path) or self.is_ins_only(path) or self.is_incomplete(path)
 
     def accepts(self, path: Path) -> bool:
