@@ -1,4 +1,4 @@
-"""Axle forces of a fitted model: force curves over the slip angles of the drives, measured forces, combinations."""
+"""Axle forces of a fitted model, compared with the measured forces, and combinations of parameters of the car."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +28,9 @@ from .evidence import JointFit
 from .fit import Fit, Problem
 from .result import Combination
 
-DRAWS = 100  # number of random draws of the values, for 90 % and 95 % intervals
+DRAWS = 100  # number of random draws of the fitted values, for 90 % and 95 % intervals
 MAX_SLIP = 0.35  # rad, above the slip of peak force of every road tyre
-MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the file
+MIN_SAMPLES = 100  # runs with fewer samples of slip and force are left out of the comparison with the vehicle file
 MIN_FORCE_CHANGE = 0.01  # relative; an effect that changes the force by less does not count as acting on the axle
 SMALL_SLIP = 0.005  # rad, where the cornering stiffness of an axle is evaluated
 GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
@@ -39,8 +39,8 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 class Axles:
     """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
     intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
-    near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises StCoreError for a
-    base model without tyres, drives too short, and values too uncertain for a vehicle file."""
+    near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises StCoreError if the
+    base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, noise_ratio: float, near: Sequence[np.ndarray] = ()):
@@ -64,17 +64,17 @@ class Axles:
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
             self.near = select_valid_models([problem.space.at(vector) for vector in near], vehicle)
-            of_effects = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
-            indices = joint_fit.indices[of_effects]
+            in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
+            indices = joint_fit.indices[in_model]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
-            covariance[np.ix_(indices, indices)] = joint_fit.covariance[np.ix_(of_effects, of_effects)] * np.outer(
+            covariance[np.ix_(indices, indices)] = joint_fit.covariance[np.ix_(in_model, in_model)] * np.outer(
                 scale, scale) * max(noise_ratio, 1.0) ** 2
             model_error = np.array([p.model_error for _, p in self.model.free])[indices]
             covariance[indices, indices] += np.square(model_error)
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
-        """`ForceCurve` of each axle in the slip range of the drives. base: model at the start, for `ForceCurve.file`.
+        """`ForceCurve` of each axle in the slip range of the drives. base: initial model, for `ForceCurve.file`.
         Raises StCoreError for drives without slip."""
         return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws, self.near)
                      for r in self.regressions)
@@ -115,8 +115,8 @@ class Axles:
 
     def contradicting_axles(self, base: AugmentedModel,
                             leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
-        """Axles whose measured forces agree less with the model than with the vehicle file; none without measured
-        sideslip or with low excitation. leave_one_out: see `Discovery`."""
+        """Axles with measured forces that agree less with the model than with the vehicle file; none if sideslip is not
+        measured or excitation is low. leave_one_out: see `Discovery`."""
         space, contradicting = self.problem.space, []
         base = base.with_values({name: space.values(name, self.fit.vector) for name in space.payloads})
         for regression in self.regressions if self.has_sideslip else ():
@@ -124,10 +124,10 @@ class Axles:
                 continue
             square_errors = np.zeros(2)  # of the model, of the vehicle file
             for k, run in enumerate(self.runs):
-                of_run = np.asarray(regression.samples.run_of) == k
-                if of_run.sum() < MIN_SAMPLES:
+                in_run = np.asarray(regression.samples.run_of) == k
+                if in_run.sum() < MIN_SAMPLES:
                     continue
-                samples = replace(regression.samples, **{name: getattr(regression.samples, name)[of_run]
+                samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
                                                          for name in ("slip", "force", "run_of", "time", "used")})
                 without = self.model.with_values(leave_one_out.get(run.name, {}))
                 square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]

@@ -16,7 +16,7 @@ from .fit import Fit, Problem
 from .result import Certificate, Power
 from .settings import Limits
 
-SIZES = (0.25, 0.5, 1.0)  # sizes of an effect that are tested, in parameter scales
+SIZES = (0.25, 0.5, 1.0)  # tested sizes of an effect [parameter scales]
 DRAWS = 20  # simulated drives for each size; the standard deviation of the measured power is at most 0.11
 FALSE_ALARM_DRAWS, FLIPS = 100, 100  # simulated drives without an effect; draws of block signs in each drive
 
@@ -104,8 +104,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
                     required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
     """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if the best
-    is not significant or gains less than `required` per residual. change: (n, m) change of the residuals due to the
-    simulated effect."""
+    is not significant or gains less than `required` per residual. change: (n, m) residuals due to the effect."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
     simulated = signs[problem.block][:, None] * rows + change
     q = problem.loss.quadratic(simulated, sensitivities).sum_groups(problem.block, problem.blocks)

@@ -21,10 +21,9 @@ PARTITION_NAMES = {"run": "runs", "site": "sites", "time": "times within a run",
 class Rival:
     """An effect that could replace the effect `replaces` in the model. share [1]: ratio of its gain to the gain of the
     replaced effect. p_no_worse [1]: p-value of the hypothesis that it is as good. deficit [1]: gain of the replaced
-    effect minus gain of the rival, per residual. evidence, values: those of the rival in place of the replaced effect.
-    shared: whether both are in the model and the rival explains a part of the replaced effect, whose evidence is then
-    given. added [1]: gain of the rival in a model that also has the replaced effect (from other errors), divided by the
-    gain of that effect."""
+    effect minus gain of the rival, per residual. evidence, values: of the rival in place of the replaced effect.
+    shared: both are in the model and the rival explains a part of the replaced effect; `evidence` is for the latter.
+    added [1]: gain of the rival in addition to the replaced effect, divided by the gain of that effect."""
 
     name: str
     replaces: str
@@ -38,7 +37,7 @@ class Rival:
 
 
 def judge(e: Evidence, limits: Limits) -> Reason:
-    """The verdict on one effect in a set. The same test applies to adding, keeping and exchanging it."""
+    """The verdict on one effect in a set; the same for adding, keeping and exchanging it."""
     if not is_confirmed(e, limits):
         refused = _reject_insignificant(e, limits)
         if refused:
@@ -82,8 +81,8 @@ def _reject_varying(e: Evidence, limits: Limits) -> Reason | None:
     a = e.agreement[partition]
     return Reason(VARIES, e.name, {"p_equal": a.p_equal, "p_absent": a.p_absent, "undecided_p": limits.undecided_p,
                                    "false_alarm": limits.false_alarm},
-                  f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); with "
-                  f"probability {a.p_absent:.2g} it is absent or of opposite sign in another one")
+                  f"it varies between {PARTITION_NAMES[partition]} (p = {a.p_equal:.1g} for a constant value); in a "
+                  f"new one it is absent or of opposite sign with probability {a.p_absent:.2g}")
 
 
 def _format_with_unit(number: float, unit: str) -> str:
@@ -168,10 +167,10 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, crossi
         return Reason(FORCES, e.name, {"gain": e.gain}, f"the measured forces of the {worse_axle} axle agree "
                       "less well with it than with the vehicle file: it improves predictions, but is not named")
     if violation:
-        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is not plausible: {violation}; "
+        return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not named")
     if summed:
-        return minor(f"only the sum of it and {' and '.join(summed).replace('_', ' ')} is identifiable")
+        return minor(f"only its sum with {' and '.join(summed).replace('_', ' ')} is identifiable")
     if crossing:
         return minor(f"the interval of its {crossing.replace('_', ' ')} extends beyond the physical range")
     if peak_force_share < limits.min_peak_force:
@@ -183,23 +182,18 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, crossi
     if e.noise_ratio > limits.max_noise_ratio and e.gain < limits.unexplained_share and not confirmed_by_sensors:
         return minor(f"it is significant, but reduces the errors by only {e.share:.1%}, and one channel's error "
                      f"remains {e.noise_ratio:.1f} times the noise; a reduction of {limits.unexplained_share:.0%} is "
-                     "required, as a smaller one may have an unmodelled cause", gain=e.gain, noise_ratio=e.noise_ratio,
+                     "required, as unmodelled effects may cause a smaller one", gain=e.gain, noise_ratio=e.noise_ratio,
                      max_noise_ratio=limits.max_noise_ratio, unexplained_share=limits.unexplained_share)
     if not excludes_null and not confirmed_by_sensors:
-        return minor("it reduces the errors, but the interval of its value contains the value without influence")
-    size, figures = _describe_effect_size(e, limits), _relevance_values(e, limits)
-    if is_relevant(e, limits):
-        return Reason(NAMED, e.name, figures, size)
-    return minor(f"it is significant, but {size}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} cm is "
-                 "required", **figures)
-
-
-def _describe_effect_size(e: Evidence, limits: Limits) -> str:
-    """Clause with the largest error reductions."""
+        return minor("it reduces the errors, but the interval of its value includes the null value")
     channel, share = find_most_affected(e, limits)
     channel_part = f"the baseline {CHANNELS[channel].label} error by {share:.1%} and " if channel else ""
     where = " in one driving condition" if e.position_in_condition > max(e.position, 0.0) else ""
-    return f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{where}"
+    reduction = f"it reduces {channel_part}{describe_position_reduction(position_reduction(e))}{where}"
+    if is_relevant(e, limits):
+        return Reason(NAMED, e.name, _relevance_values(e, limits), reduction)
+    return minor(f"it is significant, but {reduction}; {limits.relevant:.1%} or {100 * limits.relevant_position:.0f} "
+                 "cm is required", **_relevance_values(e, limits))
 
 
 def varying_partition(e: Evidence, limits: Limits) -> str:
@@ -222,7 +216,7 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
     gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
-    gain += f", {rival.added:.0%} also in addition to it" if rival.added >= 0.005 else ""
+    gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     worse = rival.p_no_worse < limits.undecided_p
     if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
@@ -248,7 +242,7 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
     of the library's effects that are detectable in these drives at a size of one parameter scale. varying_effects:
     number of effects that vary between parts of the drives. combinations: names of the parameter combinations that
     differ from the vehicle file and that no named effect changes. effects: number of effects in the model.
-    base_noise_ratio [1]: ratio of the error without them to the noise."""
+    base_noise_ratio [1]: noise_ratio without these effects."""
     def conclude(outcome: Outcome, text: str, **figures: float) -> tuple[Outcome, Reason]:
         return outcome, Reason(outcome, "outcome", figures, text)
 

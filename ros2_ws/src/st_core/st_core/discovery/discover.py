@@ -1,4 +1,4 @@
-"""Discovery of the effects that a model lacks, with their values and the remaining residual, from recorded drives."""
+"""Discovery, from recorded drives, of the effects that a model lacks, their values, and the remaining residual."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -48,8 +48,8 @@ def discover(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | M
 
     runs: suspect drives. vehicle: parameters of the vehicle file, from which the search starts. reference: drives of
     the healthy car; with them the search starts from the values fitted to these drives and finds later changes.
-    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, with a
-    95 % interval, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard
+    progress(stage, done, total): called regularly. sensor_estimates: (value, low, high) from redundant sensors, value
+    and 95 % interval, by the name of the estimate in `st_core.checks`. parallel: number of threads. clocks: standard
     deviation of the error of the steering clock [s], by run; clocks of other runs count as exact.
 
     Raises StCoreError if the runs contain no usable prediction, ConfigurationError for settings that are not valid for
@@ -78,7 +78,7 @@ def fit_effects(runs: Sequence[DriveLog], vehicle: VehicleParameters, base: str 
 
 class _JudgedEffects(NamedTuple):
     """The effects of the final fit. minor: in the model, but not named. contradicted: refuted by the measured axle
-    forces, or leading to an implausible car. verdicts: by effect. Other fields: see `Discovery`."""
+    forces, or making the car implausible. verdicts: by effect. Other fields: see `Discovery`."""
 
     named: tuple[result.FoundEffect, ...]
     minor: tuple[result.FoundEffect, ...]
@@ -99,6 +99,7 @@ class _Analysis:
         self._progress, self._count = progress, 0
         self.warnings: list[str] = []
         self.clock_errors: dict[str, float] = {}
+        self._required_duration = settings.horizon + 2.0 * MARGIN_NS * NANOSECOND + 0.5  # of a usable run [s]
         self.runs, self.reference = self._select_usable(runs, "run"), self._select_usable(reference, "reference")
         if not self.runs:
             raise StCoreError(f"no run is long enough: a run needs {self._required_duration:.0f} s of driving faster "
@@ -139,14 +140,14 @@ class _Analysis:
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, why = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
+        outcome, reason = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, floor) if settings.locate_errors else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
-            budget=tuple(budget), reasons=(why, *self._collect_reasons(state, judged.verdicts)),
+            budget=tuple(budget), reasons=(reason, *self._collect_reasons(state, judged.verdicts)),
             candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
             separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
@@ -162,7 +163,7 @@ class _Analysis:
                        floor: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
-        # All other parameters of the library are free as well, so intervals include their possible contribution.
+        # All other parameters of the library are free as well, so that intervals include their possible contribution.
         joint_fit = approximate_joint_fit(problem, state.fit) if problem.prior is None else None
         position = problem.position_error(problem.held_out_rows(state.fit))
         noise_ratio = (float(np.nanmean(position)) / max(floor["position_5s"], 1e-9)
@@ -202,9 +203,9 @@ class _Analysis:
             base_noise_ratio=noise_ratios[0])
 
     def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
-        """(problem, fit) with effective corrections in addition to the effects found, without the priors of the vehicle
-        file; those of the search if the gain is too small, if the position error grows, or with reference drives, which
-        replace these priors."""
+        """(problem without the priors of the vehicle file, its fit with the effects found and effective corrections);
+        problem and fit of the search if the gain is too small, the position error grows, or reference drives replace
+        these priors."""
         problem, scale = self.problem, self.problem.loss.scale
         if problem.prior is not None:
             return problem, state.fit
@@ -244,11 +245,6 @@ class _Analysis:
         if short:
             self.warnings.append(f"{role} {', '.join(short)}: shorter than {self._required_duration:.0f} s, not used")
         return [run for run in runs if run.overlap >= self._required_duration]
-
-    @property
-    def _required_duration(self) -> float:
-        """Minimum duration of a usable run [s]."""
-        return self.settings.horizon + 2.0 * MARGIN_NS * NANOSECOND + 0.5
 
     def _correct_clocks(self, runs: list[DriveLog], deviations: Mapping[str, float]) -> list[DriveLog]:
         """The runs with corrected steering time stamps; warns if the steering clock of a run is uncertain."""
@@ -423,7 +419,7 @@ class _Analysis:
 
     def _find_untestable(self, state: SearchState, power: result.Certificate, judged: _JudgedEffects,
                          curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
-        """Effects that these drives cannot show, each with the reason and a manoeuvre that would show it."""
+        """Effects that are not detectable in these drives, with the reason and a manoeuvre that would show them."""
         listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         untestable, problem = [], self.problem
         for name in self.space.hypotheses:
@@ -433,11 +429,11 @@ class _Analysis:
             largest = max(powers, key=lambda p: p.size)
             manoeuvre = most_informative(problem, name, curvatures)
             other = certificate.find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
-            why = f"in these drives the effect cannot be separated from {other.replace('_', ' ')}; " if other else ""
+            confounded = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(
-                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; {why}it is "
-                f"visible in {get_effect(name).excited_by}", manoeuvre))
+                name, f"a change of {size} would be detected with probability {largest.probability:.2f}; "
+                f"{confounded}it is visible in {get_effect(name).excited_by}", manoeuvre))
         for name in self.space.without_signal:
             signals = ", ".join(get_effect(name).signals)
             untestable.append(result.UntestableEffect(name, f"it needs the signal {signals}, which is not recorded"))

@@ -4,8 +4,8 @@ For each range (bin) of a condition:
 
     excess = sqrt(mean square error in the bin / expected mean square error)
 
-The expected error is that of the reference drives in the same bin, or in their worst bin if they have too few blocks
-there; without a reference it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of time,
+The expected error is that of the reference drives in the same bin, or in their worst bin if this bin has too few
+blocks; without a reference it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of time,
 since errors of neighbouring predictions are correlated; intervals and p-values are from Student's t distribution.
 Significance is corrected for the number of bins (Benjamini and Hochberg, 1995).
 
@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
+from scipy.sparse.csgraph import connected_components
 
 from ..augmented import AugmentedModel
 from ..channels import CHANNEL_OF_COLUMN
@@ -78,7 +79,7 @@ class Samples:
 @dataclass(frozen=True)
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %. p:
-    p-value of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
+    p-value of the hypothesis that the error is not larger than expected. blocks: number of blocks. covered: whether the
     reference has enough driving in the range; True without a reference."""
 
     channel: str
@@ -118,7 +119,7 @@ class Cell:
 
 
 def assign_ranges(samples: Samples) -> list[Bin]:
-    """The predictions in each range, and in each direction; the first range contains all."""
+    """Bins of the predictions by range of each condition, and by direction; the first bin contains all."""
     lateral, limit = samples.conditions["lateral_acceleration"], MIN_TURNING_ACCELERATION
     bins = [Bin(EVERYWHERE, EVERYWHERE, None, None, np.ones(len(lateral), bool))]
     for quantity, (unit, edges) in CONDITIONS.items():
@@ -142,10 +143,10 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                        noise: Mapping[str, float] | None = None,
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
-    """Conditions with larger errors of a model than in the reference drives or, without a reference, than the sensor
-    noise; times and places with larger errors than under similar conditions. noise: standard deviation by channel [SI].
-    acceleration_gain: see `Discovery`. Channels that the runs or the reference do not measure, and channels without a
-    significant range, are left out."""
+    """Conditions in which the errors of a model are larger than in the reference drives or, without a reference, than
+    the sensor noise; times and places in which they are larger than under similar conditions. noise: standard deviation
+    by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in the runs and the reference,
+    and channels without a significant range, are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
     expected = window_errors(reference, model, vehicle, settings, acceleration_gain) if reference else None
     if expected is not None:
@@ -166,8 +167,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
 
 def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
                   settings: DiscoverySettings, acceleration_gain: float = 0.0) -> Samples:
-    """Errors and conditions of all windows of the runs: mean square errors over the first SHORT_HORIZON, but square
-    errors at the end of the horizon for channels with accumulating errors."""
+    """Errors and conditions of all windows of the runs: square errors at the end of the horizon for channels with
+    accumulating errors, mean square errors over the first SHORT_HORIZON for the others."""
     windows = Windows(runs, vehicle, settings)
     short = windows.time <= max(SHORT_HORIZON, float(windows.time[0]))
     errors = windows.errors(model, acceleration_gain)
@@ -189,8 +190,8 @@ def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: Vehi
 
 
 def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
-    """Positions at the starts of the windows, and conditions, which are means over the first SHORT_HORIZON (root mean
-    square of the steering rate)."""
+    """Positions at the starts of the windows, and mean conditions over the first SHORT_HORIZON (root mean square for
+    the steering rate)."""
     signals = LogSignals(windows.joined, MAX_GAP, 5.0, "zero_phase")
     duration = min(SHORT_HORIZON, float(windows.time[-1]))
     times = windows.starts_ns[:, None] + np.round(
@@ -272,13 +273,11 @@ def _stretch_region(stretch: Stretch, overall: BinExcess, samples: Samples) -> L
 
 def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
     """Regions of the two places with the largest excess; neighbouring cells form one place."""
-    remaining, regions = list(cells), []
-    while remaining:
-        place = [remaining.pop(0)]
-        for cell in place:  # grows during the loop
-            near = [c for c in remaining if max(abs(c.x - cell.x), abs(c.y - cell.y)) < MAX_CELL_DISTANCE]
-            place += near
-            remaining = [c for c in remaining if c not in near]
+    near = [[max(abs(a.x - b.x), abs(a.y - b.y)) < MAX_CELL_DISTANCE for b in cells] for a in cells]
+    number = connected_components(np.array(near))[1] if cells else np.zeros(0, int)
+    regions = []
+    for k in np.unique(number):
+        place = [cell for cell, n in zip(cells, number, strict=True) if n == k]
         x, y, ratio, low, high = np.mean([(c.x, c.y, c.ratio, *c.interval) for c in place], axis=0).tolist()
         radius = max(math.hypot(c.x - x, c.y - y) for c in place) + 0.5 * CELL_SIZE
         text = f"within {radius:.0f} m of (E {x:.0f} m, N {y:.0f} m), on average over the passes"
@@ -369,9 +368,9 @@ def log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
 
 
 def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Stretch]:
-    """Find the stretches with larger errors than the other parts of their run, by binary segmentation. A change point
-    is significant if the cumulative sum of `residual`, the `log_residuals` of the channel, is larger than with shuffled
-    blocks of `block` [s]."""
+    """Stretches with larger errors than the rest of their run, by binary segmentation. A change point is significant if
+    the cumulative sum of `residual`, the `log_residuals` of the channel, is larger than with shuffled blocks.
+    block: duration of a block [s]."""
     rng = np.random.default_rng((seed, 17))
     stretches = []
     for run in np.unique(samples.run):
@@ -391,18 +390,14 @@ def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: 
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
                         max_changes: int) -> list[int]:
-    """Indices of at most `max_changes` significant change points in values[first:last]. block: number of values that
-    are shuffled together."""
-    segment = values[first:last]
-    shortest = round(MIN_STRETCH_DURATION)
-    if max_changes < 1 or len(segment) < 2 * shortest:
+    """Indices of at most `max_changes` significant change points in values[first:last]. block: number of values in a
+    block."""
+    segment, shortest = values[first:last], round(MIN_STRETCH_DURATION)
+    if max_changes < 1 or len(segment) < max(2 * shortest, 4 * block):
         return []
     cusum = _cusum(segment[None])[0]
     change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(segment) > 2 * shortest else shortest
-    length = len(segment) // block * block
-    if length < 4 * block:
-        return []
-    pieces = segment[:length].reshape(-1, block)
+    pieces = segment[:len(segment) // block * block].reshape(-1, block)
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(PERMUTATIONS)])
     largest = _cusum(shuffled).max(axis=1)
     p = (1 + int((largest >= cusum[change]).sum())) / (1 + PERMUTATIONS)

@@ -40,7 +40,7 @@ class Evidence:
     """Statistics of one effect in a set.
 
     gain [1]: reduction of the held-out loss per residual, about the relative reduction of the RMS error; the smaller of
-    two values, with blocks and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
+    two values, with folds and with whole runs held out. healthy_gain [1]: `HealthyCar.gain`, 0 without reference
     drives. p_value [1]: p-value of the gain, corrected for the whole library. null_p_value [1]: see `null_p_value`.
     shares [1]: by column, see `column_shares`. position [m]: reduction of the mean held-out position error at the end
     of the horizon. position_in_condition [m]: lower 95 % bound of this reduction in the driving condition where the
@@ -167,7 +167,7 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
 
 
 def p_no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that a loss is not higher than another. difference: (b,) the loss minus the other."""
+    """p-value of the hypothesis that a loss is no higher than another. difference: (b,) loss minus the other loss."""
     deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
@@ -182,7 +182,7 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
     size = np.abs((fit.vector - problem.space.null) / problem.space.scale)[problem.space.indices(effect)].max()
     before, after = problem.held_out_rows(without), problem.held_out_rows(fit)
     reduction = problem.position_error(before) - problem.position_error(after)
-    if problem.prior is not None:  # the other values are known from the healthy car, so they do not compensate
+    if problem.prior is not None:  # the other values, known from the healthy car, do not compensate for the effect
         before = problem.errors.at(problem.vector_without(fit, effect))
     position, position_in_condition = error_reductions(reduction, partitions.get("condition"))
     sensors_p_value, sensors_null = sensor_p_values(problem, fit, effect, sensors)
@@ -198,7 +198,7 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise of all columns; 1 with a reference, because the healthy car has the same
+    """Largest ratio of error to noise among the columns; 1 with a reference, because the healthy car has the same
     residual, which therefore cannot imitate a change since the reference drives."""
     if problem.prior is not None:
         return 1.0
@@ -250,8 +250,8 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 
 
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> tuple[FileQuantity, float] | None:
-    """(quantity that an effect moves furthest from the file, in standard deviations; change of its parameter from the
-    null); None without such a quantity, and with reference drives."""
+    """(quantity that an effect moves furthest from the vehicle file, in standard deviations; change of its parameter
+    from the null); None without such a quantity, and with reference drives."""
     moved = [(quantity, float(fit.vector[i] - problem.space.null[i])) for i in problem.space.indices(effect)
              if problem.prior is None and (quantity := problem.quantities[i]) is not None]
     return max(moved, key=lambda pair: pair[0].z_score(pair[1]), default=None)
@@ -281,7 +281,7 @@ def _sensor_estimates(space: Space, effect: str, sensors: Sensors) -> list[tuple
 
 
 def _two_sided_p_value(distance: float, deviation: float) -> float:
-    """p-value of a normally distributed distance with this standard deviation."""
+    """p-value of a distance from 0, normally distributed with this standard deviation."""
     return 2.0 * float(stats.norm.sf(abs(distance) / max(deviation, 1e-12)))
 
 
@@ -291,7 +291,7 @@ def inverse(h: np.ndarray) -> np.ndarray:
 
 
 def _regular(h: np.ndarray) -> np.ndarray:
-    """The matrix with 1e-9 of its mean diagonal added to the diagonal."""
+    """The matrix with 1e-9 of the mean of its diagonal added to the diagonal."""
     return h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h))
 
 

@@ -6,15 +6,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import ACCELEROMETER_GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; parts of a step that are tried until the loss falls
+ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step tried until the loss falls
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
-MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends when a step reduces the loss by less
+MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends with the first step that reduces the loss by less
 FOLDS = 8  # groups of blocks, each held out once
 RMS_CLIP_LIMIT = 5.0  # robust scales of the baseline; larger residuals are clipped in an RMS value
 JOINT_DEVIATION = 3.0  # parameter scales; in a joint fit the prior adds at least (distance / this)^2 to the loss
@@ -24,31 +25,13 @@ RIDGE = 1e-6  # fraction of the mean curvature, added to the diagonal to keep st
 
 
 def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """x that minimises x'Ax - 2 b'x subject to low <= x <= high, where low <= 0 <= high, by an active-set method."""
+    """x that minimises x'Ax - 2 b'x subject to low <= x <= high, for a positive definite A."""
     x = np.linalg.solve(a, b)
     if ((x >= low) & (x <= high)).all():
         return x
-    x, fixed = np.zeros(len(b)), (low >= 0.0) | (high <= 0.0)
-    for _ in range(30 * len(b) + 50):
-        free, step = ~fixed, np.zeros(len(b))
-        if free.any():
-            step[free] = np.linalg.solve(a[np.ix_(free, free)], (b - a @ x)[free])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(step > 0, (high - x) / step, np.where(step < 0, (low - x) / step, np.inf))
-        first = int(np.argmin(share))
-        if share[first] < 1.0:
-            x = np.clip(x + max(share[first], 0.0) * step, low, high)
-            x[first], fixed[first] = low[first] if step[first] < 0 else high[first], True
-            continue
-        x = x + step
-        slope = b - a @ x
-        inwards = np.where(fixed & (x <= low) & (x < high), slope,
-                           np.where(fixed & (x >= high) & (x > low), -slope, 0.0))
-        steepest = int(np.argmax(inwards))
-        if inwards[steepest] <= 1e-9 * max(1.0, float(np.abs(b).max())):
-            break
-        fixed[steepest] = False
-    return x
+    root = np.linalg.cholesky(a)
+    bounded = lsq_linear(root.T, np.linalg.solve(root, b), (low, high), "bvls", 1e-12, max_iter=30 * len(b) + 50)
+    return np.clip(bounded.x, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +54,7 @@ class Sensitivities:
         if square == 0.0:
             return self
         error = reduction - np.tensordot(step, self.values, 1)
-        error[~np.isfinite(error)] = 0.0  # of a window that diverges at one of the two vectors
+        error[~np.isfinite(error)] = 0.0  # the window diverges at one of the two vectors
         return Sensitivities(vector, self.indices, self.values + (step / square)[:, None, None] * error)
 
     def with_values(self, indices: np.ndarray, values: np.ndarray) -> "Sensitivities":
@@ -99,8 +82,8 @@ def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
     others = np.setdiff1d(np.arange(len(prior)), free)
     marginal = np.zeros_like(prior)
     cross = prior[np.ix_(others, free)]
-    of_free = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
-    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(of_free, cross.T)
+    inside = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
+    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(inside, cross.T)
     return marginal
 
 
@@ -109,12 +92,11 @@ class Problem:
 
     start: (p,) initial vector of a search. prior: (p, p) curvature about `start`, from reference drives, for the
     parameters of effects outside the fitted set; if None, these keep their start values, except the gain of the
-    accelerometer, which is free if it is measured. block: (n,) number of the block of each window. noise: (c,) error of
-    each column due to noise alone [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
+    accelerometer, which is free if acceleration is measured. block: (n,) number of the block of each window. noise:
+    (c,) error of each column due to noise alone [SI]. healthy_gain [1]: `HealthyCar.gain`, 0 without reference drives.
 
     quantities: (p,) quantity of the vehicle file that each parameter changes. Its standard deviation s adds a Gaussian
-    prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: number of residuals that count as
-    one independent residual, see `update_design_effect`.
+    prior 0.5 D (x / s)^2 to the loss, x: change of the quantity. design_effect D [1]: see `update_design_effect`.
     """
 
     def __init__(self, loss: Loss, start: np.ndarray, block: np.ndarray, prior: np.ndarray | None = None,
@@ -130,8 +112,8 @@ class Problem:
         self._cached_sensitivities: list[Sensitivities] = []
 
     def set_quantities(self, quantities: Quantities) -> None:
-        """Set the quantity of the vehicle file that each parameter changes. Priors of payloads
-        apply only without reference drives, since reference drives already include the load."""
+        """Set the quantities of the vehicle file that the parameters change. Priors of payloads apply only without
+        reference drives, which already include the load."""
         self.quantities = quantities
         payload_deviation = self.space.deviation if self.prior is None else np.inf
         self._deviation = np.minimum(prior_deviations(quantities, self.space.scale), payload_deviation)
@@ -354,9 +336,8 @@ class Problem:
         return self.leave_out(q, fit.names, fit.vector, fit.indices, groups, at_optimum=True)
 
     def held_out_loss(self, fit: Fit, groups: np.ndarray) -> np.ndarray:
-        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if it
-        predicts a large increase, the smaller of it and the simulated loss of each block. groups: (b,) group of
-        each block."""
+        """(b,) loss of each block at values fitted without its group, from the quadratic approximation; if this loss is
+        much larger, the smaller of it and the simulated loss. groups: (b,) group of each block."""
         steps, held_out = self.leave_out_groups(fit, groups)
         if held_out.sum() - fit.quadratic.cost.sum() < MAX_QUADRATIC_RISE * self.residual_count:
             return held_out
@@ -369,8 +350,8 @@ class Problem:
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
-        """Reduction of the held-out loss per residual by the effects that `fit` has in addition. Each of the
-        `held_out_groups` is held out as a whole."""
+        """Reduction of the held-out loss per residual by the additional effects of `fit`, with each of the
+        `held_out_groups` held out as a whole."""
         before, after = (self.held_out_loss(f, self.held_out_groups) for f in (without, fit))
         return float((before - after).sum()) / self.residual_count
 

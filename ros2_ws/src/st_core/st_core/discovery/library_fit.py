@@ -1,11 +1,10 @@
 """Joint fits of the whole library of effects before a search.
 
-Fit of the healthy car to reference drives: initial vector of the search, and prior of the unselected effects.
-
-Correction of the steering clock of each run.
+The healthy car is fitted to reference drives, for the initial vector of the search and the prior of other effects.
 
 The steering in a CAN log has its own clock, which is aligned to the INS in each run with an error of some milliseconds.
 One delay for all runs cannot represent different errors; the fit would change yaw inertia or tyre relaxation instead.
+The clock of each run is therefore corrected first.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,9 +32,9 @@ FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter; `inverse` adds 
 
 @dataclass(frozen=True, eq=False)
 class HealthyCar:
-    """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about
-    them. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
-    position_error [m]: mean position error there, in the run where it is largest. gain [1]: largest reduction of the
+    """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about the
+    vector. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
+    position_error [m]: mean position error there, in the run with the largest. gain [1]: largest reduction of the
     loss per residual of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
@@ -47,9 +46,8 @@ class HealthyCar:
 
 def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space, settings: DiscoverySettings,
                     threads: int, tick: Callable[[], None]) -> HealthyCar:
-    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car: its
-    covariance is that of the values, times the design effect, times 2 because the reference and the new drive are both
-    uncertain."""
+    """Fit the healthy car to its drives. The prior is the predictive distribution for a new drive of the same car: the
+    covariance of the values times the design effect, times 2 because both reference and new drive are uncertain."""
     windows = Windows(runs, vehicle, settings)
     prior, quantities = weak_prior(space), find_file_quantities(space, vehicle)
     fits = []
@@ -149,7 +147,7 @@ ITERATIONS = 3  # repetitions of the joint fit, each with the corrected time sta
 def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space,
                                settings: DiscoverySettings, deviations: Mapping[str, float], threads: int,
                                tick: Callable[[], None]) -> dict[str, float]:
-    """Correction of the steering time stamps [s], > 0 if they were early, by run with an uncertain clock; empty for a
+    """Correction of the steering time stamps [s], > 0 if they are early, by run with an uncertain clock; empty for a
     single run, and for a base model without the effect `steering_delay`. deviations [s]: standard deviation of the
     steering clock by run, used as a prior; up to MAX_CLOCK_DEVIATION a clock counts as exact. The corrections are
     fitted together with all parameters of the library. An error common to all runs is attributed to `steering_delay`,

@@ -67,7 +67,7 @@ class Quadratic:
 
 
 class Errors:
-    """Prediction errors of all windows at a parameter vector, cached. threads: used by `at_all`."""
+    """Cached prediction errors of all windows by parameter vector. threads: used by `at_all`."""
 
     def __init__(self, windows: Windows, space: Space, threads: int = 1):
         self.windows, self.space, self.threads = windows, space, threads
@@ -97,8 +97,7 @@ class Errors:
 
 class Loss:
     """Robust loss, initially with the scale of the residuals at `vector`. known: (n, m) whether a residual is measured,
-    in a window that is predicted at `vector`. scale: (m,) scale of the residuals [SI]. residual_count: number of known
-    residuals."""
+    in a window that can be predicted at `vector`; residual_count: their number. scale: (m,) of the residuals [SI]."""
 
     def __init__(self, errors: Errors, vector: np.ndarray):
         self.errors, self.space = errors, errors.space
@@ -150,8 +149,7 @@ class Loss:
         return Quadratic(rho(z).sum(axis=1), (jw @ z[:, :, None])[:, :, 0], jw @ np.transpose(j, (1, 2, 0)))
 
     def curvature(self, rows: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
-        """(p, p) half the second derivative of the loss for residuals that are linear in the parameters. Outliers
-        reduce it."""
+        """(p, p) half the second derivative of the loss for residuals linear in the parameters; outliers reduce it."""
         z = self.scale_residuals(rows)
         j = self._scaled_sensitivities(sensitivities, z)
         second = 0.5 * (NU + 1.0) * (NU - np.square(z)) / np.square(NU + np.square(z))  # rho'' / 2

@@ -1,4 +1,4 @@
-"""Choice of the manoeuvre in the catalogue that best separates alternative effects, or best shows one effect."""
+"""Choice of the manoeuvre of the catalogue that best separates alternative effects, or best excites one effect."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -33,8 +33,8 @@ Curvatures = Mapping[str, np.ndarray]  # curvature (p, p) that a manoeuvre adds 
 
 
 def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: VehicleParameters) -> DriveLog:
-    """Log of a manoeuvre simulated with the model and noise-free sensors, `duration` seconds sampled every PERIOD. The
-    steering compensates for the understeer of the vehicle file, to reach the target lateral acceleration."""
+    """Log of a manoeuvre, simulated with noise-free sensors and sampled every PERIOD. The steering compensates for the
+    understeer of the vehicle file, to reach the target lateral acceleration."""
     lead, steps = round(LEAD_TIME / PERIOD), round(manoeuvre.duration / PERIOD)
     times = 0.5 * PERIOD * np.arange(-2 * lead, 2 * steps + 1)  # the integration also needs the middle of each step
     understeer = max(vehicle.wheelbase * stability_factor(vehicle), 0.0)
@@ -97,8 +97,8 @@ def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
 
 def separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
                design_effect: float) -> tuple[float, float]:
-    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and the others of
-    the fit do not explain [standard deviations of the noise]), at the values of a fit, for a curvature h (p, p)."""
+    """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and the other
+    effects of the fit do not explain [standard deviations of the noise]), for a curvature h (p, p) at a fit."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
     others = (n for n in fit.names if n != first)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
@@ -125,7 +125,7 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
                      design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
     MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
-    errors of the model, which more driving does not reduce."""
+    model errors, which more driving does not reduce."""
     pairs = [(s.first, s.second) for s in separabilities if s.strength < MIN_SEPARATION]
     if not pairs:
         return None

@@ -25,8 +25,8 @@ MODELS = ("base", "model", "named")  # fields of `Discovery` that are models and
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """Value, 95 % interval, and value without influence (null) [unit]. The interval allows for dependent windows and
-    differences between runs."""
+    """Fitted value, 95 % interval, and null, the value without influence [unit]. The interval allows for dependent
+    windows and differences between runs."""
 
     value: float
     unit: str
@@ -49,8 +49,7 @@ class Step:
     """One step of the waterfall, which adds an effect. parameters: values of this effect after the step. position_5s:
     mean position error after 5 s [m]. channels: root mean square error at the end of the horizon, by channel. runs:
     mean position error after 5 s (before, after) the step, by run [m]. All errors are held out. Without position among
-    the channels, position_5s is the first entry of channels, and runs are root mean square errors of that
-    channel."""
+    the channels, position_5s is the first entry of channels, and runs are root mean square errors of that channel."""
 
     effect: str
     kind: str
@@ -77,7 +76,7 @@ class FoundEffect:
     from it, best first. position_5s_increase [m]: increase of the mean position error after 5 s without it. agreement:
     by partition (run, site, time, place, condition), its value in each part. joint: other effects of the result that
     cancel it; only the combination of their values is identifiable. channel: channel with the largest error reduction
-    relative to its baseline error, "" if none exceeds twice the noise. share [1]: this relative reduction."""
+    relative to its baseline error, "" if no error exceeds twice the noise. share [1]: this relative reduction."""
 
     name: str
     kind: str
@@ -105,8 +104,7 @@ class AssumedQuantity:
 @dataclass(frozen=True)
 class Combination:
     """A combination of vehicle parameters that determines predictions: value, 95 % interval and value of the vehicle
-    file [unit]. effects: names of the effects that change it, for a delay also of their alternatives; the drives alone
-    do not separate them."""
+    file [unit]. effects: effects that change it, for a delay also alternatives; the drives do not separate them."""
 
     name: str
     unit: str
@@ -208,9 +206,8 @@ class Certificate:
 @dataclass(frozen=True)
 class LargeErrorRegion:
     """A condition, time or place in which the error is larger than expected from the reference drives or the noise.
-    channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one; for a time or place, this
-    ratio over all driving, multiplied by the ratio of the errors there to those under similar conditions. interval:
-    95 %."""
+    channel: one of CHANNELS. excess [1]: root mean square error divided by the expected one, with 95 % interval; for a
+    time or place, this ratio over all driving times the ratio of the errors there to those in similar conditions."""
 
     channel: str
     condition: str
@@ -233,8 +230,7 @@ class ChannelError(Change):
 
 @dataclass(frozen=True)
 class UntestableEffect:
-    """An effect that is not detectable in these drives. manoeuvre: a manoeuvre of the catalogue that would show it; ""
-    if there is none."""
+    """An effect that is not detectable in these drives. manoeuvre: of the catalogue, would show it; "" if none does."""
 
     name: str
     reason: str
@@ -347,7 +343,7 @@ class Discovery:
 def unseparated_combinations(combinations: Sequence[Combination],
                              named: Sequence[FoundEffect]) -> tuple[Combination, ...]:
     """Combinations that differ significantly from the vehicle file and that no named effect changes: all ratios of
-    stiffness to mass or, if none differs, the first of stability factor and yaw gain; and the total delay."""
+    stiffness to mass or, if none of these differs, the first of stability factor and yaw gain; and the total delay."""
     names = {name for e in named for name in (e.name, *e.alternatives)}
     unexplained = [c for c in combinations if c.differs and not names.intersection(c.effects)]
     delay = [c for c in unexplained if c.is_time]
@@ -356,7 +352,7 @@ def unseparated_combinations(combinations: Sequence[Combination],
 
 
 def plain_data(value: Any) -> Any:
-    """Convert dataclasses, mappings, tuples and NumPy numbers to dicts, lists and numbers."""
+    """The value with dataclasses, mappings, tuples and NumPy numbers converted to dicts, lists and numbers."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain_data(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):

@@ -16,8 +16,8 @@ from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # maximum number of effects refitted in a step, besides members of composites; half in an exchange
-CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; its square before the refits
+CONTENDERS = 4  # most effects refitted in a step, in addition to members of composites; half as many in an exchange
+CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -28,10 +28,10 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 @dataclass
 class SearchState:
     """State of the search. fit: fit of the current set. order: names in order of selection, at the end of decreasing
-    gain. By effect of the set: evidence for it, fit without it, and rivals that were tried in its place. refused:
-    (evidence, verdict, fit) of each effect that was tried in addition and rejected. cached_scores: scores of the
-    effects outside the set. near_optimal: sets that fit nearly as well, see `_find_near_sets`, and fits with a
-    load, without names (`_add_load_rivals`)."""
+    gain. evidence, without, rivals: by effect of the set, evidence for it, fit without it, and effects that were tried
+    in its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
+    cached_scores: scores of the effects outside the set. near_optimal: sets that fit nearly as well (`_find_near_sets`)
+    and, without names, fits with a load (`_add_load_rivals`)."""
 
     fit: Fit
     order: list[str]
@@ -67,7 +67,7 @@ class Search:
 
     def run(self) -> SearchState:
         """Find the best set from three starts: the empty set; the set found from it plus all physical effects; the
-        library without composites. The last two contain no payload and no effect for driving forward only."""
+        library without composites. The last two starts contain no payload and no effect for driving forward only."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -102,8 +102,7 @@ class Search:
         """Add a load as a rival of lower tyre stiffness, since drives show only the ratio of stiffness to mass. Unless
         the drives exclude the load, it becomes an alternative to each effect that is nearer to the vehicle file in the
         fit with the load. If they exclude a load of the prior standard deviation, one of `limits.min_relative_size`
-        parameter scales is tried.
-        Bands of axle forces include the laden car; intervals of values apply to the car without a load."""
+        parameter scales is tried. Bands of axle forces include the laden car; intervals of values do not."""
         p, names = self.problem, state.fit.names
         for other in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
@@ -145,7 +144,7 @@ class Search:
         return [near for scale, near, loss in self._fits_tried if scale is p.loss.scale and loss < limit]
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:
-        """Take forward and backward steps until no further effect is accepted, or a set recurs. Returns None if they
+        """The state after forward and backward steps until no further effect is accepted, or a set recurs. None if they
         lead to a set that was visited from another start, unless `revisit` is set."""
         state = SearchState(fit, list(fit.names))
         path: set[frozenset[str]] = set()
@@ -280,7 +279,7 @@ class Search:
         return collect_evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
 
     def _backward(self, fit: Fit, scores: Scores) -> Fit:
-        """Remove the effects that the others make redundant from a fit."""
+        """The fit without the effects that the others make redundant."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
             rise = {n: self.predicted_rise(fit, n) for n in fit.names if n not in self._required}
@@ -387,7 +386,7 @@ class Search:
         return min(failing, key=lambda n: state.evidence[n].gain, default="")
 
     def _exchange(self, state: SearchState) -> Fit | None:
-        """Fill in `rivals`. Returns the best fit with one effect exchanged if significantly better, else `_merge`."""
+        """Fill in `rivals`; return the best fit with one effect exchanged if significantly better, else `_merge`."""
         p, better = self.problem, None
         sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)

@@ -25,7 +25,7 @@ class Limits:
     instead if redundant sensors confirm the effect; also size of the load tried as an alternative to lower tyre
     stiffness. negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
     min_rival_gain [1]: fraction of an effect's gain that another effect must reach in its place to be an alternative,
-    after subtracting what that effect gains in addition. max_file_deviation [1]: largest accepted deviation of a value
+    after subtracting the other's gain in addition to it. max_file_deviation [1]: largest accepted deviation of a value
     from the vehicle file, in standard deviations. min_peak_force [1]: fraction of the peak force of an axle that the
     drives must reach for a peak to be named. at_bound [1]: distance to a bound, in parameter scales, below which a
     value counts as being at the bound. max_noise_ratio [1]: ratio of residual to noise above which the residual is

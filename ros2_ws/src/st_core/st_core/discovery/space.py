@@ -28,8 +28,8 @@ class Space:
 
     hypotheses: names of the searched effects. without_signal: names of effects that need a further signal, which no
     drive has. free: (effect name, parameter) of all parameters but the last. null: (p,) vector of the base model.
-    scale: (p,) parameter scales > 0, typical deviations from the null, and units of steps and distances. sign: (p,)
-    sign of initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the
+    scale: (p,) typical deviations from the null > 0, which are the units of steps and distances. sign: (p,) sign of
+    initial - null. low, high: (p,) bounds. payloads: names of the effects that add a load to the
     measured car. deviation: (p,) prior standard deviation of their parameters [parameter scales]; inf for all others.
     """
 
@@ -96,7 +96,7 @@ def _choose_effects(usable: Sequence[str], settings: DiscoverySettings, availabl
     chosen = tuple(n for n in usable if (requested is None or n in requested)
                    and set(get_effect(n).needs) <= set(settings.channels))
     if not chosen:
-        raise ConfigurationError("effects: none that is requested applies to this base model with these channels")
+        raise ConfigurationError("effects: none of those requested applies to this base model with these channels")
     return chosen
 
 
@@ -140,8 +140,7 @@ def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
 
 
 def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
-    """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most, by
-    difference quotients."""
+    """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most."""
     (name, parameter), at_null = space.free[i], float(space.null[i])
     effect = get_effect(name)
     if parameter.quantity:

@@ -111,10 +111,10 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
 def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: HorizonErrors,
                 partitions: Mapping[str, Partition]) -> tuple[list[Step], Fit]:
     """(steps from the base model to the final model, each with one more effect; fit of the base model); ([], final) if
-    `order` is empty. `loss.scale` is re-estimated in each step and restored afterwards."""
+    `order` is empty. The residual scale is re-estimated in each step, the design effect of the final fit is kept."""
     if not order:
         return [], final
-    scale = problem.loss.scale.copy()  # restored below; the design effect of the final fit is kept for all steps
+    scale = problem.loss.scale.copy()
     problem.loss.rescale(problem.start)
     fit = problem.fit((), problem.all_sensitivities(problem.start))
     problem.loss.rescale(fit.vector)

@@ -74,19 +74,16 @@ class Signals(LogSignals):
 
 
 class Batch(LogBatch):
-    """A LogBatch for thousands of predictions: the integration step is not checked each time, and recordings and input
-    tables are cached for models that correct the recording in the same way."""
+    """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings and input
+    tables are cached for models that correct the recording in the same way. minimum_substeps: parts into which the
+    step is divided at least; more if it is unstable at the speeds of the drives, as for small cars."""
 
-    def __init__(self, *arguments: Any, **options: Any):
+    def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
+        self._substeps = max(minimum_substeps, *(substeps_needed(model, vehicle, self._speeds, self.step)
+                                                 for model in TYRE_MODELS))
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()
-
-    def set_substeps(self, vehicle: VehicleParameters, minimum: int) -> None:
-        """Divides the integration step by at least `minimum`; further if it is unstable at the speeds of the drives, as
-        for small cars."""
-        self._substeps = max(minimum, *(substeps_needed(model, vehicle, self._speeds, self.step)
-                                        for model in TYRE_MODELS))
 
     def recording(self, model: Any) -> Recording:
         key = model.correction_key
@@ -144,8 +141,8 @@ class Windows:
         initial = replace(self.joined, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
-        self._batch = Batch(signals, starts, horizon * STEP, STEP, points=np.round(around * STEP, 6))
-        self._batch.set_substeps(vehicle, self.MIN_SUBSTEPS)
+        self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, horizon * STEP, STEP,
+                            points=np.round(around * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
@@ -182,8 +179,8 @@ class Windows:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(n, m) whether an error is measured and not preceded by a gap of the inputs; all points and columns of a
-        window in one row."""
+        """(n, m) whether an error is measured and no gap of the inputs precedes it, for the points and columns of each
+        window."""
         measured = [np.isfinite([self._measured[name] for name in channel.signals]).all(axis=0)
                     for channel in self.channels for _ in channel.columns]
         return (np.stack(measured, axis=-1) & self._has_inputs[..., None]).reshape(len(self), -1)

@@ -24,7 +24,7 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
 """Minimum range of a quantity or factor in the drives; smaller ranges are mostly noise and road unevenness."""
 SIGNED = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_rate", "steering_rate", "lagging_steering",
           "lean")
-"""Quantities that change sign in a mirrored drive; curves over them are odd."""
+"""Quantities that change sign in a mirrored drive; curves in them are odd."""
 FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
             "lean": ("acceleration_y", "lagging", 0.15)}
 """Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
@@ -38,7 +38,7 @@ TYPICAL_SIZES = {"front_steer": 0.005, "rear_steer": 0.005, "front_force": 0.02,
 """Typical magnitude of a relation by term, in the unit of the term; scale of its coefficients."""
 SMOOTHING_NS = 400_000_000  # ns, smoothing of the forward speed before differentiation, because of INS noise
 FACTORS = {"steering": 0.1, "acceleration_y": 3.0, "steering_rate": 0.3}
-"""Quantities that a curve may be multiplied by, with their typical magnitudes."""
+"""Typical magnitudes of the quantities that may multiply a curve."""
 RELATIONS = {
     ("front_steer", "steering", ""): "a steering ratio that depends on the angle, play, or a wrong angle sensor",
     ("front_steer", "acceleration_y", ""): "roll steer or compliance of the front suspension",
@@ -214,5 +214,5 @@ def find_candidates(windows: Windows) -> list[Candidate]:
 
 
 def _find_range(values: np.ndarray) -> np.ndarray:
-    """(low, high) of the finite values, without their tails."""
+    """(low, high) of the finite values without their tails."""
     return np.quantile(values[np.isfinite(values)], [TAIL_SHARE, 1.0 - TAIL_SHARE])

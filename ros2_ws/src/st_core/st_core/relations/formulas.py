@@ -11,7 +11,7 @@ from ..regression import add_ridge
 from .candidates import NO_PARITY, RELATIONS, Candidate
 from .relation_fit import RelationFit, RelationFits
 
-MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; points in the range of a curve
+MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
 MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
@@ -91,19 +91,23 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     points = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.compute_splines(points)
     to_splines, value = np.linalg.pinv(splines.T, rcond=1e-6), coefficients @ splines
-
+    size, reach = float(np.abs(value).max()), float(np.abs(points).max())
+    sign = float(np.sign(np.sum(value * np.sign(points)))) or 1.0
+    starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach]) for share in (0.15, 0.4, 0.8)]
     total = float(profile.rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
     shapes = []
     for shape, (text, count, function) in (SHAPES if candidate.parity != NO_PARITY else ONE_SIDED).items():
-        if shape == "inverse" and np.abs(points).min() < 0.05 * np.abs(points).max():
+        if shape == "inverse" and np.abs(points).min() < 0.05 * reach:
             continue
 
         def fit_parameters(blocks: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
             h, g = add_ridge(profile.hessian[blocks].sum(axis=0)), profile.gradient[blocks].sum(axis=0)
             root, target = np.linalg.cholesky(h), coefficients + np.linalg.solve(h, g)
-            return _fit_parameters(lambda x: (to_splines @ function(points, x) - target) @ root, count, points, value)
+            return min((least_squares(lambda x: (to_splines @ function(points, x) - target) @ root, start[:count],
+                                      x_scale=np.abs(start[:count]) + 1e-9) for start in starts),
+                       key=lambda fitted: fitted.cost).x
 
         def compute_distance(p: np.ndarray, function: ShapeFunction = function) -> np.ndarray:
             return to_splines @ function(points, p) - coefficients
@@ -168,8 +172,8 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
 
 def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
                     with_offset: bool) -> tuple[float, float]:
-    """(held-out gain of a shape, its offset); the gain is -inf if the sign differs from that of the curve,
-    the magnitude exceeds MAX_VALUE_RATIO, or the position error is larger."""
+    """(held-out gain of a shape, its offset); the gain is -inf if its sign differs from that of the curve, its
+    magnitude exceeds MAX_VALUE_RATIO, or the position error is larger."""
     candidate = fit.candidate
     assert candidate is not None
     points = np.linspace(candidate.low, candidate.high, POINTS)
@@ -177,7 +181,7 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
     loss, to_splines = fits.make_loss(candidate), np.linalg.pinv(splines.T, rcond=1e-6)
 
     def refit(parameters: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, float]:
-        """(vector with the shape in place of the curve and the others fitted to the blocks in a mask, offset)."""
+        """(vector with the shape in place of the curve, other parameters fitted to the blocks in a mask; offset)."""
         scale = fits.space.scale[fit.indices]
         count = len(fit.coefficients)
         fixed = np.zeros(len(scale))
@@ -212,14 +216,3 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
 def _avoid_zero(number: float) -> float:
     """The number, or 1e-9 if its magnitude is smaller, for use as a divisor."""
     return number if abs(number) > 1e-9 else 1e-9
-
-
-def _fit_parameters(residual: Callable[[np.ndarray], np.ndarray], count: int, points: np.ndarray,
-                    value: np.ndarray) -> np.ndarray:
-    """Parameters of a shape by least squares, best of several starts. value: the curve at the points."""
-    size, reach = float(np.abs(value).max()), float(np.abs(points).max())
-    sign = float(np.sign(np.sum(value * np.sign(points)))) or 1.0
-    starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach][:count])
-              for share in (0.15, 0.4, 0.8)]
-    return min((least_squares(residual, start, x_scale=np.abs(start) + 1e-9) for start in starts),
-               key=lambda result: result.cost).x

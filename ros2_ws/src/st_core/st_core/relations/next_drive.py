@@ -23,8 +23,7 @@ Range = tuple[float, float]
 @dataclass(frozen=True, eq=False)
 class Option:
     """Expected result after REPETITIONS further drives of one manoeuvre. deviation: (k,) standard deviation of the
-    curve [its unit]. separation: from each rival [standard deviations]. seconds: time that one drive spends
-    in each sparse range [s]."""
+    curve [its unit]. separation: from each rival [standard deviations]. seconds: of one drive in each sparse range."""
 
     manoeuvre: Manoeuvre
     deviation: np.ndarray
@@ -34,8 +33,8 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Suggested drives. sparse: sparsely driven ranges of the quantity. current_separation: separation in the existing
-    runs, by rival. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
+    """Simulated further drives. sparse: sparsely driven ranges of the quantity. current_separation: from each rival,
+    in the existing runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
 
     sparse: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)

@@ -49,8 +49,7 @@ class ScreenedCandidate:
 
 
 def screen(fits: RelationFits, without: RelationFit, tick: Callable[[], None]) -> list[ScreenedCandidate]:
-    """Statistics of every candidate that the drives excite and that changes a prediction. without: fit without a
-    relation."""
+    """Statistics of every excited candidate that changes a prediction. without: fit without a relation."""
     distance = fits.problem.distance(without.vector)[without.indices]
     base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
     to_vehicle = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
