@@ -79,7 +79,7 @@ class Course:
         return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
 
     def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
-        """Points within MAX_DISTANCE of passes in the direction of the car, one for each lap, the nearest first.
+        """Nearest point of each lap within MAX_DISTANCE that runs in the direction of the car, the nearest lap first.
 
         x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise + [rad].
         """
@@ -183,8 +183,7 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
         x, y, speed = log.x[rows], log.y[rows], log.velocity_x[rows]
-        seconds = (log.ins_time_ns[rows] - log.ins_time_ns[rows][:1]) * 1e-9
-        distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(seconds))])
+        distance = cumulative_trapezoid(speed, time[rows], initial=0.0)
         if distance[-1] < MIN_LENGTH:
             continue
         grid = np.arange(0.0, distance[-1], SPACING)

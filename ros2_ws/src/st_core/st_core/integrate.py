@@ -23,7 +23,6 @@ Derivative = Callable[[tuple, Any, Any], tuple]
 MAX_SUBSTEPS = 64
 HIGHEST_SLIP_SPEED = VEHICLE_QUANTITIES["minimum_slip_speed"].maximum  # m/s
 SEARCH_START_SPEED = 60.0  # m/s, where the search for the lowest stable speed begins
-_LATERAL = (3, 5)  # indices of velocity_y and yaw_rate
 _INCREMENT = 1.0e-5  # m/s or rad/s, increment of the difference quotients
 _warned: set[tuple[str, str, float]] = set()
 
@@ -81,7 +80,7 @@ def lateral_modes(model: str | Model, vehicle: VehicleParameters, speed: float) 
     p = model.parameters(vehicle)
     w = model.inputs(0.0, 0.0, p, *(0.0 for _ in model.signals))
     state = [float(s) for s in model.start_state((0.0, 0.0, float(speed), 0.0, 0.0, 0.0), w, p)]
-    rows = [*_LATERAL, *range(6, len(state))]
+    rows = [3, 5, *range(6, len(state))]  # velocity_y, yaw_rate and the extra states
 
     def derivative(row: int, increment: float) -> np.ndarray:
         changed = list(state)

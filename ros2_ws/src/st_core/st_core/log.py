@@ -93,12 +93,17 @@ class DriveLog:
         return (after - before) / (high - low)
 
     @property
+    def common_span_ns(self) -> tuple[int, int]:
+        """First and last instant [ns] at which INS and steering can both be known; (0, 0) if one of them is empty."""
+        times = self.ins_time_ns, self.steering_time_ns
+        if not all(map(len, times)):
+            return 0, 0
+        return max(int(t[0]) for t in times), min(int(t[-1]) for t in times)
+
+    @property
     def overlap(self) -> float:
         """Duration of the common time of INS and steering [s]; 0 if there is none."""
-        if not len(self.ins_time_ns) or not len(self.steering_time_ns):
-            return 0.0
-        start = max(int(self.ins_time_ns[0]), int(self.steering_time_ns[0]))
-        end = min(int(self.ins_time_ns[-1]), int(self.steering_time_ns[-1]))
+        start, end = self.common_span_ns
         return max(end - start, 0) * 1e-9
 
     def select_ins(self, rows: np.ndarray) -> "DriveLog":
@@ -159,11 +164,6 @@ class LogSignals:
         other.log = log
         return other
 
-    @property
-    def common_end_ns(self) -> int:
-        """The last instant at which INS and steering can both be known [ns]; 0 if one of them is empty."""
-        times = self.log.ins_time_ns, self.log.steering_time_ns
-        return min(int(t[-1]) if len(t) else 0 for t in times)
 
     def ins_at(self, times_ns: np.ndarray, *names: str) -> list[np.ndarray]:
         """The named INS signals (fields of DriveLog, or velocity_x_dot) at instants of any shape [ns]."""

@@ -219,8 +219,7 @@ def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
     if not log.overlap:
         return np.empty(0, np.int64)
     first = int(log.ins_time_ns[0])
-    begin = max(first, int(log.steering_time_ns[0]))
-    end = min(int(log.ins_time_ns[-1]), int(log.steering_time_ns[-1]))
+    begin, end = log.common_span_ns
     step = round(interval / NANOSECOND)
     return first + step * np.arange(-((first - begin) // step), (end - first) // step + 1, dtype=np.int64)
 
@@ -306,7 +305,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     known = InputSequence(angle, acceleration).known_so_far
     for model in models:
         errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
-    complete, ended = known[:, -1], times[:, -1] > signals.common_end_ns
+    complete, ended = known[:, -1], times[:, -1] > signals.log.common_span_ns[1]
     known_ins = np.isfinite(acceleration).all(axis=1)
     incomplete = {"the recording ends before the horizon": ended,
                   "INS not known over the horizon": ~known_ins & ~ended,

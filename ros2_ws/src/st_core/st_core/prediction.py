@@ -8,10 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from . import integrate
 from .backends import get_backend, has_numba
 from .errors import ConfigurationError, StCoreError
-from .integrate import warn_if_step_too_long
+from .integrate import rk4, warn_if_step_too_long
 from .measurement_history import FrozenSteeringDetector, MeasurementHistory
 from .models import Model, get_model
 from .planned_inputs import PlannedInputs, apply_steering_dynamics, find_plan_problem, select_inputs
@@ -102,7 +101,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
             fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
         grid = list(zip(*fields, strict=True))
     start = model.start_state(state.as_tuple(), grid[0], p)
-    states = integrate.rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
+    states = rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
     # Extra states are internal to the model and not part of the trajectory.
     return Trajectory(step, np.ascontiguousarray(np.array(states)[:, :len(STATE_NAMES)]))
 

@@ -72,8 +72,8 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
                          maximum_gap: float) -> np.ndarray:
     """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `future` (m,) [rad].
 
-    time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, which the
-    wheels still follow with delay, play or lag. After the last instant the last angle is held. maximum_gap [s].
+    time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, because
+    delay, play and lag depend on earlier steering. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):
         return future
@@ -90,7 +90,8 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time after an instant [ns] for which steering must be known for the wheel angle; 0 unless its stamps are late."""
+    """Time [ns] for which the steering must be known beyond an instant at which the wheel angle is computed; 0 unless
+    the stamps of the steering are late."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))

@@ -134,8 +134,8 @@ class VehicleParameters:
 
     @property
     def speed_scale(self) -> float:
-        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is that for radii. At
-        scaled speeds, bends with the same radius in wheelbases have the same lateral acceleration."""
+        """Factor for speed limits of small cars, sqrt(wheelbase / 2 m), at most 1 [1]; its square is the factor for
+        radii. At scaled speeds, bends with the same radius in wheelbases have the same lateral acceleration."""
         return min(1.0, math.sqrt(self.wheelbase / 2.0))
 
     def uncertainty(self, key: str) -> float | None:
@@ -197,17 +197,17 @@ class VehicleParameters:
 
     def with_derived_scales(self, tyres: Sequence[str] = TYRES) -> "VehicleParameters":
         """The car with lambda_ky of these tyres derived from the cornering stiffness of the axle (see `from_yaml`)."""
-        axles = {"tyre_front": (self.cornering_stiffness_front, self.static_tyre_load_front),
-                 "tyre_rear": (self.cornering_stiffness_rear, self.static_tyre_load_rear)}
-        scales = {name: stiffness_scale(*axles[name], getattr(self, name)) for name in tyres}
+        changes: dict[str, Any] = {}
         quantity = TYRE_QUANTITIES["lambda_ky"]
-        for name, scale in scales.items():
+        for name in tyres:
+            key, tyre = name.replace("tyre", "cornering_stiffness"), getattr(self, name)
+            stiffness, load = getattr(self, key), getattr(self, name.replace("tyre", "static_tyre_load"))
+            scale = stiffness_scale(stiffness, load, tyre)
             if not quantity.minimum <= scale <= quantity.maximum:
                 raise ConfigurationError(
-                    f"cornering_stiffness_{name.removeprefix('tyre_')}: {axles[name][0]:g} N/rad is {scale:.3g} times "
-                    f"the stiffness of two tyres of {name} (limit {quantity.limits}); check its value and unit, "
-                    f"and {name}.nominal_load")
-        changes = {name: getattr(self, name)._replace(lambda_ky=scale) for name, scale in scales.items()}
+                    f"{key}: {stiffness:g} N/rad is {scale:.3g} times the stiffness of two tyres of {name} (limit "
+                    f"{quantity.limits}); check its value and unit, and {name}.nominal_load")
+            changes[name] = tyre._replace(lambda_ky=scale)
         sources = {**self.sources, **{f"{name}.lambda_ky": DERIVED_SOURCE for name in tyres}}
         return replace(self, **changes, sources=sources)
 

@@ -292,8 +292,7 @@ def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: fl
     for i, (run, offset) in enumerate(zip(runs, offsets, strict=True)):
         if not run.overlap:
             continue
-        begin = max(int(run.ins_time_ns[0]), int(run.steering_time_ns[0]))
-        end = min(int(run.ins_time_ns[-1]), int(run.steering_time_ns[-1]))
+        begin, end = run.common_span_ns
         times = np.arange(begin + MARGIN_NS, end - length - MARGIN_NS // 2, spacing, dtype=np.int64)
         first, last = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
         times = times[(first > MIN_SPEED) & (last > MIN_SPEED)]

@@ -177,7 +177,6 @@ class Effect:
 
 
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is NO_HOOK and name != "converts")
-AUXILIARY_HOOKS = ("constants", "fold")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}  # library of a search
 UNLISTED: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
@@ -230,7 +229,7 @@ def _check_missing(effect: type[Effect]) -> Iterator[str]:
         yield "parameters must be a tuple; declare one parameter by parameter = Parameter(...)"
     elif not any(p.fit for p in getattr(effect, "parameters", ())):
         yield "it has no parameter that can be fitted"
-    if effect.converts is None and all(getattr(effect, hook) is None for hook in HOOKS if hook not in AUXILIARY_HOOKS):
+    if not effect.converts and not any(getattr(effect, hook) for hook in HOOKS if hook not in ("constants", "fold")):
         yield "it has no hook, so it changes nothing"
 
 
