@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from st_core.augmented import augment
+from st_core.augmented import AugmentedModel, augment
 from st_core.discovery import DiscoverySettings
 from st_core.discovery.fit import Fit, Problem
 from st_core.discovery.loss import Loss
@@ -79,6 +79,9 @@ class LinearErrors:
 
     def at(self, vector: np.ndarray) -> np.ndarray:
         return self.noise + np.tensordot((self.truth - vector) / self.space.scale, self.signatures, 1)
+
+    def model_at(self, vector: np.ndarray) -> AugmentedModel:
+        return self.space.at(vector)
 
     def at_all(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
         return [self.at(v) for v in vectors]

@@ -11,7 +11,7 @@ from st_core.augmented import augment
 from st_core.channels import CHANNEL_OF_COLUMN
 from st_core.discovery import DiscoverySettings, fit_effects
 from st_core.discovery.fit import FOLDS, Problem, Sensitivities, minimise_bounded
-from st_core.discovery.loss import MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
+from st_core.discovery.loss import DIFFERENCE_STEP, MAX_SCALED_ERROR, NU, Errors, Loss, rho, weight
 from st_core.discovery.space import ACCELEROMETER_GAIN, Space
 from st_core.discovery.windows import LOOKUP_CACHE_SIZE, Signals, Windows
 from st_core.log import INS_SIGNALS, LogSignals
@@ -66,6 +66,20 @@ def test_car_beyond_the_limits_of_a_vehicle_file_is_not_predicted(leaf):
     beyond = errors.space.null.copy()
     beyond[errors.space.indices("rear_stiffness")] = 1.5
     assert np.isnan(errors.at(beyond)).all() and errors.at(beyond).shape == errors.windows.known.shape
+
+
+def test_sensitivity_at_a_limit_of_a_vehicle_file_is_that_of_the_other_side(leaf):
+    (log,) = recorded(leaf, {}, 1, ["slalom"])
+    stiff = replace(leaf, tyre_rear=leaf.tyre_rear._replace(lambda_ky=10.0))  # the limit
+    errors = Errors(Windows([log], stiff, DiscoverySettings()), Space("nonlinear", DiscoverySettings()))
+    space = errors.space
+    index = space.indices("rear_stiffness")
+    (sensitivity,) = Loss(errors, space.null).sensitivities(space.null, index)
+    softer = space.null.copy()
+    softer[index] -= DIFFERENCE_STEP * space.scale[index]
+    expected = (errors.at(softer) - errors.at(space.null)) / DIFFERENCE_STEP
+    assert np.nanmax(np.abs(expected)) > 0.0
+    np.testing.assert_allclose(sensitivity, np.nan_to_num(expected), rtol=1e-9, atol=1e-12)
 
 
 # The loss

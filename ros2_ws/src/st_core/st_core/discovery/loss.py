@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..augmented import AugmentedModel
 from ..channels import CHANNEL_OF_COLUMN
 from ..errors import ConfigurationError
 from .space import Space
@@ -78,15 +79,22 @@ class Errors:
         car outside the limits of a vehicle file."""
         key = vector.tobytes()
         if key not in self._cache:
-            model = self.space.at(vector).without_null_effects()
-            try:
-                values = self.windows.errors(model, float(vector[-1]))
-            except ConfigurationError:
-                values = np.full(self.windows.known.shape, np.nan)
+            model = self.model_at(vector)
+            values = (np.full(self.windows.known.shape, np.nan) if model is None else
+                      self.windows.errors(model, float(vector[-1])))
             while len(self._cache) >= ERROR_CACHE_SIZE:
                 self._cache.pop(next(iter(self._cache)), None)
             self._cache[key] = values.reshape(len(values), -1)
         return self._cache[key]
+
+    def model_at(self, vector: np.ndarray) -> AugmentedModel | None:
+        """The model at a parameter vector; None if its car is outside the limits of a vehicle file."""
+        model = self.space.at(vector).without_null_effects()
+        try:
+            model.effective_vehicle(self.windows.vehicle)
+        except ConfigurationError:
+            return None
+        return model
 
     def at_all(self, vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
         if self.threads < 2 or len(vectors) < 2:
@@ -131,12 +139,17 @@ class Loss:
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
-        difference quotients; 0 where a prediction diverges."""
+        difference quotients on the side where bounds and limits of a vehicle file are kept; 0 where a prediction
+        diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step
         step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
+        for i, index in enumerate(indices):
+            if self.errors.model_at(moved[i]) is None:
+                step[i] = -step[i]
+                moved[i, index] = vector[index] + step[i]
         before, size = self.errors.at(vector), step / self.space.scale[indices]
         sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
