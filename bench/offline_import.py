@@ -95,7 +95,7 @@ def measure_import(logs: Path, output: Path) -> dict:
     seconds = _timed(_reading())
     start = time.perf_counter()
     done = write.import_run(source, vehicle, output, ReadSettings(),
-                            lambda run: check_for_use(source.where, run, vehicle, False))
+                            lambda run: check_for_use(source.path, run, vehicle, False))
     total = time.perf_counter() - start
     return {"minutes": done.span / 60, "ncom_packets": done.counts["/ins/ncom"], "can_frames": len(done.run.can.frames),
             "verdict": str(done.run.alignment.verdict), "times_real_time": done.span / total, **_spent(seconds, total),

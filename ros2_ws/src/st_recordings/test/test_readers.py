@@ -17,7 +17,7 @@ from st_recordings.runs.write import import_run
 @pytest.fixture
 def another_ins() -> Iterator[Reader]:
     def read_ins(source, settings):
-        return read_ncom(source.where)
+        return read_ncom(source.path)
 
     yield register(Reader("another", "ins", (".other",), None, read_ins))
     del READERS["another"]

@@ -177,7 +177,7 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
                   transient=True) as progress:
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         imported = import_run(source, car, folder, settings,
-                              lambda run: check_for_use(source.where, run, car, force),
+                              lambda run: check_for_use(source.path, run, car, force),
                               lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
                                                             completed=share))
     duration = time.perf_counter() - started

@@ -57,10 +57,10 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
                 used = {digest: name for name, digest in recordings.items()}
                 for digest in run.provenance["files"].values():
                     if digest in used:  # a copy is not an independent sample
-                        raise RunError(source.where, f"has the same content as {used[digest]}",
+                        raise RunError(source.path, f"has the same content as {used[digest]}",
                                        "give each recording once")
                 _refuse_other_car(source, run, task.vehicle)
-                check_for_use(source.where, run, task.vehicle, task.force, models, task.settings.prediction.step)
+                check_for_use(source.path, run, task.vehicle, task.force, models, task.settings.prediction.step)
                 signals = task.settings.signals(run.log)
                 samples.append(compute_error_samples(models, task.vehicle, signals, task.settings))
         except RUN_ERRORS as error:
@@ -95,7 +95,7 @@ def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParamet
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return
-    name = VehicleParameters.from_yaml(text, f"the vehicle in {source.where}").name
+    name = VehicleParameters.from_yaml(text, f"the vehicle in {source.path}").name
     if name != vehicle.name:
-        raise RunError(source.where, f"is a drive of {name!r}, but the vehicle file is for {vehicle.name!r}",
+        raise RunError(source.path, f"is a drive of {name!r}, but the vehicle file is for {vehicle.name!r}",
                        "calibrate each car with its own drives")

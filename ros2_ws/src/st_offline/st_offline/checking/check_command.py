@@ -91,7 +91,7 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     """Read and check one run. Raises one of gate.RUN_ERRORS for a run that cannot be read."""
     car, car_from = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.vehicle_is_given:
-        car, _, car_from = find_configuration(read_metadata_records(source.where), None)
+        car, _, car_from = find_configuration(read_metadata_records(source.path), None)
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
     return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],

@@ -89,7 +89,7 @@ def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters,
 def describe_problem(error: Exception, source: RunSource) -> str:
     """One line on an exception that is one of RUN_ERRORS."""
     if isinstance(error, MemoryError):
-        return f"{source.where}: too large for the memory of this machine"
+        return f"{source.path}: too large for the memory of this machine"
     if isinstance(error, OSError):
-        return f"{error.filename or source.where}: {error.strerror or error}"
+        return f"{error.filename or source.path}: {error.strerror or error}"
     return " ".join(str(error).split())

@@ -120,7 +120,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
                     "alignment": run.alignment.verdict.value,
                     "clock_deviation_s": json_ready(run.alignment.offset_deviation),
                     "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
-        refuse_errors(source.where, checked.findings, force)
+        refuse_errors(source.path, checked.findings, force)
         return Drive(source.name, run.log, metadata, findings=checked.findings)
     except RefusedRunError as error:
         return Drive(source.name, None, {}, str(error), error.findings)

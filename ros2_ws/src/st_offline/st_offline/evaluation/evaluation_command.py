@@ -121,5 +121,5 @@ def evaluate_runs(sources: Sequence[RunSource], task: Task, workers: int, schedu
             failure = future.exception()
             source = futures[future]
             yield future.result() if failure is None else RunReport(
-                source.name, problem=f"{source.where}: the worker failed: {' '.join(str(failure).split())[:200]}")
+                source.name, problem=f"{source.path}: the worker failed: {' '.join(str(failure).split())[:200]}")
             future.release()

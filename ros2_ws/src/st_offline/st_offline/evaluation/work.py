@@ -118,7 +118,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                                       on_block=scorer.add, future_inputs=future_inputs)
         finally:  # a finding of the checks explains more than the exception that the same fault causes here
             findings, parts = checked()
-            refuse_errors(source.where, findings, task.force)
+            refuse_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)
     figures = draw_run(FigureData(evaluation, models, task.vehicle, signals, task.starts,
@@ -153,11 +153,11 @@ def _require_scores(source: RunSource, run: LoadedRun, evaluation: LogEvaluation
         return
     length = float(evaluation.horizon[-1])
     if run.log.overlap < length:
-        raise RunError(source.where, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, less "
+        raise RunError(source.path, f"nothing to score: INS and steering overlap for {run.log.overlap:.1f} s, less "
                        f"than the horizon of {length:g} s")
     skipped = {**evaluation.skipped, **evaluation.incomplete}
     reasons = ", ".join(f"{reason} ({count} start{'s' * (count > 1)})" for reason, count in skipped.items())
-    raise RunError(source.where, f"nothing to score: {reasons}", "`st check` reports gaps and invalid samples")
+    raise RunError(source.path, f"nothing to score: {reasons}", "`st check` reports gaps and invalid samples")
 
 
 def load_models(task: Task) -> list[Model]:

@@ -224,8 +224,9 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     for channel, named in layout.columns.items():
         if named not in names and named in by_name:  # a channel instead of a column: {x: y, y: x} interchanges the axes
             column: int | None = by_name[named].column
-        else:
-            column = _find_column(names, named)
+        else:  # an exact match, or else one that ignores case, then also punctuation, then also the unit
+            column = next((number for form in (str, str.lower, normalise, _without_unit)
+                           for number, name in enumerate(names) if form(name) == form(named)), None)
         if column is None:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                            f"its columns are {', '.join(names)[:300]}")
@@ -286,13 +287,6 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
             if seconds in plain:
                 return plain.index(seconds), number
     return None
-
-
-def _find_column(names: Sequence[str], named: str) -> int | None:
-    """Finds the index of a column by its name: an exact match, or else one that ignores case, then also punctuation,
-    then also the unit. Returns None without a match."""
-    return next((number for form in (str, str.lower, normalise, _without_unit)
-                 for number, name in enumerate(names) if form(name) == form(named)), None)
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:

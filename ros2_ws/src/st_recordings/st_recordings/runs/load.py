@@ -50,7 +50,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
     loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
     if vehicle is not None and not (log := with_steady_sideslip(loaded.log, vehicle)).sideslip_measured:
-        text = (f"{source.where}: yaw is the course over ground; heading and sideslip are computed from it for steady "
+        text = (f"{source.path}: yaw is the course over ground; heading and sideslip are computed from it for steady "
                 "cornering with the vehicle file")
         loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
     loaded = replace(loaded, warnings=(*loaded.warnings, *check_coverage(source, loaded.log)))
@@ -74,12 +74,12 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     try:
         log = apply_corrections(run.log, corrections, vehicle, left_out)
     except StCoreError as error:
-        raise RunError(source.where, str(error)) from None
+        raise RunError(source.path, str(error)) from None
     cut = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
     labels = tuple(replace(label, start=label.start - cut, end=label.end - cut) for label in run.labels)
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
-        warnings=(*run.warnings, f"{source.where}: corrected by its run.yaml: {'; '.join(phrases)}"),
+        warnings=(*run.warnings, f"{source.path}: corrected by its run.yaml: {'; '.join(phrases)}"),
         auxiliary=replace(run.auxiliary, corrected=phrases))
 
 
@@ -89,10 +89,10 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     _check_size(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):
-        raise RunError(source.where, "INS and steering were not recorded at the same time",
+        raise RunError(source.path, "INS and steering were not recorded at the same time",
                        "check that the files belong to one drive, and check the offset if you gave one")
     seconds = {name: float(time[-1] - time[0]) * 1e-9 for name, time in spans.items()}
-    return [f"{source.where}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
+    return [f"{source.path}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
             f"({100.0 * unused / seconds[name]:.0f} %) are not used: no usable sample of the {other} covers them"
             for name, other in (("INS", "steering"), ("steering", "INS"))
             if (unused := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
@@ -102,8 +102,8 @@ def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:
     """Raises RunError, with the notes, if fewer than two samples of INS or of steering remain."""
     if min(len(log.ins_time_ns), len(log.steering_time_ns)) < 2:
         problem = "it contains fewer than two measurements of INS or steering"
-        reasons = (note.removeprefix(f"{source.where}: ") for note in notes)
-        raise RunError(source.where, "; ".join([problem, *reasons]), "remove it from the command")
+        reasons = (note.removeprefix(f"{source.path}: ") for note in notes)
+        raise RunError(source.path, "; ".join([problem, *reasons]), "remove it from the command")
 
 
 def hash_files(paths: Iterable[Path]) -> dict[str, str]:

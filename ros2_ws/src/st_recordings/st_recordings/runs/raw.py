@@ -56,8 +56,8 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     """
     if source.problem is not None:
         raise source.problem
-    if not source.where.is_dir():  # a folder is a bag, and its reader checks it
-        check_readable(source.where)
+    if not source.path.is_dir():  # a folder is a bag, and its reader checks it
+        check_readable(source.path)
     can = read_can_logs(source.can or source.files)
     dbc = settings.dbc or source.settings.get("dbc") or config("car/leaf/can.dbc")
     table = load_signal_table(dbc, settings.signals or source.settings.get("signals")
@@ -118,7 +118,7 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     """Reads the drive in an INS recording and CAN logs; needs the vehicle. Raises RunError."""
     if vehicle is None:
-        raise RunError(source.where, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
+        raise RunError(source.path, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
                        "give the vehicle file of the car")
     return build_drive(source, vehicle, settings, read_raw(source, settings, keep_frames=False))
 
@@ -129,23 +129,23 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     if verdict is Verdict.REFUSED or (verdict is Verdict.DOUBTFUL and not settings.accept_doubtful):
         advice = "inspect the alignment with `st align`, and give the offset if you know it (--offset)"
         if verdict is Verdict.REFUSED:
-            raise RunError(source.where, f"its clock cannot be aligned with that of the CAN log: {reasons}", advice)
-        raise RunError(source.where, f"the alignment of its clock with that of the CAN log is doubtful: {reasons}",
+            raise RunError(source.path, f"its clock cannot be aligned with that of the CAN log: {reasons}", advice)
+        raise RunError(source.path, f"the alignment of its clock with that of the CAN log is doubtful: {reasons}",
                        f"{advice}, or omit --strict to use it")
     if reasons:
-        warnings.append(f"{source.where}: the alignment of the clocks is {verdict}: {reasons}")
+        warnings.append(f"{source.path}: the alignment of the clocks is {verdict}: {reasons}")
     ins, steering = run.ins, run.steering
     assert steering is not None
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     is_usable = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
     wheel = settings.steering_sign * steering.values[is_usable]
     missing = {name: int(np.isnan(ins.values[name]).sum()) for name in OPTIONAL_INS_SIGNALS if name in ins.values}
-    warnings += [f"{source.where}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
+    warnings += [f"{source.path}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(ins.values[name]) else 'not used'}"
                  for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     log = make_drive_log(
-        source.where, source.name, ins_time_ns=ins.time_ns,
+        source.path, source.name, ins_time_ns=ins.time_ns,
         **{name: values for name, values in ins.values.items() if name in INS_SIGNALS or is_mostly_known(values)},
         steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel,
         road_wheel_angle=vehicle.road_wheel_angle(wheel))
@@ -213,9 +213,9 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         if run.problem is not None:
             raise run.problem
     if [run.kind for run in runs] == ["bag"] and not runs[0].can:
-        if may_need_can_frames(runs[0].where, runs[0].files) and (settings.search or settings.offset is not None):
+        if may_need_can_frames(runs[0].path, runs[0].files) and (settings.search or settings.offset is not None):
             return runs[0]
-        raise RunError(runs[0].where, "all its messages are on one clock, so there is nothing to align")
+        raise RunError(runs[0].path, "all its messages are on one clock, so there is nothing to align")
     raw = [run for run in runs if run.can]
     if len(raw) != 1:
         count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
@@ -223,6 +223,6 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
                        "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
     files_of_pair = {*raw[0].files, *raw[0].can, raw[0].run_file}
     if unused := [file for file in files if file.is_file() and file not in files_of_pair]:
-        raise RunError(unused[0], f"this is neither the INS recording {raw[0].where.name} nor one of its CAN logs "
+        raise RunError(unused[0], f"this is neither the INS recording {raw[0].path.name} nor one of its CAN logs "
                        f"({', '.join(log.name for log in raw[0].can)})", "give a log of CAN frames, or leave it out")
     return raw[0]

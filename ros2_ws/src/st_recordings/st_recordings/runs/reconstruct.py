@@ -230,7 +230,7 @@ def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
     return topic
 
 
-def extract_steering_angle(where: Any, message: Any, steering: SteeringField) -> float:
+def extract_steering_angle(path: Path, message: Any, steering: SteeringField) -> float:
     """Extracts the steering angle [rad], left positive, from a message. Raises RunError if the path of the field does
     not lead to a number."""
     value = message
@@ -241,14 +241,14 @@ def extract_steering_angle(where: Any, message: Any, steering: SteeringField) ->
             continue
         if part not in fields:
             names = ", ".join(fields) or "none"
-            raise RunError(where, f"--steering-field: {steering.field!r} is not in {steering.topic}: {part!r} is not "
+            raise RunError(path, f"--steering-field: {steering.field!r} is not in {steering.topic}: {part!r} is not "
                            f"one of the fields ({names})", "give the path to a number, such as drive.steering_angle")
         value = getattr(value, part)
     if _is_list(value):
-        raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)} "
+        raise RunError(path, f"--steering-field: {steering.field!r} of {steering.topic} is a list of {len(value)} "
                        "elements", f"add an index, such as {steering.field}.0")
     if isinstance(value, bool | str) or not isinstance(value, int | float | np.number):
-        raise RunError(where, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
+        raise RunError(path, f"--steering-field: {steering.field!r} of {steering.topic} is not a number",
                        "give the path to a number, such as drive.steering_angle")
     return steering.scale * float(value)
 

@@ -67,7 +67,7 @@ class RunSource:
         return str(self.run_file) if self.run_file else " ".join(map(str, (*self.files, *self.can)))
 
     @property
-    def where(self) -> Path:
+    def path(self) -> Path:
         """The file or folder to which messages refer."""
         return self.files[0] if self.files else Path(self.name)
 
@@ -110,9 +110,9 @@ class LoadedRun:
     auxiliary: AuxiliaryData = field(default_factory=AuxiliaryData)  # further recorded data, for checks
 
 
-def make_drive_log(where: Path, name: str, **columns: Any) -> DriveLog:
+def make_drive_log(path: Path, name: str, **columns: Any) -> DriveLog:
     """Builds the log of a run. Raises RunError if DriveLog rejects the columns."""
     try:
         return DriveLog(name, **columns)
     except StCoreError as error:
-        raise RunError(where, str(error)) from None
+        raise RunError(path, str(error)) from None

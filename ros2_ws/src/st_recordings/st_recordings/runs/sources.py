@@ -256,12 +256,12 @@ def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     """Gives runs distinct names, because results are stored by name; adds folder or number to a name already used."""
     used: set[str] = set()
     named = []
-    for run in sorted(runs, key=lambda r: (r.name, str(r.where))):
+    for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
         name = run.name
         if name in GENERIC_NAMES and run.files:
-            name = run.where.absolute().parent.name or name
+            name = run.path.absolute().parent.name or name
         if name in used and run.files:
-            name = f"{run.where.absolute().parent.name}_{run.name}"
+            name = f"{run.path.absolute().parent.name}_{run.name}"
         number = 2
         while name in used:
             name, number = f"{run.name}_{number}", number + 1

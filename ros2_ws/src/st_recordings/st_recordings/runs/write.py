@@ -1,6 +1,7 @@
 """Writes a run of NCOM packets and CAN frames as a rosbag2 recording on the INS clock (`st import`)."""
 
 import json
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
@@ -168,9 +169,8 @@ class Serialiser:
         head = bytearray(self._store.serialize_cdr(self._make_blank(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
         messages = []
         for first, last, start_ns in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
-            head[4:8] = (start_ns // 1_000_000_000).to_bytes(4, "little")
-            head[8:12] = (start_ns % 1_000_000_000).to_bytes(4, "little")
-            head[-4:] = (last - first).to_bytes(4, "little")
+            struct.pack_into("<II", head, 4, *divmod(start_ns, 1_000_000_000))
+            struct.pack_into("<I", head, len(head) - 4, last - first)
             # CDR does not pad the last frame of a message.
             padding = int(padded[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
             data = bytes(head) + body[starts[first] : starts[last] - padding].tobytes()
@@ -188,7 +188,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     cannot be written.
     """
     if source.problem is None and source.kind != "ncom":
-        raise RunError(source.where, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",
+        raise RunError(source.path, f"st import converts NCOM packets and CAN frames, but this run is {source.kind}",
                        "use it without conversion: st evaluate, check, identify and discover read it directly")
     run = read_raw(source, settings)
     drive = apply_run_file(source, build_drive(source, vehicle, settings, run), vehicle)
@@ -270,7 +270,7 @@ def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, setti
     latitude, longitude, altitude = run.ins.origin or (0.0, 0.0, 0.0)
     return {
         "import": {
-            "name": source.name, "ins": str(source.where), "can": json.dumps([str(f) for f in run.can.files]),
+            "name": source.name, "ins": str(source.path), "can": json.dumps([str(f) for f in run.can.files]),
             "map_origin": json.dumps({"latitude_deg": np.degrees(latitude), "longitude_deg": np.degrees(longitude),
                                       "altitude_m": altitude}),
             "steering_sign": str(settings.steering_sign), "steering_latency_s": str(settings.steering_latency),

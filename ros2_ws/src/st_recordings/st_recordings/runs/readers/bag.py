@@ -15,23 +15,23 @@ from ..run_types import Label, LoadedRun, ReadSettings, RunSource
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
     steering = settings.steering if settings.steering and settings.steering.topic else None
-    if steering is None and bag.may_need_can_frames(source.where, source.files):
+    if steering is None and bag.may_need_can_frames(source.path, source.files):
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
-    if settings.odometry is None and bag.lacks_odometry(source.where, source.files):
+    if settings.odometry is None and bag.lacks_odometry(source.path, source.files):
         from ..bag_table import read_bag_as_table
 
-        if (run := read_bag_as_table(source.where, vehicle, steering, source.files)) is not None:
+        if (run := read_bag_as_table(source.path, vehicle, steering, source.files)) is not None:
             return replace(run, log=replace(run.log, name=source.name), labels=source.labels, provenance={
-                **run.provenance, "reader": "bag", "recorded": bag.read_metadata_records(source.where)})
-    drive = bag.read_bag(source.where, source.name, steering, settings.odometry, source.files)
+                **run.provenance, "reader": "bag", "recorded": bag.read_metadata_records(source.path)})
+    drive = bag.read_bag(source.path, source.name, steering, settings.odometry, source.files)
     imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
     return replace(drive, labels=source.labels or tuple(Label(*entry) for entry in imported))
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-    return bag.read_odometry(source.where, settings.odometry, source.files)
+    return bag.read_odometry(source.path, settings.odometry, source.files)
 
 
 def has_drive(path: Path) -> bool:

@@ -8,7 +8,7 @@ from ..run_types import ReadSettings, RunSource
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
     from ..ncom import read_ncom
 
-    return read_ncom(source.where)
+    return read_ncom(source.path)
 
 
 register(Reader("ncom", "ins", (".ncom", ".xcom", ".pcap", ".pcapng", ".cap"), None, read_ins))
