@@ -180,3 +180,17 @@ def test_lost_samples_of_a_slower_channel_are_counted_by_rows():
     column[[0, 998]] = 1.0
     lost = 500 - int(np.isfinite(column).sum())
     assert lost > 60 and _count_missing_samples(time_ns, column) == lost
+
+
+def test_lost_samples_of_a_channel_with_its_own_times_are_counted_and_not_estimated():
+    """The times of the channel jitter, or become less frequent; other channels have 3000 rows between them."""
+    generator, n = np.random.default_rng(1), 3000
+    for jitter, steps in ((0.3, np.full(n, 0.01)), (0.0, np.where(np.arange(n) < 1800, 0.01, 0.0149))):
+        own = np.cumsum(steps) + 0.01 * jitter * generator.uniform(-0.5, 0.5, n)
+        times = np.concatenate([own, np.linspace(own[0] + 1e-4, own[-1] - 1e-4, n)])
+        order = np.argsort(times)
+        time_ns, column = (times[order] * 1e9).astype(np.int64), np.where(order < n, 1.0, np.nan)
+        rows = np.flatnonzero(order < n)
+        for lost in (0, 150):
+            column[rows[20 : 20 + 7 * lost : 7]] = np.nan
+            assert _count_missing_samples(time_ns, column) == lost
