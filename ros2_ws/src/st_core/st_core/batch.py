@@ -203,7 +203,7 @@ class LogBatch:
                     raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
             if substeps != 1:
                 raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
-            self._ahead = tuple(values[first] for values in inputs)
+            self._planned = tuple(values[first] for values in inputs)
         ins_time, used = self.signals.log.ins_time_ns, np.zeros(0)
         if len(self._unique):
             ends = int(self._unique[0]), int(self._unique[-1]) + round(self.steps * step / NANOSECOND)
@@ -306,7 +306,7 @@ class LogBatch:
             acceleration, = signals.ins_at(times[0], "velocity_x_dot")
         else:
             padding = (0, 0), (0, block.columns - block.count)
-            angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._ahead)
+            angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._planned)
             if path and not model.has_tyres:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))

@@ -267,7 +267,7 @@ class _PendingForecast(NamedTuple):
 
 
 class CourseTracker:
-    """Predicts inputs over the horizon from a recorded course, mixed with held inputs according to recent errors.
+    """Predicts inputs over the horizon from a recorded course, combined with held inputs according to recent errors.
 
     At every start the passes near the car are candidates. A candidate predicts, as functions of the distance s ahead,
 
@@ -275,8 +275,8 @@ class CourseTracker:
 
     e: lateral offset from the pass, which a driver reduces to 0; A and B follow from the current offset and direction.
     The weight of a candidate is exp(-d^2 / 2), with d^2 the sum of squared differences in position, direction, recent
-    speed and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is mixed
-    with other forecasts:
+    speed and recent curvature, each divided by its scale. The weighted mean of the candidates, "course" below, is
+    combined with other forecasts:
 
         curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
         weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
@@ -317,7 +317,7 @@ class CourseTracker:
         if squares.min() > MAX_DIFFERENCE**2:
             return CourseForecast(None, reason="course: no earlier drive has a similar path and speed")
         weights = np.exp(-0.5 * squares)
-        return self._mix(candidates, weights / weights.sum(), ego)
+        return self._combine(candidates, weights / weights.sum(), ego)
 
     def _advance(self, ego: EgoMotion) -> float:
         """Add a start; returns the time since the previous one [s], 0 after a restart."""
@@ -381,8 +381,8 @@ class CourseTracker:
         curvature = curvature + (lateral_offset - b) / l_1**2 * np.exp(-s / l_1) + b / l_2**2 * np.exp(-s / l_2)
         return _Candidate(square, speed, curvature)
 
-    def _mix(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
-        """The forecast from the weighted candidates, mixed with the other forecasts according to their errors."""
+    def _combine(self, candidates: list[_Candidate], weights: np.ndarray, ego: EgoMotion) -> CourseForecast:
+        """The forecast from the weighted candidates, combined with the other forecasts according to their errors."""
         length = min(len(candidate.speed) for candidate in candidates)
         course_speed, curvature = (weights @ np.stack([getattr(candidate, name)[:length] for candidate in candidates])
                                    for name in ("speed", "curvature"))
@@ -401,10 +401,10 @@ class CourseTracker:
         self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
         speed = speed_shares @ speed_forecasts
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        mixed_curvature = (curvature_shares[0] * ego.curvature
-                           + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
+        combined_curvature = (curvature_shares[0] * ego.curvature
+                              + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
         share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
-        path = path_inputs(speed, mixed_curvature, t, self._vehicle)
+        path = path_inputs(speed, combined_curvature, t, self._vehicle)
         inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
                                acceleration + share * (path.velocity_x_dot - acceleration),
                                {name: angle + share * (values - angle) for name, values in path.signals.items()})

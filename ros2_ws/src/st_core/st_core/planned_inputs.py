@@ -27,7 +27,7 @@ MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction co
 ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
 ACCELERATION_TOLERANCE = 3.0  # m/s^2 between plan and measurement at the start: braking takes 0.3 s to build up
 SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
-SLIP_FREE = "slip_free_angle"  # road wheel angle of a car without tyre slip on a path, for models without tyres
+SLIP_FREE = "slip_free_angle"  # Ackermann angle: road wheel angle on a path without tyre slip, for models without tyres
 
 
 @dataclass(frozen=True, eq=False)

@@ -286,7 +286,7 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
         text += ": at the rear axle?"
     value = vehicle.cg_to_ins_x + point.value
     advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}  # measure it: "
-                    "rear wheels that steer have the same effect", {"cg_to_ins_x": round(value, 2)})
+                    "rear-wheel steering has the same effect", {"cg_to_ins_x": round(value, 2)})
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
         advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")

@@ -12,7 +12,7 @@ class SensorLeverArm(Effect):
     kind, slot = "sensors", "position"
     confounded_with = ("cg_position", "heading_misalignment")
     needs = ("velocity_y",)  # without it, yaw may be the course, which hides x and y
-    imitated_by = "rear wheels that steer"
+    imitated_by = "rear-wheel steering"
     applies_to = ANY
     parameters = (
         Parameter("x", "m", null=0.0, initial=0.2, bounds=(-3.0, 3.0), meaning="INS further forward than in the file",

@@ -12,7 +12,7 @@ class SteeringRatio(Effect):
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)
-    imitated_by = ("a wrong wheelbase in the vehicle file, rear wheels that steer, a ratio that depends on speed or a "
+    imitated_by = ("a wrong wheelbase in the vehicle file, rear-wheel steering, a speed-dependent steering ratio or a "
                    "locking differential")
     applies_to = ANY
     order = 40

@@ -355,7 +355,7 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first; ["nothing"] if there are none."""
     lines = _vehicle_lines(discovery, update)
-    lines += [f"measure {to_words(e.name)} on the car: {causes}, which the library does not contain, act alike"
+    lines += [f"measure {to_words(e.name)} on the car: {causes} would have the same effect and is not in the library"
               for e in discovery.effects if (causes := get_effect(e.name).imitated_by)]
     for name, changes in (update.not_folded if update is not None else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
