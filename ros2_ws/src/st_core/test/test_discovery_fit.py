@@ -68,16 +68,18 @@ def test_car_beyond_the_limits_of_a_vehicle_file_is_not_predicted(leaf):
     assert np.isnan(errors.at(beyond)).all() and errors.at(beyond).shape == errors.windows.known.shape
 
 
-def test_sensitivity_at_a_limit_of_a_vehicle_file_is_that_of_the_other_side(leaf):
+@pytest.mark.parametrize("first_side", [1.0, -1.0])
+def test_sensitivity_at_a_limit_of_a_vehicle_file_is_that_of_the_other_side(leaf, first_side):
     (log,) = recorded(leaf, {}, 1, ["slalom"])
-    stiff = replace(leaf, tyre_rear=leaf.tyre_rear._replace(lambda_ky=10.0))  # the limit
-    errors = Errors(Windows([log], stiff, DiscoverySettings()), Space("nonlinear", DiscoverySettings()))
+    at_limit = replace(leaf, tyre_rear=leaf.tyre_rear._replace(lambda_ky=10.0))
+    errors = Errors(Windows([log], at_limit, DiscoverySettings()), Space("nonlinear", DiscoverySettings()))
     space = errors.space
     index = space.indices("rear_stiffness")
+    space.sign[index] = first_side
     (sensitivity,) = Loss(errors, space.null).sensitivities(space.null, index)
-    softer = space.null.copy()
-    softer[index] -= DIFFERENCE_STEP * space.scale[index]
-    expected = (errors.at(softer) - errors.at(space.null)) / DIFFERENCE_STEP
+    moved = space.null.copy()
+    moved[index] -= DIFFERENCE_STEP * space.scale[index]
+    expected = (errors.at(moved) - errors.at(space.null)) / DIFFERENCE_STEP
     assert np.nanmax(np.abs(expected)) > 0.0
     np.testing.assert_allclose(sensitivity, np.nan_to_num(expected), rtol=1e-9, atol=1e-12)
 
