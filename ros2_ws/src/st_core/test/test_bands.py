@@ -164,7 +164,8 @@ def test_conditions_outside_the_calibration_are_described(bands):
     assert describe(np.array([8.0, 1.0, 0.2, 0.02])) == ""
     assert describe(np.array([40.0, 1.0, 0.2, 0.02])) == (
         "40.0 m/s with 1.0 m/s^2 lateral acceleration: fewer than 2 calibration runs have 10 predictions in this range")
-    assert describe(np.array([8.0, 1.0, 0.2, 0.5])).startswith("steering activity 0.5 rad/s exceeds the calibrated 0.0")
+    activity = describe(np.array([8.0, 1.0, 0.2, 0.5]))
+    assert activity.startswith("steering activity 0.5 rad/s exceeds the calibrated limit 0.0")
     assert describe(np.array([8.0, 1.0, 0.2, np.nan])) == "steering activity is unknown"
 
 

@@ -117,7 +117,7 @@ class CalibrationDomain:
         for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.largest, strict=True):
             if value > limit:
                 text = name.replace("_", " ").replace("forward acceleration", "|forward acceleration|")
-                return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated {limit:.3g}"
+                return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated limit {limit:.3g}"
         return (f"{condition[0]:.1f} m/s with {condition[1]:.1f} m/s^2 lateral acceleration: fewer than "
                 f"{MIN_RUNS_IN_CELL} calibration runs have {MIN_STARTS} predictions in this range")
 

@@ -26,7 +26,7 @@ def _format_yaml(value: Any) -> str:
 
 @dataclass(frozen=True)
 class Advice:
-    """What the user can do about a finding. line: text to paste, or an instruction.
+    """Remedy for a finding. line: text to paste, or an instruction.
 
     kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` holds values of the vehicle file [SI];
     "option": `line` is a command-line option; "look": `line` is an instruction.

@@ -203,8 +203,8 @@ class Tolerances:
     position_effect: float = 0.0  # position shift after the horizon per unit of error [m]
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
     min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
-    unit_questions: Mapping[float, str] = field(default_factory=dict)  # question on the cause of a scale, by factor
-    bias_question: str = ""  # on the cause of a bias
+    unit_questions: Mapping[float, str] = field(default_factory=dict)  # question about the unit, by factor
+    bias_question: str = ""  # about the cause of a bias
 
 
 def judge_agreement(agreement: Agreement | None, tolerances: Tolerances, title: str, removed_scale: float = 1.0,

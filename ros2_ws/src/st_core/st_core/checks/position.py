@@ -68,8 +68,8 @@ CAUSES = {
                        "from its origin?"),
     "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
                             "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions"),
-    "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw is {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too far "
-                        "{side} for positions and velocities"),
+    "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
+                        "far {side}, according to positions and velocities"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
                           "positions {lag} velocity and yaw by {size:.3f} ± {half:.3f} s"),
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
@@ -77,9 +77,9 @@ CAUSES = {
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
                                 "{half:.2f} m {ahead} the point of the velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
-                             "too {high} for positions, at every speed"),
+                             "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
-                             "too {high} for positions and yaw, at every speed"),
+                             "too {high} compared with positions and yaw, at every speed"),
 }
 SPHERE_TEXT = "{axis} is {value:.4f} ± {half:.4f} times the integrated velocity: projected on a spherical earth?"
 

@@ -94,7 +94,7 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
         factor, (name, symbol) = unit, TIMES[unit]
         question = f": is its unit {name}?"
         advice = Advice.for_run_yaml({"units": {"t": symbol}})
-    text = f"time runs {factor:g} times too fast for positions and yaw{question}"
+    text = f"time runs {factor:g} times too fast compared with positions and yaw{question}"
     return _correct(motion.with_time_divided(factor), "time_unit", ("time",), text, factor, advice)
 
 
@@ -108,8 +108,8 @@ def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate
     if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
             np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
-    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast for positions and yaw: are the rows "
-            "stamped at a nominal rate that is not the true one?")
+    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: do "
+            "the stamps have a nominal rate that is not the true one?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")

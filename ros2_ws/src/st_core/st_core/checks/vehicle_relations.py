@@ -48,8 +48,8 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     agreement = compare_series(motion.time, derived, motion.steering_time, motion.steering, CUTOFF,
                                expected_lag=-response, max_fitted_lag=2.0 * MAX_LAG)
     gain = _estimate_steering_gain(motion, derived)
-    # Understeer with the stability factor K increases the steering of this drive by the mean of 1 + K v^2, weighted
-    # with the square of the angle: for K of the vehicle file, at least 0, and for the largest K of road cars.
+    # Understeer with the stability factor K multiplies the steering angle by 1 + K v^2. The mean of this factor,
+    # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
     mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
     largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))

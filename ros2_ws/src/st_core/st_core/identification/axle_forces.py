@@ -29,11 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import models
 from ..augmented import AugmentedModel
 from ..errors import ConfigurationError, StCoreError
 from ..log import DriveLog
-from ..models import Model, get_model
+from ..models import Model, get_model, slip_angles
 from ..regression import Spread, extrapolation_uncertainty, make_blocks
 from ..vehicle import VehicleParameters
 from .result import Coverage, Identification, IdentificationError, ParameterEstimate, Status, describe_correlations
@@ -151,7 +150,7 @@ def compute_slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tupl
     """Slip angles of the (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
     angle = samples.road_wheel_angle
     state = 0.0, 0.0, samples.velocity_x, samples.velocity_y, 0.0, samples.yaw_rate  # position and yaw have no effect
-    return models.slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
+    return slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
 
 
 def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> tuple[AxleRegression, AxleRegression]:
