@@ -12,7 +12,7 @@ from experiment_tables import axle_lift, flat_plank, turntable, weighings
 from st_core.identification.magic_formula import fit_tyre, identify_magic_formula
 from st_core.identification.mass_and_cg import compute_pitch, identify_cg_height, identify_mass_and_cg
 from st_core.identification.result import IdentificationError
-from st_core.identification.steering import identify_steering_ratio
+from st_core.identification.steering import fit_line, identify_steering_ratio
 from st_core.tyres import magic_formula_coefficients, magic_formula_stiffness, tyre_force
 
 SEEDS = range(50)
@@ -174,6 +174,26 @@ def test_implausible_turntable_data_are_rejected(leaf, change, message):
     with pytest.raises(IdentificationError) as caught:
         identify_steering_ratio(change(turntable(leaf, 0)))
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-10, 1e-9, 1e-8, 1e-7])
+def test_sweeps_at_one_angle_each_do_not_determine_a_slope(size):
+    """Not even if rounding varies the angle a little."""
+    rng = np.random.default_rng(1)
+    x = np.repeat([0.0, 1.7], 10) + size * rng.standard_normal(20)
+    y = x / 17.0 + 1e-4 * rng.standard_normal(20)
+    with pytest.raises(IdentificationError, match="20 rows in 2 series do not determine a slope"):
+        fit_line(x, y, ["a"] * 10 + ["b"] * 10)
+
+
+def test_line_of_several_sweeps_has_the_uncertainty_of_its_docstring():
+    rng = np.random.default_rng(2)
+    x, groups = rng.uniform(-3.0, 3.0, 30), np.repeat(["a", "b", "c"], 10)
+    y = x / 17.0 + np.repeat([0.1, 0.0, -0.2], 10) + 1e-3 * rng.standard_normal(30)
+    line = fit_line(x, y, groups)
+    squares = sum(np.square(x[groups == name] - x[groups == name].mean()).sum() for name in "abc")
+    deviation = math.sqrt(line.residuals @ line.residuals / 26 / squares)
+    assert line.degrees_of_freedom == 26 and line.uncertainty == pytest.approx(deviation, rel=1e-12)
 
 
 def test_swapped_wheels_are_a_warning(leaf):

@@ -38,6 +38,8 @@ from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Coverage, Identification, IdentificationError, ParameterEstimate, describe_contradiction
 from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 
+MIN_VARIATION = 1e-6  # minimum RMS of x about its means in the groups, as a fraction of its RMS
+
 
 @dataclass(frozen=True)
 class Line:
@@ -55,12 +57,13 @@ def fit_line(x: np.ndarray, y: np.ndarray, groups: Sequence[str]) -> Line:
     members = _group_columns(groups)
     design = np.column_stack([x, *members.values()])
     degrees_of_freedom = len(x) - len(members) - 1
-    if degrees_of_freedom < 1 or np.linalg.matrix_rank(design) <= len(members):
+    square_sum = float(sum(member @ np.square(x - member @ x / member.sum()) for member in members.values()))
+    if degrees_of_freedom < 1 or square_sum <= MIN_VARIATION**2 * float(x @ x):
         raise IdentificationError(f"{len(x)} rows in {len(members)} series do not determine a slope: more rows at "
                                   "different settings are needed")
     slope, *intercepts = np.linalg.lstsq(design, y, rcond=None)[0].tolist()
     residuals = y - design @ [slope, *intercepts]
-    variance = float(residuals @ residuals) / degrees_of_freedom * np.linalg.inv(design.T @ design)[0, 0]
+    variance = float(residuals @ residuals) / degrees_of_freedom / square_sum
     return Line(slope, math.sqrt(variance), dict(zip(members, intercepts, strict=True)), residuals, degrees_of_freedom)
 
 
