@@ -90,7 +90,7 @@ def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: 
     covariance = transform_back(f_hat * g_hat) - sum_f * sum_g / n
     variance_f = transform_back(rfft(f * f, size) * mask_g_hat) - sum_f**2 / n
     variance_g = transform_back(mask_f_hat * np.conj(rfft(g * g, size))) - sum_g**2 / n
-    # An overlap without variation correlates with anything, so it must contain a fraction of the total variance.
+    # Overlaps with almost no variation correlate with anything: require a fraction of the largest variance.
     floor_f, floor_g = (1e-3 * v.max(initial=0.0) + 1e-12 for v in (variance_f, variance_g))
     usable = (n * STEP >= minimum_overlap) & (variance_f > floor_f) & (variance_g > floor_g)
     r = np.zeros(len(n))
@@ -129,9 +129,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
     uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
     independent residuals and a reference without noise. The curvature is the product of the slopes of both recordings,
-    in which their noise cancels.
-    A weak prior (100 ppm) limits the drift. Raises ValueError if a signal has less than 2 s in common, or if the
-    signals do not vary.
+    in which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if a
+    signal has less than 2 s in common, or if the signals do not vary.
     """
     splines = [[CubicSpline(side.time, side.values) for side in (p.reference, p.other)] for p in pairs]
     parameters = np.array([offset, drift])
@@ -192,7 +191,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
         jacobian, other_jacobian = np.zeros((2, 2, len(time)))
         for rows_of, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
             for k, derivative in enumerate([slopes, slopes * (time - middle)] if free_drift else [slopes]):
-                # Remove what gain and bias can explain, because it contains no information about the clocks.
+                # Project out gain and bias, which contain no information about the clocks.
                 gain, bias = _weighted_line(other, derivative, weight)
                 rows_of[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)

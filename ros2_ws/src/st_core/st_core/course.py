@@ -69,14 +69,12 @@ class Course:
     origin: tuple[float, float] | None = None
 
     @cached_property
-    def _indices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the pass, and row within the pass, of every point, (points,) each."""
+    def _lookup(self) -> tuple[cKDTree, np.ndarray, np.ndarray, np.ndarray]:
+        """Search tree of all points; the points (n, 5); index of the pass, and row within the pass, of each point."""
+        points = np.concatenate([pass_.points for pass_ in self.passes])
         sizes = [len(pass_.points) for pass_ in self.passes]
-        return np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(np.concatenate([pass_.points[:, :2] for pass_ in self.passes]))
+        return (cKDTree(points[:, :2]), points, np.repeat(np.arange(len(sizes)), sizes),
+                np.concatenate([np.arange(size) for size in sizes]))
 
     def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
         """Nearest point of each lap within MAX_DISTANCE that runs in the direction of the car, the nearest lap first.
@@ -85,19 +83,16 @@ class Course:
         """
         if not self.passes:
             return []
-        near = np.array(sorted(self._tree.query_ball_point((x, y), MAX_DISTANCE)), int)
-        if not len(near):
-            return []
-        index, row = (indices[near] for indices in self._indices)
-        points = np.stack([self.passes[n].points[k] for n, k in zip(index.tolist(), row.tolist(), strict=True)])
-        aligned = np.abs(wrap_angle(points[:, 2] - direction)) < MAX_HEADING_DIFFERENCE
-        index, row, points = index[aligned], row[aligned], points[aligned]
-        distance = np.hypot(points[:, 0] - x, points[:, 1] - y)
+        tree, points, index, row = self._lookup
+        near = np.array(sorted(tree.query_ball_point((x, y), MAX_DISTANCE)), int)
+        near = near[np.abs(wrap_angle(points[near, 2] - direction)) < MAX_HEADING_DIFFERENCE]
+        index, row = index[near], row[near]
+        distance = np.hypot(points[near, 0] - x, points[near, 1] - y)
         # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
         begins = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
-        nearest = [NearPoint(int(index[k]), int(row[k]), float(distance[k]))
-                   for lap in np.split(np.arange(len(index)), begins)[1:] for k in [lap[distance[lap].argmin()]]]
-        return sorted(nearest, key=lambda point: point.distance)
+        nearest = [lap[distance[lap].argmin()] for lap in np.split(np.arange(len(near)), begins)[1:]]
+        return [NearPoint(int(index[k]), int(row[k]), float(distance[k]))
+                for k in sorted(nearest, key=distance.__getitem__)]
 
     def exclude(self, digests: Sequence[str]) -> "Course":
         """The course without the passes of recordings with these sha256, so that no run is predicted from itself."""

@@ -1,7 +1,7 @@
 """Model files, model.yaml: base model, effects with values and confidence intervals, and their provenance.
 
     base: nonlinear
-    vehicle: {name: "Nissan Leaf ZE0", hash: "..."}             and, if embedded, parameters: {a vehicle file}
+    vehicle: {name: "Nissan Leaf ZE0", hash: "...", parameters: {...}}    # parameters: optional, a vehicle file
     effects:
       steering_lag:
         time_constant: {value: 0.08, unit: "s", interval: [0.07, 0.09], source: "..."}

@@ -160,9 +160,9 @@ class TimeSeries:
             return "no samples"
         after = int(np.searchsorted(times, time_ns))
         if after == len(times):
-            return f"ends {(time_ns - int(times[-1])) * NANOSECOND:.3f} s before"
+            return f"ends {(time_ns - int(times[-1])) * NANOSECOND:.3f} s earlier"
         if after == 0 and times[0] != time_ns:
-            return f"begins {(int(times[0]) - time_ns) * NANOSECOND:.3f} s after"
+            return f"begins {(int(times[0]) - time_ns) * NANOSECOND:.3f} s later"
         if reason := self.breaks.get(int(times[after])):
             return reason
         return f"gap of {int(times[after] - times[after - 1]) * NANOSECOND:.3f} s"

@@ -20,7 +20,7 @@ Number: TypeAlias = Any  # a float or an array
 
 @dataclass(frozen=True)
 class Quantity:
-    """One key of a vehicle file."""
+    """Units and limits of one key of a vehicle file."""
 
     si_unit: str
     minimum: float  # limit in SI, inclusive

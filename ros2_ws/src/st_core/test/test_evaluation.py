@@ -151,7 +151,7 @@ def test_missing_signal_is_named_after_the_waiting_time(leaf, circle):
     feed(evaluator, circle, ANGLE, 6850, 7000, steering_gap=(4000, 9000))
     forecast, hindsight = evaluator.poll()
     assert forecast.complete
-    assert hindsight.incomplete_reason == "steering: ends 0.008 s before at 3.100 s of the horizon"
+    assert hindsight.incomplete_reason == "steering: ends 0.008 s earlier at 3.100 s of the horizon"
 
 
 def test_caller_clock_ends_the_waiting_when_all_signals_stop(leaf, circle):
@@ -170,7 +170,7 @@ def test_flush_scores_pending_predictions_as_incomplete(leaf, circle):
     scores = evaluator.flush()
     assert len(scores) == 6 and evaluator.pending == 0 and evaluator.flush() == []
     assert {s.incomplete_reason for s in scores if s.mode == "forecast"} == {
-        "INS: ends 0.010 s before at 2.100 s of the horizon"}
+        "INS: ends 0.010 s earlier at 2.100 s of the horizon"}
     assert np.isfinite(scores[0].longitudinal[:42]).all() and np.isnan(scores[0].longitudinal[42:]).all()
 
 

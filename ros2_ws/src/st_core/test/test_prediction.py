@@ -128,7 +128,7 @@ def test_signals_on_different_clocks_have_no_common_instant(leaf):
     predictor = Predictor(leaf, MODELS, PredictionSettings(stale_after=5.0))
     feed(predictor, 0, 500, steering=False)
     feed(predictor, 3000, 3500, with_ins=False)
-    assert "begins 2.513 s after" in reason(predictor.find_start(time_at(3500)))
+    assert "begins 2.513 s later" in reason(predictor.find_start(time_at(3500)))
 
 
 @pytest.mark.parametrize(("speed", "starts"), [(0.0, False), (0.49, False), (0.51, True), (-0.6, True)])

@@ -118,8 +118,8 @@ def test_forward_jump_leaves_a_gap():
     samples = filled([*range(0, 100, 10), *range(1000, 1100, 10)])
     assert samples.row_at(T0 + 500 * MS) is None
     assert samples.describe_unknown(T0 + 500 * MS) == "gap of 0.910 s"
-    assert samples.describe_unknown(T0 + 1190 * MS) == "ends 0.100 s before"
-    assert samples.describe_unknown(T0 - 20 * MS) == "begins 0.020 s after"
+    assert samples.describe_unknown(T0 + 1190 * MS) == "ends 0.100 s earlier"
+    assert samples.describe_unknown(T0 - 20 * MS) == "begins 0.020 s later"
     assert series().describe_unknown(T0) == "no samples"
 
 
