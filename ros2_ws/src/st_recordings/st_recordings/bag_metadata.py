@@ -121,8 +121,7 @@ def read_information(directory: Path) -> dict[str, Any]:
 
 
 def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Entry `custom_data` of metadata.yaml, "record.key" -> text: the short one-line texts of all records but rosbag2.
-    """
+    """Entry `custom_data` of metadata.yaml, "record.key" -> text: short one-line texts of all records but rosbag2."""
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 

@@ -18,8 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, MessageIndex, MetadataIndex, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-DROPPABLE_CHUNKS = 100
-"""Number of most recent chunks that can be dropped when the disk is full."""
+DROPPABLE_CHUNKS = 100  # number of most recent chunks that can be dropped when the disk is full
 MAGIC = b"\x89MCAP0\r\n"
 _LISTED_RECORDS = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA,
                    Opcode.ATTACHMENT)
@@ -144,8 +143,7 @@ class Contents:
                     data_size=len(record.data), name=record.name, media_type=record.media_type))
 
     def _index_messages(self, chunk: Chunk) -> dict[int, MessageIndex]:
-        """Indexes the messages of a chunk by channel id, and adds its schemas and channels. Raises an exception for
-        damaged content."""
+        """Indexes the messages of a chunk by channel id, and adds its schemas and channels; raises if damaged."""
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
         if len(data) != chunk.uncompressed_size:

@@ -35,8 +35,7 @@ def config(relative: str) -> Path:
 
 
 def source_version() -> str:
-    """Version of the installed wheel if its files are used, else `git describe` of the checkout; "unknown" if neither
-    is known."""
+    """Version of the wheel if its files are used, else `git describe` of the checkout; "unknown" without either."""
     try:
         if (root := project_root()) == INSTALLED_FILES:  # git may find a repository around the environment of the wheel
             return metadata.version(DISTRIBUTION)

@@ -75,8 +75,7 @@ def lacks_steering(path: Path) -> bool:
 
 
 def may_need_can_frames(path: Path, files: Sequence[Path] = ()) -> bool:
-    """Whether the steering of a bag may be in its own CAN frames (can_msgs/Frame), recorded by another bridge. files:
-    see `open_bag`."""
+    """Whether the steering may be in CAN frames of another bridge (can_msgs/Frame). files: see `open_bag`."""
     types = _read_types(path, files)
     return types >= {ODOMETRY, CAN_MSGS_FRAME} and not types & {STEERING, CAN_FRAMES}
 
@@ -147,8 +146,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
-    """Reads the INS log in a bag, for a run with the steering in a CAN log. Raises RunError. Arguments: see `read_bag`.
-    """
+    """Reads the INS log in a bag, for a run with CAN logs. Raises RunError. Arguments: see `read_bag`."""
     storage = open_bag(path, files)
     storage.use_definitions([ODOMETRY])
     topic = _find_topic(storage, ODOMETRY, odometry)

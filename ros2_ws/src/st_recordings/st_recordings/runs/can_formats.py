@@ -164,8 +164,7 @@ class _AscLines(Lines):
     _are_relative, _seconds = False, 0.0  # whether times are relative to the previous line; last time since the start
 
     def convert(self, line: str) -> str:
-        """Converts times to seconds since the start and months to English; removes a.m. or p.m. after hours outside 1
-        to 12."""
+        """Converts times to seconds since the start, months to English; removes a.m. and p.m. from 24-hour times."""
         if stamp := _ASC_STAMP.match(line):
             seconds = float(".".join(stamp.groups()))
             self._seconds = seconds + (self._seconds if self._are_relative else 0.0)
@@ -264,8 +263,7 @@ FORMATS = (
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make=_read_trc)),
 )
-SHARED_EXTENSIONS = (".log", ".txt", "")
-"""Extensions that CAN logs share with files of other programs."""
+SHARED_EXTENSIONS = (".log", ".txt", "")  # extensions that CAN logs share with files of other programs
 EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS}
 
 

@@ -26,8 +26,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_SHARE = 0.2
-"""The times of a candump that begins at 0 are relative to the previous frame if a larger fraction of them decreases, or
-all are equal."""
+"""A candump that begins at 0 has times since the previous frame if more of them decrease, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:

@@ -187,8 +187,7 @@ class CdrLayout:
         return values if field.count > 1 else values[:, 0]
 
     def fits(self, buffer: np.ndarray, starts: np.ndarray, sizes: np.ndarray) -> bool:
-        """Whether the messages at `starts`, of `sizes` bytes, have this layout. The middleware pads messages to a
-        multiple of four bytes."""
+        """Whether the messages at `starts`, of `sizes` bytes, have this layout; padding to four bytes is allowed."""
         size_fits = ((sizes >= len(self.template)) & (sizes < len(self.template) + 4)).all()
         fixed_bytes = np.nonzero(self._fixed)[0]
         return bool(size_fits) and all((buffer[starts + k] == self.template[k]).all() for k in fixed_bytes)

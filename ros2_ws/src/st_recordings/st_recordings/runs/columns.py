@@ -158,14 +158,12 @@ AMBIGUOUS = {normalise(name) for name in
              _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
-MAX_NAME_LENGTH = 200
-"""Characters; of a longer name, only the end counts."""
+MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
 PATH_RANK = 1000
 """Added to the rank of a name that follows a path, as in /ins/odometry/twist/twist/linear/x from PlotJuggler, or the
 name of a source, as in ego_velocity_x."""
 DOUBTFUL_RANK = 500
-"""Rank of the names theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading.
-"""
+"""Rank of theta and phi, which may also denote pitch and roll; read as yaw if no other column is a heading."""
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
     r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
@@ -278,8 +276,7 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Finds the columns of a ROS stamp: (index of header.stamp.sec or secs, index of nanosec or nsecs); None without
-    such a pair."""
+    """Indices of the columns of a ROS stamp (header.stamp.sec or secs, nanosec or nsecs); None without such a pair."""
     plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
         stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
@@ -352,8 +349,7 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
-    """All ways to split the name of a column into a name and a unit, the whole name first. One way to split
-    yaw_rate_deg_s is yaw_rate, deg_s."""
+    """All splits of a column name into name and unit, the whole name first; yaw_rate_deg_s: also yaw_rate, deg_s."""
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()

@@ -42,13 +42,11 @@ than the rate of the rows."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
-MIN_GAP_RATIO = 2.5
-"""Rows are missing between two rows if their time difference exceeds this multiple of the median."""
+MIN_GAP_RATIO = 2.5  # rows are missing between two rows if their time difference exceeds this multiple of the median
 MAX_AFTER_GAP_SHARE = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDING_RATIO = 1.01
-"""A change of position is one unit of the last decimal if their ratio, the larger divided by the smaller, is at most
-this value."""
+"""A change of position is one unit of the last decimal if the larger is at most this multiple of the smaller."""
 MIN_REGULAR_SHARE = 0.9
 """Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 

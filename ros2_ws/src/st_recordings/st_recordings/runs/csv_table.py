@@ -97,8 +97,7 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Reads a table of text, MDF signals, MATLAB or Arrow. Raises RunError if the file, its units, times or numbers
-    cannot be read."""
+    """Reads a table of text, MDF signals, MATLAB or Arrow. Raises RunError for an unreadable or invalid table."""
     check_readable(file)
     warnings: list[str] = []
     if is_signal_table(file):

@@ -12,8 +12,7 @@ COMPRESSED_MAGIC = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
 """First bytes of a compressed file -> its kind."""
 _LOGGER = logging.getLogger("st_recordings")
 _logged: set[str] = set()
-MAX_SIMILAR_WARNINGS = 3
-"""Number of similar warnings that are logged in full while warnings are grouped."""
+MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full while warnings are grouped
 # While warnings are grouped: text without file and numbers -> the warnings that share it.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
 

@@ -13,8 +13,7 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""If a frame is earlier than each of the MAX_EARLY_FRAMES + 1 frames before it, the clock was set back; otherwise the
-frames are only out of order."""
+"""The clock was set back at a frame that is earlier than each of the MAX_EARLY_FRAMES + 1 frames before it."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_AT = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
@@ -114,7 +113,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
 
 def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
     """Builds the log in one file, without the steps of its clock. parts: each in the order in which it was written.
-    start_ns: None: time of the first frame."""
+    start_ns: by default the time of the first frame."""
     corrected, found = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected), tuple(chain.from_iterable(found))
     if steps:

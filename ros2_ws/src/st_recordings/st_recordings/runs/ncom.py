@@ -34,8 +34,7 @@ class NcomLog(InsLog):
 
 
 def read_ncom(file: Path) -> NcomLog:
-    """Reads the packets with a fix; the first is the origin of the map. Raises RunError for a file without valid
-    packets, fix or time."""
+    """Reads the packets with a fix; the first is the map origin. Raises RunError without valid packets, fix or time."""
     check_readable(file)
     try:
         columns = file_decoder.decode_file(file)

@@ -26,10 +26,8 @@ from .readers import READERS, find_reader
 from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
 from .sources import find_runs
 
-MAX_LOG_GAP = 10.0
-"""Longest gap [s] between frames in one part of a log; after a longer one, another drive may follow."""
-MAX_PARTS = 20
-"""Maximum number of parts of a log for which alignment is tried, the longest first."""
+MAX_LOG_GAP = 10.0  # longest gap [s] between frames in one part of a log; after a longer one, another drive may follow
+MAX_PARTS = 20  # maximum number of parts of a log for which alignment is tried, the longest first
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
 
 
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
-    """Splits a log at steps of its clock and at gaps longer than MAX_LOG_GAP: (start, end) [ns] of the parts, the
-    longest first."""
+    """(start, end) [ns] of the parts of a log between clock steps and gaps over MAX_LOG_GAP, the longest first."""
     time_ns = can.frames.time_ns
     starts = np.flatnonzero(np.isin(time_ns, [at for at, _ in can.steps])
                             | (np.diff(time_ns, prepend=time_ns[0]) > MAX_LOG_GAP * 1e9))

@@ -116,8 +116,7 @@ class Reconstruction:
                            f"a vehicle file: {error}", "also record vehicle/steering") from None
 
     def choose_auxiliary_fields(self) -> dict[Topic, tuple[str, ...]]:
-        """Chooses auxiliary topics, one per type, and their fields. Raw packets are read only if no other topics have
-        the same content."""
+        """Auxiliary topics, one per type, and their fields; raw packets only if no other topics have their content."""
         fields = {self._by_type[name]: fields for name, fields in _AUXILIARY_FIELDS.items() if name in self._by_type}
         if self._by_type.keys() >= {NCOM, INS_ON_CAN, INS_STATUS}:
             fields.pop(self._by_type[NCOM])
@@ -147,8 +146,7 @@ class Reconstruction:
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus messages, read one by one as their texts vary in length; None if there are
-        none, or one is damaged."""
+        """INS quality from st_msgs/InsStatus, read one by one as texts vary in length; None if missing or damaged."""
         if INS_STATUS not in self._by_type:
             return None
         try:
@@ -231,8 +229,7 @@ def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
 
 
 def extract_steering_angle(path: Path, message: Any, steering: SteeringField) -> float:
-    """Extracts the steering angle [rad], left positive, from a message. Raises RunError if the path of the field does
-    not lead to a number."""
+    """Steering angle [rad], left positive, in a message. Raises RunError if the field path leads to no number."""
     value = message
     for part in steering.field.split("."):
         fields = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("__")]

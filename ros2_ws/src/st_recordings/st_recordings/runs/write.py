@@ -29,15 +29,13 @@ from .run_types import LoadedRun, ReadSettings, RunSource
 
 TOPICS = {"/ins/odometry": ODOMETRY, "/ins/ncom": NCOM, "/vehicle/steering": STEERING,
           "/vehicle/wheel_speeds": WHEEL_SPEEDS, "/can/frames": CAN_FRAMES}
-BLOCK_NS = 20 * 10**9
-"""Duration [ns] of the part of a run that is serialised at once, to limit the use of memory."""
+BLOCK_NS = 20 * 10**9  # duration [ns] of the part of a run that is serialised at once, to limit the use of memory
 TIME_MARGIN_NS = 60 * 10**9
 """A packet that is more than this [ns] before the first or after the last fix has a wrong time."""
 UNKNOWN_VARIANCE = 1e6
 """Variance [SI], as in oxts_bridge.convert: so large that filters ignore the value, but finite, so they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
-CAN_PERIOD_NS = 20_000_000
-"""Duration of the frames in one can/frames message [ns]; 0.1 s in the live bridge."""
+CAN_PERIOD_NS = 20_000_000  # duration of the frames in one can/frames message [ns]; 0.1 s in the live bridge
 
 Message = tuple[int, str, bytes]
 """(log time [ns], topic, serialised message)."""
