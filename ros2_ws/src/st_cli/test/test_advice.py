@@ -1,24 +1,29 @@
 """st evaluate --advise: the cheapest model and step within a tolerance."""
 
 import csv
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import st
 from drives import weave, write_drive, write_vehicle
+from rich.console import Console
 from st_core.bands import ErrorSamples
 from st_core.log_evaluation import EvaluationSettings
 from st_core.prediction import PredictionSettings
 from st_offline.evaluation.advice import (
+    TABLE_STYLE,
     Cost,
     find_cheapest,
     get_processor_time,
     make_advice_rows,
     make_choice_rows,
     measure_accuracy,
+    split_rows,
     vary_step,
 )
+from st_offline.terminal import make_table
 from support import LEAF
 
 SETTINGS = EvaluationSettings()
@@ -81,6 +86,17 @@ def test_costs_are_relative_to_the_lowest_and_missing_values_are_dashes():
     first, second = make_advice_rows(costs, {("b", 0.05): accuracy})
     assert (first["interpreted, µs (x)"], first["compiled, µs (x)"], first["error 5 s, m"]) == ("300 (3.0)", "-", "-")
     assert second["batch, µs (x)"] == "10 (1.0)" and second["band 5 s, m"] == "-"
+
+
+def test_tables_of_advice_fit_into_80_columns():
+    console = Console(width=80, record=True, file=io.StringIO())
+    costs = {("nonlinear", 0.025): Cost(1.23e-2, 1.23e-2, 1.23e-2), ("kinematic", 0.05): Cost(1e-4, 1e-4, 1e-4)}
+    accuracies = {("nonlinear", 0.025): measure_accuracy(make_error_samples(4, 0.1), "linear", SETTINGS)}
+    for title, rows in split_rows(make_advice_rows(costs, accuracies), accuracies).items():
+        console.print(make_table(rows, title=title, **TABLE_STYLE))
+    lines = [" ".join(line.split()) for line in console.export_text().splitlines()]
+    assert "model step, s interpreted compiled batch" in lines and "model step, s 1 s 2 s 3 s 4 s 5 s" in lines
+    assert "nonlinear 0.025 1.23e+04 (123.0) 1.23e+04 (123.0) 1.23e+04 (123.0)" in lines
 
 
 def test_only_steps_that_divide_one_second_and_the_horizon_are_tried():

@@ -107,9 +107,9 @@ def print_alignment(pair: "RawRun") -> None:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
     if alignment.signals:
         table = Table(box=None, padding=(0, 2))
-        table.add_column("signal")
-        for name in ("its offset minus the result, ms (deviation)", "correlation", "residual / standard deviation"):
-            table.add_column(name, justify="right")
+        table.add_column("signal", overflow="fold")
+        for name in ("its offset minus the\nresult, ms (deviation)", "correlation", "residual /\nstandard deviation"):
+            table.add_column(name, justify="right", no_wrap=True)
         for row in alignment.signals:
             difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({row.deviation * 1e3:.2f})"
             table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")

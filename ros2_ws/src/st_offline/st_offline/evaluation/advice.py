@@ -1,6 +1,7 @@
 """Measures processor time and accuracy of each model at several integration steps, for `st evaluate --advise`."""
 
 import math
+import re
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -38,8 +39,7 @@ WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
 Key = tuple[str, float]  # model, step [s]
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
-TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "caption_justify": "left",
-                                  "padding": (0, 1)}
+TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
 
 
 @dataclass(frozen=True)
@@ -152,8 +152,8 @@ def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: 
     with console.status("cost and accuracy of each model and step"):
         costs, accuracies, unusable = measure_runs(sources, task)
     rows = make_advice_rows(costs, accuracies)
-    console.print(make_table(rows, title="Cost, error and band of each model and step",
-                             caption=make_caption(accuracies), **TABLE_STYLE))
+    for title, part in split_rows(rows, accuracies).items():
+        console.print(make_table(part, title=title, **TABLE_STYLE))
     chosen = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
     console.print(make_table(chosen, title=make_choice_title(tolerance), **TABLE_STYLE))
     for (model, step), reason in unusable.items():
@@ -243,12 +243,19 @@ def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dic
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
 
 
-def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:
+def split_rows(rows: Sequence[Mapping[str, str]],
+               accuracies: Mapping[Key, Accuracy]) -> dict[str, list[dict[str, str]]]:
+    """Title -> rows of the tables for the terminal, which is too narrow for all columns of `make_advice_rows`."""
     level = next((accuracy.level for accuracy in accuracies.values()), None)
-    bands = "band: none, fewer than 3 runs" if level is None else (
-        f"band: mean lateral half-width of the {level:.0%} band, whole path, calibrated on these runs")
-    return ("processor time per prediction, in brackets as a multiple of the lowest; error: lateral RMS error with "
-            f"measured inputs; {bands}")
+    patterns = {"Processor time per prediction, µs (multiple of the lowest)": r"(.*), µs \(x\)",
+                f"Lateral RMS error with measured inputs, m{'' if level else ' (no bands: fewer than 3 runs)'}":
+                    r"error (.*), m"}
+    if level is not None:
+        patterns[f"Mean lateral half-width of the {level:.0%} band, m; whole path, calibrated on these runs"] = (
+            r"band (.*), m")
+    return {title: [{name: row[name] for name in ("model", "step, s")} | {
+        match[1]: cell for name, cell in row.items() if (match := re.fullmatch(pattern, name))} for row in rows]
+        for title, pattern in patterns.items()}
 
 
 def make_choice_title(tolerance: float) -> str:
