@@ -143,17 +143,13 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
-    """Factors c of the levels, (levels,) [1]; see the module. scores: for each run, the scores of its windows [1].
+    """Factors c of the levels, (levels,) [1]; see the module. Raises StCoreError as `check_levels`.
 
-    Raises StCoreError for scores that are not finite, a run without scores, and as `check_levels`.
+    scores: finite scores of the windows of each run [1], at least one.
     """
     count = len(scores)
     check_levels(levels, count)
-    if any(len(run) == 0 for run in scores):
-        raise StCoreError("a run has no scored prediction; leave it out")
     values = np.sort(np.concatenate([np.asarray(run, float) for run in scores]))
-    if not np.isfinite(values).all():
-        raise StCoreError("a score is not finite; bands cannot be calibrated with such errors")
     by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
     covered = by_run.mean(axis=0)
     # exactly[k]: probability that k windows of a draw, one per run, have a score <= each value. at_least[k]:

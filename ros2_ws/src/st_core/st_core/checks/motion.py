@@ -22,7 +22,7 @@ MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard d
 MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
 MIN_WINDOWS = 5
 MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows that is not ambiguous
-MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows are halved while turns are larger
+MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a larger median turn are halved
 MIN_RATIO = 1e-10  # smallest ratio of two varying channels; nanoseconds read as seconds cause a ratio of 1e-9
 SAME_RATIO_FACTOR = 1.2  # ratios that differ by less than this factor are taken as equal
 SLOPE_ITERATIONS = 8  # of the robust fit of a slope
@@ -63,7 +63,7 @@ class Motion:
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
     def corrected(self, entry: Mapping[str, Any]) -> "Motion":
-        """The motion with `columns`, and with scale and add of `correct`, of an entry of run.yaml."""
+        """The motion with the `columns` of an entry of run.yaml, and the scale and add of its `correct`."""
         signals = {name: getattr(self, source) for name, source in entry.get("columns", {}).items()}
         for channel, values in entry.get("correct", {}).items():
             for name in COMPONENTS.get(channel, (channel,)):

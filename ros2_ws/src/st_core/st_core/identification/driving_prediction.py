@@ -66,16 +66,15 @@ SINGLE_TRACK_ERROR = 0.64
 simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 % at R = 20 m and 0.1 % at 60 m."""
 
 
-def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear",
-                  settings: DrivingFitSettings = DrivingFitSettings(), *, also: Sequence[str] = (),
-                  nuisance: Sequence[str] = NUISANCE) -> Identification:
+def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear", *,
+                  also: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
     also: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
     speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
-    names, settings = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance))), settings.for_car(vehicle)
+    names, settings = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance))), DrivingFitSettings().for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
     covered = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
                                        lateral_acceleration=(2.0, 3))
@@ -107,9 +106,10 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
     The slip range is measured by the mean |v_x r| weighted by its square, with which the secant of a brush tyre
     decreases about linearly.
     """
+    narrower = replace(settings, maximum_acceleration=float(np.median(fit.peak_accelerations)),
+                       min_windows=settings.min_windows // 2)
     try:
-        low = fit_driving(logs, vehicle, fit.names, base, replace(settings,
-            maximum_acceleration=float(np.median(fit.peak_accelerations)), min_windows=settings.min_windows // 2))
+        low = fit_driving(logs, vehicle, fit.names, base, narrower)
     except IdentificationError:
         return {}
     if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:

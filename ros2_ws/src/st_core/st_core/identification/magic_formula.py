@@ -133,11 +133,10 @@ SHIFT = "slip_shift"
 FIT_BOUNDS = {SHIFT: (-math.radians(2.0), math.radians(2.0)), "p_ky4": (1.0, 2.0)}
 NOMINAL_PARAMETERS = ("p_cy1", "p_dy1", "p_ey1")
 STIFFNESS_PARAMETERS = ("p_ky1", "p_ky2", "p_ky4")
-FITTED_PARAMETERS = ("p_cy1", "p_dy1", "p_dy2", "p_ey1", "p_ey2", "p_ky1", "p_ky2", "p_ky4")
 STARTS = ((1.1, -0.5), (1.3, 0.2), (1.6, -0.5), (1.3, -3.0))  # start values (C, E) of the fit at the nominal load
-MEANING = {"p_cy1": "shape", "p_dy1": "peak friction", "p_dy2": "load dependence of peak friction",
-           "p_ey1": "curvature", "p_ey2": "load dependence of curvature", "p_ky1": "stiffness",
-           "p_ky2": "load at maximum stiffness", "p_ky4": "curvature of stiffness versus load"}
+FITTED_PARAMETERS = {"p_cy1": "Shape", "p_dy1": "Peak friction", "p_dy2": "Load dependence of peak friction",
+                     "p_ey1": "Curvature", "p_ey2": "Load dependence of curvature", "p_ky1": "Stiffness",
+                     "p_ky2": "Load at maximum stiffness", "p_ky4": "Curvature of stiffness versus load"}
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
         # The profile interval of a normal distribution is 3.92 deviations wide; the covariance ignores bounds.
         value, uncertainty = float(fit.values[k]), (high - low) / 3.92
         open_ends = low_open + high_open
-        verdict = [f"{MEANING[name][0].upper()}{MEANING[name][1:]}."]
+        verdict = [f"{FITTED_PARAMETERS[name]}."]
         status: Status = "doubtful" if fit.is_at_bound(k) or open_ends else "identified"
         if fit.is_at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))

@@ -11,7 +11,7 @@ from ..errors import StCoreError
 from ..regression import Z95
 from ..vehicle import DERIVED_SOURCE, TYRES, Provenance, VehicleParameters, find_quantity, value_of
 
-if TYPE_CHECKING:  # `checks` imports this module
+if TYPE_CHECKING:  # `checks` takes a second to import, and nodes do not need it
     from ..checks.finding import Finding
 
 Status = Literal["identified", "doubtful", "unidentifiable"]
