@@ -75,7 +75,7 @@ def test_calibration_recordings_are_reported_as_no_test(folder, tmp_path):
     base, _ = folder
     result = st("evaluate", base / "known" / "weave_1.csv", "--vehicle", base / "car.yaml", "--model", "linear",
                 "--bands", base / "bands.yaml", "--figures", "", "--output", tmp_path / "o")
-    assert "this is no independent test of the bands" in " ".join(result.output.split())
+    assert "this is not an independent test of the bands" in " ".join(result.output.split())
 
 
 def test_bands_of_another_car_or_model_are_refused_in_one_line(folder, tmp_path):

@@ -27,8 +27,8 @@ AGGREGATE_PERIOD = 1.0  # s between messages on /diagnostics_agg
 PREDICTION_PERIOD = 0.25  # s between reads of the newest prediction
 TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
-STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent
-MISSED_REPORTS = 3  # reporting intervals until it counts as silent, if longer: nodes report rarely in a slow replay
+STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
+MISSED_REPORTS = 3  # nodes report rarely in a slow replay
 LEVELS = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
 

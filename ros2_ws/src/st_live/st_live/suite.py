@@ -44,7 +44,7 @@ class SuiteError(StCoreError):
 
 @dataclass(frozen=True)
 class Child:
-    """One process. log: file with its output. may_end: whether an end with status 0 during the run is no error."""
+    """One process. log: file with its output. may_end: whether it may end with status 0 during the run."""
 
     name: str
     process: subprocess.Popen
@@ -142,7 +142,7 @@ class Suite(Processes):
     """The nodes of one run, with one parameter file."""
 
     def __init__(self, folder: Path, parameters: Parameters, domain_id: int | None = None, realtime: bool = False):
-        """folder: receives parameters.yaml and logs/. parameters: all of them, as {node: {name: value}}."""
+        """folder: for parameters.yaml and logs/. parameters: {node: {name: value}}."""
         super().__init__(folder, domain_id, realtime)
         self.parameter_file = folder / "parameters.yaml"
         document = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}

@@ -38,7 +38,7 @@ RESTART_PAUSE = 1.0
 
 @dataclass
 class Comparison:
-    """Counts of the compared predictions and scores of one model; largest |recorded - recomputed|."""
+    """Comparison of one model: numbers of predictions and scores, and largest |recorded - recomputed|."""
 
     model: str
     n_starts: int = 0  # forecasts compared
@@ -61,7 +61,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether its vehicle and settings are those of all predictions."""
+    """Comparisons of all models. same_configuration: whether all recorded predictions are of this car and settings."""
 
     comparisons: list[Comparison]
     vehicle: str

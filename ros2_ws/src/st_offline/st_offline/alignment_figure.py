@@ -18,7 +18,7 @@ MAX_POINTS = 4000  # per line
 
 
 def draw_alignment(signals: Sequence[SharedSignal], alignment: Alignment, title: str, file: Path) -> None:
-    """Write the figure: speed, the 10 s in which the yaw rate (or the first signal) varies most, correlation, lags."""
+    """Draw speed, yaw rate (else the first signal) in the 10 s of its largest variation, correlation and lags."""
     candidates = [s for s in signals if not s.angle] or list(signals)
     speed = next((s for s in candidates if "velocity" in s.name or "speed" in s.name), candidates[0])
     with plt.rc_context(RC):
@@ -88,7 +88,7 @@ def _draw_lags(ax: plt.Axes, signals: Sequence[SharedSignal], alignment: Alignme
         ax.set(xticks=[], yticks=[])
         return
     ax.axhline(0, color="k", lw=0.6)
-    # The lags are at times relative to at_ns on the CAN clock, the other panels begin at the first INS measurement.
+    # The times of the lags are relative to at_ns on the CAN clock; the other panels begin at the first INS measurement.
     start = (alignment.at_ns + alignment.offset_ns - int(signals[0].reference_time_ns[0])) * 1e-9
     time = [start + w.time for w in lags]
     if len(lags) == 1:

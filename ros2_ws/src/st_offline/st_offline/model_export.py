@@ -93,9 +93,9 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
     missing = ", ".join(description["effects_not_in_the_equations"])
     usage = (f'```python\nimport casadi\nstep = casadi.Function.load("{name}_step.casadi")\n'
              f"x_next = step(x, u, h{p})\n```" if kind == "casadi" else
-             f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are column by column, "
-             "Jacobians without their structural zeros: `_sparsity_out` gives the positions of the entries. Call "
-             f"`{name}_step(arguments, results, iw, w, 0)` with arrays of pointers of the sizes in `{name}_step_work`.")
+             f"Compile `{name}.c` (C99, needs libm only) and include `{name}.h`. Matrices are stored column by column, "
+             "Jacobians without their structural zeros: `_sparsity_out` returns the positions of the entries. Call "
+             f"`{name}_step(arguments, results, iw, w, 0)` with arrays of the sizes that `{name}_step_work` returns.")
     return "\n\n".join(filter(None, (
         f"# {name}: single-track model of {description['vehicle']['name']}",
         f"Base model {description['base']}; effects: {', '.join(description['effects']) or 'none'}. st_core "
@@ -104,8 +104,8 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         f"States x: {states}. Inputs u: {inputs}. Parameters p: {parameters}. Bounds, and the arguments and results of "
         "each function, are in model.json; use the bounds, or narrower ones, as constraints.",
         "`dynamics`: time derivative. `step`: classical Runge-Kutta over h [s], inputs held, "
-        f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A by x and "
-        "B by u. `start`: the six states with the initial values of the extra ones.",
+        f"{description['substeps']} substep(s). `dynamics_jacobian`, `step_jacobian`: their derivatives A with respect "
+        "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
         f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
         "them outside." if missing else "", usage))) + "\n"

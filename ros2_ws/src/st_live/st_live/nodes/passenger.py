@@ -38,7 +38,7 @@ DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
-INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the page shows the last available
+INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
 TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of one instant arrive together
     "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
     "ins/odometry": ("odometry", Odometry, 3), "vehicle/steering": ("steering", Steering, 3),

@@ -1,4 +1,4 @@
-"""Plays odometry, steering, plans and map origin of a recording with /clock, for `st replay` and `st verify`.
+"""Plays odometry, steering, plans and map origin of a recording, and /clock, for `st replay` and `st verify`.
 
 Messages are published byte for byte in the order of their log times, except that an external steering topic is
 converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the clock waits until predictor and evaluator

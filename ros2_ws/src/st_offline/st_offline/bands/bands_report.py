@@ -32,9 +32,9 @@ _PROBABILITIES = np.concatenate([0.5 - _HALF_LEVELS[::-1], [0.5], 0.5 + _HALF_LE
 
 
 class Scorer:
-    """Accumulates the scores of bands on one run, with errors in the predicted frame. bands: calibrated, or None.
-    adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: of the run, sha256 by
-    path."""
+    """Accumulates the scores of bands on one run, with errors in the predicted frame. bands: calibrated bands, or None.
+    adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: sha256 of each file of
+    the run, by path."""
 
     LATE = 120.0  # s after the first start; the coverage of adaptive bands from then on is counted separately
 
@@ -44,8 +44,8 @@ class Scorer:
         self._time = make_times(prediction.horizon, prediction.step)
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
         self._first: int | None = None
-        known = set(bands.recordings.values()) if bands else set()
-        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in known]}]
+        used = set(bands.recordings.values()) if bands else set()
+        self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in used]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
         """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted.
@@ -87,20 +87,21 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 
 
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
-    """Sums over starts with a band. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], in the predicted frame.
+    """Scores of a band, summed over starts. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], predicted frame.
 
-    Levels: those of LEVELS that the band has, and its highest up to LEVELS[-1]; for reliability, all. coverage,
-    reliability: number of paths entirely inside, by level; axes: for each axis alone; conditions: by one condition;
-    seconds: number inside throughout each second; cells: the same by speed, lateral acceleration and second. Each
-    [m, m, rad]: interval_score, mean over the horizon; crps, mean over the whole seconds; half_width, at each.
+    Counts by level: coverage: paths entirely inside; axes: the same for each axis alone; conditions: the same by one
+    driving condition; seconds: paths inside during the whole of each second; cells: the same by speed, lateral
+    acceleration and second; reliability: as coverage, but for every level of the band. The other counts are for those
+    of LEVELS that the band has, and for its highest level up to LEVELS[-1]. By axis [m, m, rad]: interval_score: mean
+    over the horizon; crps: mean over the whole seconds; half_width: at each whole second.
     """
     import scoringrules  # slow to import, and needed only where bands are scored
 
     scale = band.scale(conditions)
     ratio = np.abs(errors) / scale
-    time, known = band.scale.time, [level for level in band.factors if level <= LEVELS[-1]]
-    levels = sorted({*(level for level in LEVELS if level in known), max(known)})
-    # Rounded, because 297 steps of 1/99 s are 3.0000000000000004 s in floats.
+    time, available = band.scale.time, [level for level in band.factors if level <= LEVELS[-1]]
+    levels = sorted({*(level for level in LEVELS if level in available), max(available)})
+    # Rounded, because 297 steps of 1/99 s are 3.0000000000000004 s in floating point.
     second = np.ceil(np.round(time, 6)).astype(int)
     at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
@@ -207,7 +208,7 @@ REPORTED_SECONDS = ("1", "3", "5")  # prediction times in the table
 
 @apply_style()
 def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFigure]:
-    """Draw a reliability diagram from the result of `summarise_bands`; an empty list if no start had a band."""
+    """Draw a reliability diagram from the result of `summarise_bands`; no figure if no start had a band."""
     models = {model: modes for model, modes in content.get("models", {}).items()
               if any(scores["starts"] for scores in modes.values())}
     if not models:
@@ -287,8 +288,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
             console.print(make_table(reported, title=title, width=min(console.width, 120)), highlight=False)
         if known := content["known_recordings"]:
-            print_line(f"[yellow]the calibration used {len(known)} of these files: this is no independent test of the "
-                       "bands; use other runs[/yellow]", console)
+            print_line(f"[yellow]the calibration used {len(known)} of these files, so this is not an independent test "
+                       "of the bands; use other runs[/yellow]", console)
     elif not adaptive:
         console.print(NO_BANDS, highlight=False, soft_wrap=True)
     if adaptive:
@@ -317,8 +318,8 @@ def collect_intervals(files: Sequence[ModelFile]) -> dict[str, Intervals]:
 
 def sum_shares(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, settings: EvaluationSettings,
                intervals: Mapping[str, Intervals]) -> Sums:
-    """{"shares": {model: {starts, total, causes}}} of one run: number of starts; squared errors, and contributions by
-    cause, summed over the starts, (seconds, axes) [m^2, m^2, rad^2]."""
+    """{"shares": {model: {starts, total, causes}}} of one run. starts: number of starts. total, causes: squared errors,
+    and squared contributions by cause, each summed over the starts, (seconds, axes) [m^2, m^2, rad^2]."""
     shares: Sums = {}
     for model in models:
         starts, total, parts = sum_squared_contributions(model, vehicle, signals, settings, intervals.get(model.name))
@@ -332,9 +333,9 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
-    """By model: number of starts, RMS of the error and of each cause [m, m, rad], fractions of the mean square error.
-    The fractions of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated: parameters with
-    a known uncertainty."""
+    """By model: number of starts, RMS of the error and of each cause [m, m, rad], shares of the mean square error. The
+    shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated: parameters with a
+    stated uncertainty."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():
         count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]

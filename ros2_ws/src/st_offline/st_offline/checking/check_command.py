@@ -206,8 +206,8 @@ def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
-    """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml has no sign of a
-    steering column: with --steering-sign -1 it does not name the column."""
+    """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml cannot state the
+    sign of a steering column, so with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.
     bus = {"dbc": read.dbc, "signals": read.signals}
     given = {**{key: path for key, path in bus.items() if path and path.exists()}, "offset": read.offset,

@@ -53,8 +53,9 @@ def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
-    """Check a bag that is to be replayed, with its stored models and step; the vehicle is `vehicle`, the stored one, or
-    else the default. Raises RefusedRunError, and RunError for a bag that cannot be read or has no steering topic."""
+    """Check a bag before its replay, with its recorded models and step; returns the findings. vehicle: file to use
+    instead of the recorded vehicle (the default vehicle if none is recorded). Raises RefusedRunError, and RunError for
+    a bag that cannot be read or has no steering topic."""
     if bag.suffix.lower() == ROS1_EXTENSION:
         raise RunError(bag, "the nodes receive no messages of ROS 1",
                        "convert the bag with rosbags-convert; st check, evaluate and discover read it as it is")
@@ -68,7 +69,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
                        "use st check, evaluate or discover, which read the drive in other messages if they contain one")
     run = read(RunSource(bag.stem, "bag", (bag,)), settings=settings)
     car, recorded, _ = find_configuration(run.provenance["recorded"], vehicle)
-    # The bag is read before its vehicle is known: a steering wheel angle is read with ratio 1 and converted here.
+    # The bag is read before its vehicle is known: a steering-wheel angle is read with a ratio of 1 and converted here.
     steering = settings.steering if settings else None
     log = run.log.with_steering(car) if steering is not None and steering.quantity == "wheel" else run.log
     predictor = recorded.nodes.get("predictor", {})

@@ -72,7 +72,7 @@ def run_command(request: Request, console: Console) -> int:
 
 
 def _load_base_and_effects(request: Request) -> tuple[Model, dict[str, str]]:
-    """(base model, sha256 of each file of user-defined effects, which are loaded)."""
+    """(base model, sha256 of each file of user-defined effects). Loads these effects."""
     hashes: dict[str, str] = {}
     if request.effects is not None:
         load_folder(str(request.effects.absolute()))

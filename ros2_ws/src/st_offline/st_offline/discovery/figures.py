@@ -32,7 +32,7 @@ AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are
 
 @dataclass(frozen=True)
 class FigureData:
-    """Data of the figures. runs: drives to be explained. before, after: errors with base and complete model."""
+    """Data of the figures. runs: suspect drives. before, after: errors of the base and of the complete model."""
 
     discovery: Discovery
     runs: Sequence[DriveLog]
@@ -204,7 +204,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     effects = report_text.sort_by_size([e for e in data.discovery.effects if any(e.agreement.values())])[:MAX_PANELS]
     if not effects:
         return None
-    parts: dict[str, dict[str, None]] = {}  # their names, by partition, in order
+    parts: dict[str, dict[str, None]] = {}  # names of the parts of each partition; the dict keeps their order
     for e in effects:
         for partition, entries in e.agreement.items():
             parts.setdefault(partition, {}).update(dict.fromkeys(v.where for v in entries))

@@ -102,13 +102,12 @@ def _uncertainty(relation: Relation) -> list[str]:
                            for low, high in relation.next_drives.sparse)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, in left and right turns")
-    weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items()
-              if ratio + Z95 * deviation < 0.5]
+    weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
-        shares = ", ".join(f"{name} {share:.1f} ± {Z95 * deviation:.1f}" for name, (share, deviation) in
-                           relation.agreement.ratios.items())
+        sizes = ", ".join(f"{name} {ratio:.1f} ± {Z95 * deviation:.1f}" for name, (ratio, deviation) in
+                          relation.agreement.ratios.items())
         lines.append(f"varies between runs: less than half as large in {', '.join(weak)} (relative size by run, "
-                     f"95 %: {shares})")
+                     f"95 %: {sizes})")
     return lines
 
 
@@ -240,7 +239,7 @@ HOOKS = {  # (signature, body) of the effect's method, by term
     "yaw_moment": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
     "side_force": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
 }
-OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}  # its CG distance sets the load
+OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}  # distance for the static load
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.

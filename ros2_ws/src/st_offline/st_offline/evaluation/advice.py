@@ -30,13 +30,13 @@ from ..terminal import list_files, make_table, print_line
 from .tables import write_csv
 from .work import Task, load_models
 
-REPETITIONS = 5  # measurements of each call
-MIN_MEASUREMENT_TIME = 0.02  # s, processor time of one measurement
+REPETITIONS = 5  # measurements of the processor time of each function
+MIN_MEASUREMENT_TIME = 0.02  # s; a measurement repeats the call until it has used this processor time
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
 LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
 WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin; ten seconds of driving at 10 Hz, or more with fewer starts per second
+MIN_STARTS = 100  # in a speed bin; 10 s of driving with 10 starts per second
 Key = tuple[str, float]  # model, step [s]
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
@@ -114,7 +114,7 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     level = next((level for level in BAND_LEVELS if level <= highest), None)
     width = None
     if level is not None:
-        # Starts outside the calibration domain are included in the mean.
+        # The mean includes starts outside the calibration domain.
         band = calibrate(runs, pair, time, (level,))
         width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0) for run in runs],
                               axis=0).tolist())

@@ -78,7 +78,7 @@ def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
 
 
 def pool_bins(reports: Sequence[RunReport]) -> list[dict[str, Any]]:
-    """Bins pooled over all runs, sorted by quantity and value."""
+    """Entries of the bins pooled over all runs, sorted by quantity and value."""
     entries = pool_entries([entry for r in reports for entry in r.bins], "quantity", "label")
     quantities = list(dict.fromkeys(e["quantity"] for e in entries))
     direction_order = {"left": 0, "straight": 1, "right": 2}
@@ -117,9 +117,9 @@ def write_page(file: Path, title: str, reports: Sequence[RunReport], content: di
     """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if len(good) > 1 else [f for r in good for f in r.figures[1:2]]
-    # Of the first run; the figures of other runs are written to files only.
+    # The page shows the figures of the first run; those of other runs are only written to files.
     run_figures = [f for f in good[0].figures if f not in leading]
-    modes = list(dict.fromkeys(mode for of_model in content["all_runs"].values() for mode in of_model))
+    modes = list(dict.fromkeys(mode for by_mode in content["all_runs"].values() for mode in by_mode))
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
         title=title, summary=make_summary(good, task), reports=good, content=content,
@@ -157,12 +157,12 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
     caption = "Hindsight: measured inputs over the horizon."
     if len(drawn) < len(reports):
-        caption += f" Shown are the {MAX_RUNS} of {len(reports)} runs with the largest lateral errors."
+        caption += f" Only the {MAX_RUNS} of {len(reports)} runs with the largest lateral RMSE are shown."
     return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def make_headline(reports: Sequence[RunReport], over: str) -> str:
-    """Lateral RMSE of each model in hindsight over all runs, the smallest first."""
+    """Lateral RMSE of each model in hindsight over all runs, smallest first."""
     models = pool_models([r.models for r in reports])
     sizes = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)

@@ -60,7 +60,7 @@ def choose_starts(evaluation: LogEvaluation, times: Sequence[float]) -> np.ndarr
 
 
 def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line2D], **style: Any) -> None:
-    """Add a legend of the models and extra lines below the figure. style: replaces parts of the lines' styles."""
+    """Add a legend of the models and extra lines below the figure. style: overrides the line styles of the models."""
     handles = [Line2D([], [], **get_line_style(m.name) | style, label=m.name) for m in models]
     figure.legend(handles=[*handles, *extra], loc="outside lower left", ncols=6)
 
@@ -96,7 +96,8 @@ def draw_segments(data: FigureData) -> PageFigure | None:
             axes.tick_params(labelleft=not column)
         profiles[-1].set_xlabel("horizon, s")
         for model in data.models:
-            states, errors = (of[model.name, "hindsight"][column].T for of in (block.trajectories, block.errors))
+            states, errors = (values[model.name, "hindsight"][column].T
+                              for values in (block.trajectories, block.errors))
             predicted = predict_readings(model, data.vehicle, tuple(states))
             path.plot(predicted.x, predicted.y, **get_line_style(model.name))
             for axes, error in zip(profiles, errors[:2], strict=True):
@@ -122,7 +123,7 @@ def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length:
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
     drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
-    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # the car was outside the frame between two passes
+    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # between two passes, the car was outside the frame
     axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     stride = max(1, len(log.x[around]) // 200)
     axes.plot(log.x[around][::stride], log.y[around][::stride], color=MEASURED_COLOUR, lw=1.2)

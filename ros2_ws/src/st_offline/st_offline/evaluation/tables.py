@@ -56,7 +56,7 @@ def summarise_by_second(evaluation: LogEvaluation) -> dict[str, dict[str, dict[s
 
 
 def summarise_by_bin(evaluation: LogEvaluation) -> list[Entry]:
-    """One entry for each bin that contains a start; see `st_core.log_evaluation.bin_starts`."""
+    """One entry for each bin of driving conditions that contains a start; bins: `st_core.log_evaluation.bin_starts`."""
     return [{"quantity": b.quantity, "label": b.label, "low": b.low, "high": b.high,
              "models": summarise_by_model(evaluation, b.mask)} for b in bin_starts(evaluation)]
 

@@ -43,11 +43,12 @@ PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, fo
 
 @dataclass(frozen=True)
 class Task:
-    """Settings of an evaluation. models: by name, None, or by file name, the model file. vehicle_file: source of
-    `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table. starts: times of the
-    predictions drawn in detail [s], () for an automatic choice. folder: folder of the results; None for no files.
-    formats: of the figures. force: whether to evaluate runs in which the checks find errors. bands, course: (file name,
-    content). adaptive: whether to test adaptive bands. effects: folder of user-defined effects in the model files."""
+    """Settings of an evaluation. models: None for each name of a built-in model, the model file for each file name.
+    vehicle_file: source of `vehicle`. over: "means" (of each horizon) or "samples", for the statistics in the table.
+    starts: times of the predictions drawn in detail [s], () for an automatic choice. folder: folder of the results,
+    None for no files. formats: formats of the figure files. force: whether to evaluate runs in which the checks find
+    errors. bands, course: (file name, content). adaptive: whether to test adaptive bands. effects: folder of the
+    user-defined effects in the model files."""
 
     vehicle: VehicleParameters
     models: Mapping[str, ModelFile | None]
@@ -71,9 +72,9 @@ class Task:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Results of one run, picklable. problem: why the run was not evaluated; then only `findings`, those of the checks,
-    are set. ranking: of the models, in one sentence. metadata: provenance, counts, alignment, warnings. bands: sums of
-    bands_report. seconds: wall time [s] of reading, predicting and drawing."""
+    """Results of one run, picklable. problem: why the run was not evaluated; then only `findings` of the checks are
+    set. ranking: the models by lateral RMSE, in one sentence. metadata: provenance, counts, alignment, warnings. bands:
+    sums of `Scorer` and `sum_shares`. seconds: wall time [s] of reading, predicting and drawing."""
 
     name: str
     problem: str = ""
@@ -116,7 +117,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             future_inputs = make_future_inputs(run, signals, task)
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=scorer.add, future_inputs=future_inputs)
-        finally:  # a finding of the checks explains more than the exception that the same fault causes here
+        finally:  # a finding of the checks explains a fault better than the exception that it causes here
             findings, parts = checked()
             refuse_errors(source.path, findings, task.force)
     times.append(time.perf_counter())

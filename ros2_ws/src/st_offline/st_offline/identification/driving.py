@@ -114,8 +114,8 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
 def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
-    panels_of_all = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3))
-    channels = panels_of_all[:data["residuals"].shape[1]]  # the sideslip may not have been measured
+    channels = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3)
+                )[:data["residuals"].shape[1]]  # the lateral velocity may not have been measured
     figure, panels = plt.subplot_mosaic([[key, "pair"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
     position = _concatenate_times(data["residual_run"], data["residual_time"])
