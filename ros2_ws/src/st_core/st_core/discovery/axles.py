@@ -105,13 +105,10 @@ class Axles:
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = compute_axle_force(self.model, self.vehicle, axle, slip)
-
-        def changes_force(name: str) -> bool:
-            without = self.problem.space.at(self.problem.vector_without(self.fit, name))
-            change = compute_axle_force(without, self.vehicle, axle, slip) / force - 1.0
-            return bool(np.abs(change).max() > MIN_FORCE_CHANGE)
-
-        return tuple(filter(changes_force, names))
+        without = {name: self.problem.space.at(self.problem.vector_without(self.fit, name)) for name in names}
+        changes = {name: compute_axle_force(model, self.vehicle, axle, slip) / force - 1.0
+                   for name, model in without.items()}
+        return tuple(name for name, change in changes.items() if np.abs(change).max() > MIN_FORCE_CHANGE)
 
     def contradicting_axles(self, base: AugmentedModel,
                             leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:

@@ -140,14 +140,14 @@ class _Analysis:
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
         noise_ratios = _noise_ratios(named_errors.get("position_5s"), floor)
-        outcome, reason = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
+        outcome, reasons = self._decide_outcome(state, judged, untestable, noise_ratios, len(varying))
         separability = list_separabilities(problem, state.fit, effects, design_effect)
         regions = self._locate_errors(base, floor) if settings.locate_errors else ()
         return result.Discovery(
             outcome=outcome, effects=effects, minor=judged.minor, combinations=judged.combinations,
             effective=(*judged.contradicted, *self._list_corrections(without_priors, fit, state)),
             varying=varying, steps=tuple(steps), errors=errors, named_errors=named_errors,
-            budget=tuple(budget), reasons=(reason, *self._collect_reasons(state, judged.verdicts)),
+            budget=tuple(budget), reasons=reasons,
             candidates=self._list_candidates(state, judged.verdicts), where=regions, not_testable=untestable,
             next_manoeuvre=choose_manoeuvre(problem, state.fit, separability, curvatures, design_effect),
             separability=separability, certificate=power, runs=self._list_runs(), clock_errors=self.clock_errors,
@@ -190,17 +190,20 @@ class _Analysis:
 
     def _decide_outcome(self, state: SearchState, judged: _JudgedEffects, untestable: Sequence[result.UntestableEffect],
                         noise_ratios: tuple[float, float], varying_effects: int,
-                        ) -> tuple[result.Outcome, result.Reason]:
-        """Outcome and reason. noise_ratios [1]: ratio of position error to noise, without and with the effects."""
+                        ) -> tuple[result.Outcome, tuple[result.Reason, ...]]:
+        """Outcome, and the reasons for it and for the verdict on each effect that was tried. noise_ratios [1]: ratio of
+        position error to noise, without and with the effects."""
         hypotheses = self.space.hypotheses
         detectable = 1.0 - sum(n.name in hypotheses for n in untestable) / len(hypotheses)
-        refused = [evidence for evidence, *_ in state.refused.values()]
         combinations = result.unseparated_combinations(judged.combinations, judged.named)
-        return decision.decide(
-            self.limits, named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals, refused=refused,
-            noise_ratio=noise_ratios[1], detectable_share=detectable, varying_effects=varying_effects,
-            combinations=[c.name for c in combinations], effects=len(state.fit.names),
-            base_noise_ratio=noise_ratios[0])
+        outcome, reason = decision.decide(
+            self.limits, named=[state.evidence[e.name] for e in judged.named], rivals=state.rivals,
+            refused=[evidence for evidence, *_ in state.refused.values()], noise_ratio=noise_ratios[1],
+            detectable_share=detectable, varying_effects=varying_effects, combinations=[c.name for c in combinations],
+            effects=len(state.fit.names), base_noise_ratio=noise_ratios[0])
+        return outcome, (reason, *judged.verdicts.values(),
+                         *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
+                         *(verdict for _, verdict, _ in state.refused.values()))
 
     def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem without the priors of the vehicle file, its fit with the effects found and effective corrections);
@@ -349,7 +352,7 @@ class _Analysis:
     def _find_varying(self, state: SearchState,
                       parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
         """(at most one significant effect that varies between parts of the drives, its fit): an effect that the search
-        rejected for this reason; otherwise the one with the largest gain from separate values, and None."""
+        rejected for this reason; otherwise the one with the largest gain from separate values, without a fit."""
         varying, varying_fit = None, None
         # An effect of the final fit, or an alternative to one, is not also reported as varying.
         reported = [*state.fit.names, *(r.name for r in state.all_rivals if decision.is_alternative(r, self.limits))]
@@ -371,10 +374,6 @@ class _Analysis:
         self.warnings.append(f"an effect similar to {varying.resembles.replace('_', ' ')} is significant, but varies "
                              f"between {decision.PARTITION_NAMES[varying.varies_with]}; it is listed as varying")
         return (varying,), varying_fit
-
-    def _collect_reasons(self, state: SearchState, verdicts: Mapping[str, result.Reason]) -> list[result.Reason]:
-        return [*verdicts.values(), *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
-                *(verdict for _, verdict, _ in state.refused.values())]
 
     def _list_candidates(self, state: SearchState,
                          verdicts: Mapping[str, result.Reason]) -> tuple[result.CandidateEffect, ...]:
@@ -492,7 +491,7 @@ def _noise_ratios(position: result.ChannelError | None, floor: Mapping[str, floa
 
 
 def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffect]) -> result.Combination:
-    """The total delay with the alternatives of its effects, such as tyre relaxation, added to the effects. If only one
+    """The total delay with the alternatives of its effects, such as tyre relaxation, added to its effects. If only one
     effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
     if not delay.is_time:
         return delay
@@ -505,7 +504,7 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
 
 
 def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> result.VaryingEffect:
-    """The effect with the values of its parameter in the parts, relative to the one furthest from null."""
+    """The result for an effect with separate values in the parts; ratios are relative to the one furthest from null."""
     parameter, null = space.free[v.index][1], float(space.null[v.index])
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - null))
     change = value - null or float(space.scale[v.index])

@@ -28,6 +28,8 @@ from .windows import Windows
 
 MAX_FITS, FINAL_STEP = 8, 0.02  # maximum number of fits; largest step at convergence [parameter scales]
 FIXED_CURVATURE = 1e6  # prior curvature that fixes a parameter; `inverse` adds 1e-9 of the mean diagonal, below 1e-3
+MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; a third of a typical delay
+CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with the time stamps corrected so far
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,10 +142,6 @@ def fit_library(loss: Loss, windows: Windows, prior: np.ndarray, quantities: Qua
     return vector, full_prior
 
 
-MAX_CLOCK_DEVIATION = 0.01  # s, largest standard deviation of a clock that counts as exact; a third of a typical delay
-ITERATIONS = 3  # repetitions of the joint fit, each with the corrected time stamps
-
-
 def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParameters, space: Space,
                                settings: DiscoverySettings, deviations: Mapping[str, float], threads: int,
                                tick: Callable[[], None]) -> dict[str, float]:
@@ -158,7 +156,7 @@ def estimate_clock_corrections(runs: Sequence[DriveLog], vehicle: VehicleParamet
         return {}
     k, correction = int(space.indices(SteeringDelay.name)[0]), np.zeros(len(free))
     scale, vector, quantities = space.scale[k], space.null, find_file_quantities(space, vehicle)
-    for _ in range(ITERATIONS):
+    for _ in range(CLOCK_FITS):
         by_run = {runs[i].name: float(c) for i, c in zip(free, correction, strict=True)}
         windows = Windows(apply_clock_corrections(runs, by_run), vehicle, settings)
         if not len(windows):  # the caller reports this error

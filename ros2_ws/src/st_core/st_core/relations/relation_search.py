@@ -61,8 +61,7 @@ class Relation:
 
     def find_worse_runs(self) -> dict[str, tuple[float, float]]:
         """Held-out position error (without, with) [m] of runs where the ratio is MIN_REPORTED_RATIO or more."""
-        return {name: (without, with_it) for name, (without, with_it) in self.runs.items()
-                if with_it >= MIN_REPORTED_RATIO * without}
+        return {name: errors for name, errors in self.runs.items() if errors[1] >= MIN_REPORTED_RATIO * errors[0]}
 
 
 @dataclass(frozen=True)
@@ -133,9 +132,9 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
 def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, named: Sequence[str],
             reported: Collection[tuple[str, str]], tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason why none is reported. named: effects of the result."""
-    limits, number = fits.limits, fits.loss.residual_count
+    limits, residual_count = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(screened, fits.blocks)
-    tried = {s.candidate.name: (s.gain / number, p_values[s.candidate.name])
+    tried = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     level = limits.false_alarm / len(screened)
     detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
@@ -156,7 +155,7 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: 
         return RelationSearch(None, rejections[first], tried, detection_limits)
     # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
-               + (limits.relevant * number if s.candidate.factor else 0.0))
+               + (limits.relevant * residual_count if s.candidate.factor else 0.0))
     relation, gain_text = _make_relation(best, fitted, without, fits, p_values[best.candidate.name], named)
     return RelationSearch(relation, gain_text, tried, detection_limits)
 

@@ -160,7 +160,7 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
 
 
 def describe_gain(fits: RelationFits, gains: np.ndarray, position_gain: np.ndarray) -> str:
-    """Describe the held-out gain. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
+    """Held-out gain in words. gains: (b,) reduction of the loss. position_gain: (n,) of the position error [m]."""
     gain, low = (-np.expm1(-total / fits.loss.residual_count)
                  for total in (gains.sum(), compute_lower_bound(gains, fits.limits.undecided_p)))
     return (f"reduces the held-out residual of all channels by {gain:.1%} (95 %: at least {low:.1%}), "
