@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from driven import Sensors, drive, weave, with_stiffness
+from scipy import stats
 from st_core.identification.driving_fit import DrivingFitSettings, fit_driving
-from st_core.identification.driving_prediction import STIFFNESSES
+from st_core.identification.driving_prediction import STIFFNESSES, _make_identification
 from st_core.identification.result import IdentificationError
+from st_core.regression import Z95
 
 NAMES = (*STIFFNESSES, "steering_wheel_offset")
 
@@ -38,6 +40,17 @@ def test_spread_equals_jackknife_of_complete_fits(logs, leaf, fit):
     without = np.array([fit_driving(logs[:k] + logs[k + 1:], car, NAMES, "linear").values for k in range(9)])
     complete = np.sqrt(8.0 / 9.0 * np.square(without - without.mean(axis=0)).sum(axis=0))
     assert fit.spread.deviations == pytest.approx(complete, rel=0.25)
+
+
+def test_students_t_applies_only_to_the_variation_between_drives(fit, leaf):
+    """A known systematic error that dominates has the interval of a normal distribution."""
+    name = STIFFNESSES[0]
+    half_widths = []
+    for systematic in ({}, {name: 0.5 * leaf.cornering_stiffness_front}):
+        found = _make_identification("stiffness", leaf, fit, "", STIFFNESSES, systematic)[name]
+        half_widths.append((found.interval95[1] - found.value) / found.standard_uncertainty)
+    student = stats.t.ppf(0.975, fit.spread.degrees_of_freedom[0])
+    assert half_widths[1] == pytest.approx(Z95, rel=1e-3) and Z95 < half_widths[0] <= student
 
 
 def test_predictions_below_minimum_speed_are_excluded(logs, leaf, fit):

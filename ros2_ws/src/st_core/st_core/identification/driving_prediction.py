@@ -32,7 +32,12 @@ from ..effects import get_effect
 from ..handling import find_implausible_values
 from ..log import DriveLog
 from ..models import Model, get_model
-from ..regression import correlation_matrix, extrapolation_uncertainty
+from ..regression import (
+    correlation_matrix,
+    effective_degrees_of_freedom,
+    extrapolation_uncertainty,
+    symmetric_interval,
+)
 from ..timeseries import NANOSECOND
 from ..vehicle import VEHICLE_QUANTITIES, VehicleParameters
 from .axle_forces import MAX_RANGE_RATIO, MAX_RELATIVE_UNCERTAINTY, SLIP_QUANTILE, compute_slip_angles
@@ -201,10 +206,15 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     covariance = spread.covariance + np.diag(np.square(added))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
+    # Only the variation between the drives was estimated from few values; the systematic errors are known.
+    degrees_of_freedom = [effective_degrees_of_freedom(float(estimated), float(total), float(degrees))
+                          for estimated, total, degrees in zip(np.diag(spread.covariance), np.diag(covariance),
+                                                               spread.degrees_of_freedom, strict=True)]
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
         ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
-                          spread.interval(i, fit.values[i], uncertainty[i]), method, runs,
+                          symmetric_interval(float(fit.values[i]), float(uncertainty[i]), degrees_of_freedom[i]),
+                          method, runs,
                           *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
