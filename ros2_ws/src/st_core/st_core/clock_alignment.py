@@ -219,7 +219,8 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     if step:
         reason = describe_step(step.size, other_ns * 1e-9 + step.time - result.at_ns * 1e-9)
         # All other doubts are consequences of the step.
-        refusals, doubts = ([reason], []) if abs(step.size) > MAX_CLOCK_STEP else ([], [reason])
+        unusable = abs(step.size) > MAX_CLOCK_STEP or not np.isfinite(solution.offset_deviation)
+        refusals, doubts = ([reason], []) if unusable else ([], [reason])
     if refusals:
         return replace(result, verdict=Verdict.REFUSED, reasons=(*result.reasons, refusals[0]))
     return result.with_doubts(*doubts)

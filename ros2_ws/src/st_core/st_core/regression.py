@@ -37,8 +37,10 @@ def symmetric_interval(value: float, standard_uncertainty: float,
 
 
 def count_decimals(half_width: float) -> int:
-    """Number of decimals, 0 to 6, for two significant digits of the half-width of an interval; 3 for a width of 0."""
-    return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6) if half_width > 0.0 else 3
+    """Number of decimals, 0 to 6, for two significant digits of the half-width of an interval; 3 for 0 or infinity."""
+    if not 0.0 < half_width < math.inf:
+        return 3
+    return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6)
 
 
 def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:

@@ -2,7 +2,12 @@
 
 import numpy as np
 import pytest
-from st_core.regression import make_blocks
+from st_core.regression import count_decimals, make_blocks
+
+
+@pytest.mark.parametrize(("half_width", "decimals"), [(0.0, 3), (0.0123, 3), (12.0, 0), (np.inf, 3), (np.nan, 3)])
+def test_number_of_decimals_is_defined_for_every_half_width(half_width, decimals):
+    assert count_decimals(half_width) == decimals
 
 
 def test_blocks_are_runs_or_parts_of_few_runs():

@@ -111,6 +111,22 @@ def test_estimates_of_runs_without_the_finding_count_too():
     assert compare_runs([run_with_estimate(0.004, 0.002)] * 2) == []
 
 
+def test_infinite_interval_does_not_count_as_consistent():
+    """Such an estimate contains no information: it is left out, here of three runs that must be compared."""
+    runs = [run_with_estimate(value, half_width) for value, half_width in ((0.004, 0.001), (0.005, 0.001),
+                                                                           (0.0, np.inf))]
+    assert compare_runs(runs) == []
+    assert compare_runs([*runs, run_with_estimate(0.006, 0.001)])[0].runs == 3
+
+
+def test_infinite_interval_does_not_change_a_pooled_estimate():
+    known = [{"a": (1.0, 0.9, 1.1)}, {"a": (1.2, 1.1, 1.3)}]
+    unknown = {"a": (5.0, -np.inf, np.inf)}
+    assert pool_estimates([*known, unknown]) == pool_estimates(known)
+    assert pool_estimates([unknown, known[0]]) == pool_estimates(known[:1])
+    assert pool_estimates([unknown, unknown]) == unknown
+
+
 def test_findings_are_sorted_by_frequency():
     findings = (*run_with_estimate(1.0, 0.1, "a", unit="m").findings,
                 *run_with_estimate(1.0, 0.1, "b", unit="m").findings)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, lfilter
+from st_core import clock_alignment, clock_fit
 from st_core.clock_alignment import align, align_by_time_frame, manual_alignment, mask_standstill
 from st_core.clock_types import Alignment, SharedSignal, Verdict
 
@@ -132,6 +133,18 @@ def test_equal_laps_are_ambiguous_unless_the_search_is_bounded() -> None:
     assert "fits nearly as well" in result.reasons[0]
     bounded = align(signals, search=(-20, 20))
     assert (bounded.verdict, round(bounded.offset_ns * 1e-9, 3)) == (Verdict.GOOD, 0.0)
+
+
+def test_alignment_with_an_unknown_deviation_is_refused_despite_a_small_clock_step(monkeypatch) -> None:
+    def fit_without_deviation(*arguments, **options):
+        found = clock_fit.fit(*arguments, **options)
+        return found if "free_drift" in options else replace(found, offset_deviation=np.inf)
+
+    monkeypatch.setattr(clock_alignment, "fit", fit_without_deviation)
+    monkeypatch.setattr(clock_alignment, "measure_window_lags", lambda *_: [
+        clock_alignment.WindowLag(30.0 * k, 0.03 * (k > 5), 1e-3) for k in range(12)])
+    result = align(recorded(Drive(7, 200), 200, 1.0, 20e-6))
+    assert result.verdict is Verdict.REFUSED and "a clock steps by +30 ms" in result.reasons[0]
 
 
 @pytest.mark.parametrize(("step", "verdict"), [(0.03, "doubtful"), (2.0, "refused"), (-10.0, "refused")])

@@ -155,6 +155,8 @@ def test_clock_offsets_of_many_runs_are_one_sentence():
         "1 of them doubtful")
     assert check_report.describe_clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
         "; set: INS minus steering clock: -0.100 s, set by hand")
+    found["2"] = found["2"] | {"offset_deviation_s": None}
+    assert "standard deviation up to 3.0 ms (unknown in 1 of them)" in check_report.describe_clocks(found)
     del found["3"]
     assert check_report.describe_clocks(found).count("steering clock:") == 2
 
@@ -166,6 +168,8 @@ def test_clock_offsets_of_many_runs_are_one_sentence():
 def test_clock_offset_of_the_steering_is_printed(method, text):
     alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text
+    unknown = check_report.describe_clock(alignment | {"offset_deviation_s": None})
+    assert unknown == text.replace("1.2 ms", "unknown")
     console = make_console()
     print_run(replace(make_run(), alignment=alignment), console)
     assert (text in console.file.getvalue()) and ("steering clock" in console.file.getvalue()) is bool(text)

@@ -56,7 +56,7 @@ def compare_runs(runs: Sequence[DriveCheck]) -> list[RunComparison]:
     units = {finding.name: finding.unit for run in runs for finding in run.findings if finding.interval is not None}
     comparisons = []
     for name, unit in units.items():
-        rows = np.array([run.estimates[name] for run in runs if name in run.estimates])
+        rows = _select_finite([run.estimates[name] for run in runs if name in run.estimates])
         if len(rows) < MIN_COMPARED_RUNS:
             continue
         reported = sum(any(finding.name == name for finding in run.findings) for run in runs)
@@ -75,10 +75,21 @@ def pool_estimates(runs: Sequence[Mapping[str, Sequence[float]]]) -> dict[str, t
     """Estimate (value, ends of its 95 % interval) of each quantity, pooled over the runs by random effects."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
-        rows = np.array([run[name] for run in runs if name in run], float)
-        mean, interval, _, _ = _random_effects(rows)
-        result[name] = (mean, *interval) if len(rows) > 1 else tuple(rows[0].tolist())
+        estimates = [run[name] for run in runs if name in run]
+        rows = _select_finite(estimates)
+        if len(rows) > 1:
+            mean, interval, _, _ = _random_effects(rows)
+            result[name] = (mean, *interval)
+        else:
+            value, low, high = map(float, rows[0] if len(rows) else estimates[0])
+            result[name] = value, low, high
     return result
+
+
+def _select_finite(estimates: Sequence[Sequence[float]]) -> np.ndarray:
+    """Rows (n, 3) of the estimates (value, low, high) with a finite interval; the others contain no information."""
+    rows = np.array(estimates, float).reshape(-1, 3)
+    return rows[np.isfinite(rows).all(axis=1)]
 
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:

@@ -142,10 +142,13 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
         return "; ".join(f"{name}: {text}" for name, alignment in alignments.items()
                          if (text := describe_clock(alignment)))
     offsets = sorted(alignment["offset_s"] for alignment in estimated)
-    deviation = max(alignment["offset_deviation_s"] or 0.0 for alignment in estimated)
+    deviations = [alignment["offset_deviation_s"] for alignment in estimated]
+    known = [deviation for deviation in deviations if deviation is not None]
+    unknown = f" (unknown in {len(deviations) - len(known)} of them)" if len(known) < len(deviations) else ""
     doubtful = sum(alignment["verdict"] != "good" for alignment in estimated)
     of_all = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-              f"{_zone_note(offsets[0])}, found from the data, standard deviation up to {1e3 * deviation:.1f} ms, "
+              f"{_zone_note(offsets[0])}, found from the data, standard deviation up to "
+              f"{_describe_deviation(max(known, default=None))}{unknown}, "
               f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
                if alignment["method"] == "by hand"]
@@ -158,8 +161,13 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
         f"found from the data (by {alignment['method']}, standard deviation "
-        f"{1e3 * (alignment['offset_deviation_s'] or 0.0):.1f} ms, {alignment['verdict']})")
+        f"{_describe_deviation(alignment['offset_deviation_s'])}, {alignment['verdict']})")
     return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_zone_note(alignment['offset_s'])}, {origin}"
+
+
+def _describe_deviation(deviation: float | None) -> str:
+    """Text of a standard deviation [s]; JSON has null for an infinite one."""
+    return "unknown" if deviation is None else f"{1e3 * deviation:.1f} ms"
 
 
 def _zone_note(offset: float) -> str:
