@@ -50,8 +50,8 @@ def align(
         shared.report_default_car("align", read_options.dbc, pair.dbc)
     alignment = pair.alignment
     print_alignment(pair)
-    about = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
-    (folder / "alignment.json").write_text(json.dumps(about, indent=2, allow_nan=False) + "\n")
+    content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
+    (folder / "alignment.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared and alignment.method != "none":
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"

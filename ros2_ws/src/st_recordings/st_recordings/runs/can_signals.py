@@ -82,7 +82,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         buses = np.unique(frames.bus[rows])
         if decoded.fault and len(buses) > 1:
             by_bus = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
-            best_bus = max(by_bus, key=lambda of_bus: of_bus.n_valid)
+            best_bus = max(by_bus, key=lambda candidate: candidate.n_valid)
             if best_bus.n_valid >= decoded.n_valid:
                 others = f"{len(rows) - best_bus.n_frames} frames of this identifier on other buses are not used"
                 decoded = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, others))))

@@ -76,16 +76,16 @@ def read_ncom(file: Path) -> NcomLog:
 
 
 def _describe_damage(columns: Columns, file: Path) -> list[str]:
-    lost = []
+    faults = []
     with file.open("rb") as stream:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MAGIC  # a capture has headers between the packets
     if columns.skipped_bytes and not is_capture:
-        lost.append(f"{format_share(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
+        faults.append(f"{format_share(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if columns.checksum_errors:
-        lost.append(f"{columns.checksum_errors} packets have a wrong checksum")
+        faults.append(f"{columns.checksum_errors} packets have a wrong checksum")
     if duplicates := np.count_nonzero(columns.order == DUPLICATE):
-        lost.append(f"{duplicates} packets are duplicates")
-    notes = [f"{file}: {', '.join(lost)}; they were left out"] if lost else []
+        faults.append(f"{duplicates} packets are duplicates")
+    notes = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
     regular = columns.kind == file_decoder.REGULAR
     other = regular & np.isin(columns.order, (SAME, LATE))
     if other.sum() > MAX_LOST_SHARE * regular.sum():

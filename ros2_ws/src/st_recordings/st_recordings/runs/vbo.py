@@ -135,11 +135,11 @@ def _correct_signs(table: Table) -> Table:
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
         derived = differentiate_yaw(table, -heading)
-        both = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
-        measured, expected = columns["yaw_rate"][both], derived[both]
+        rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
+        measured, expected = columns["yaw_rate"][rows], derived[rows]
         # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
         # steady turn.
-        turns = both.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
+        turns = rows.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
         agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
         if turns and agreement < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]

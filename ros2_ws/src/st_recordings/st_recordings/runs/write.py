@@ -255,11 +255,11 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
           for bus in np.unique(buses).tolist())]
 
 
-def _make_frame_stream(frames: Frames, frame_ns: np.ndarray, of_bus: np.ndarray, serialiser: Serialiser) -> Stream:
-    """Stream of the frames with the indices `of_bus`. frame_ns: times of all frames [ns]."""
-    name = f"log:can{frames.bus[of_bus[0]]}"
-    return frame_ns[of_bus], lambda rows: serialiser.serialise_can_frames(
-        frames.select(of_bus[rows]), frame_ns[of_bus[rows]], name)
+def _make_frame_stream(frames: Frames, frame_ns: np.ndarray, indices: np.ndarray, serialiser: Serialiser) -> Stream:
+    """Stream of the frames of one bus. frame_ns: times of all frames [ns]. indices: of the frames of the bus."""
+    name = f"log:can{frames.bus[indices[0]]}"
+    return frame_ns[indices], lambda rows: serialiser.serialise_can_frames(
+        frames.select(indices[rows]), frame_ns[indices[rows]], name)
 
 
 def _build_metadata_records(source: RunSource, vehicle: VehicleParameters, settings: ReadSettings,
