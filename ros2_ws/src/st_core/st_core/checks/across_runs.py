@@ -42,8 +42,8 @@ class RunComparison:
                     f"{self.mean:.{digits}f} ± {half:.{digits}f}{unit}: the cause is the sensor, its mounting, "
                     f"{'the projection, ' if self.name in PROJECTION_FINDINGS else ''}the car or its vehicle file")
         return (f"{self.name} differs significantly between the {self.runs} runs, "
-                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: part of it depends on the place, the "
-                "load or the day, or some of the runs are faulty")
+                f"{self.lowest:.{digits}f} to {self.highest:.{digits}f}{unit}: it depends on place, load or day, or "
+                "some of the runs are faulty")
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of this quantity in check.json."""

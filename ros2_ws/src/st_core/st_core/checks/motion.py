@@ -145,7 +145,7 @@ def is_driven(motion: Motion) -> bool:
 
 
 def has_varying_speed(speed: np.ndarray) -> bool:
-    """Whether the speed varies enough to separate effects that depend on different powers of it."""
+    """Whether the speed varies enough to separate effects that depend on different powers of the speed."""
     return float(np.std(speed)) > MIN_SPEED_VARIATION * abs(float(np.mean(speed)))
 
 

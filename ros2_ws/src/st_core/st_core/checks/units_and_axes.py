@@ -206,7 +206,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size:
 
 
 def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> float:
-    """Magnitude of a factor, rounded to 1 or the factor of an angle unit if it is near one of them."""
+    """Magnitude of a factor, rounded to 1 or to the factor of an angle unit if it is near."""
     size = abs(factor)
     return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, tolerance)),
                key=lambda unit: abs(np.log(size / unit)), default=size)

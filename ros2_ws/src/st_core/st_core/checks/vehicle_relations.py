@@ -122,7 +122,8 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, half-width of a 95 % interval.
 
-    Only the part above the systematic uncertainty of a steering lag, which a fast car with little understeer has.
+    Only the part in excess of the systematic uncertainty of a steering lag; above 0 for a fast car that hardly
+    understeers.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):

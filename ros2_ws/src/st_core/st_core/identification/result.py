@@ -20,7 +20,7 @@ ZERO_NOTE = " Not distinguishable from zero."
 
 
 class IdentificationError(StCoreError):
-    """Data do not permit an identification. The message is one line: what is wrong, the numbers, what to do."""
+    """Data do not permit an identification. The message is one line: problem, numbers, remedy."""
 
 
 @dataclass(frozen=True)
