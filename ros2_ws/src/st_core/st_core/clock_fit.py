@@ -22,6 +22,7 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
+MAX_OFFSET_STEP = 0.3  # s, of the offset in one iteration
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         normal, curvature, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
         step = np.linalg.solve(curvature if _is_positive(curvature) else normal, -gradient)
         # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
-        step[0] = np.clip(step[0], -0.3, 0.3)
+        step *= MAX_OFFSET_STEP / max(abs(step[0]), MAX_OFFSET_STEP)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
             break

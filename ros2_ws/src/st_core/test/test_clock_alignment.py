@@ -147,6 +147,29 @@ def test_alignment_with_an_unknown_deviation_is_refused_despite_a_small_clock_st
     assert result.verdict is Verdict.REFUSED and "a clock steps by +30 ms" in result.reasons[0]
 
 
+def test_long_step_of_the_fit_is_shortened_in_its_direction(monkeypatch) -> None:
+    """A clipped offset with an unchanged drift would be a step in another direction, since both are correlated here."""
+    signals = recorded(Drive(3, 200), 200, 0.0, 0.0)
+    pairs = [clock_fit.Pair(s.name, *(clock_fit.resample((time_ns - EPOCH_NS) * 1e-9, values, 0.1) for time_ns, values
+                                      in ((s.reference_time_ns, s.reference), (s.other_time_ns, s.other))))
+             for s in signals]
+    solved, parameters = [], []
+
+    def record(pairs, splines, values, middle, free_drift):
+        result = normal_equations(pairs, splines, values, middle, free_drift)
+        parameters.append(values.copy())
+        solved.append(np.linalg.solve(result[1], -result[2]))
+        return result
+
+    normal_equations = clock_fit._normal_equations
+    monkeypatch.setattr(clock_fit, "_normal_equations", record)
+    found = clock_fit.fit(pairs, 0.6, 0.0)
+    steps = np.diff(parameters, axis=0)
+    assert abs(solved[0][0]) > abs(steps[0][0]) == pytest.approx(0.3)
+    assert steps[0][1] / steps[0][0] == pytest.approx(solved[0][1] / solved[0][0])
+    assert found.offset == pytest.approx(0.0, abs=0.01)
+
+
 @pytest.mark.parametrize(("step", "verdict"), [(0.03, "doubtful"), (2.0, "refused"), (-10.0, "refused")])
 def test_clock_step_during_the_drive_is_found(step: float, verdict: str) -> None:
     result = align(recorded(Drive(7, 600), 600, 1.0, 20e-6, disagreement=0.02, step=step))
