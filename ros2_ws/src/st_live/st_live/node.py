@@ -29,6 +29,7 @@ TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
+COMPARED_INTERVALS = 3  # the longest of so many reporting intervals counts, since a change is reported at once
 LEVELS = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
 
@@ -41,10 +42,10 @@ class Status:
     level: int
     message: str
     received_at: float  # s, monotonic
-    interval: float = 0.0  # s since the previous one with this name
+    intervals: tuple[float, ...] = ()  # s between the last ones with this name, newest last
 
     def is_silent(self, now: float) -> bool:
-        return now - self.received_at > max(STATUS_TIMEOUT, MISSED_REPORTS * self.interval)
+        return now - self.received_at > max(STATUS_TIMEOUT, MISSED_REPORTS * max(self.intervals, default=0.0))
 
 
 @dataclass
@@ -134,10 +135,11 @@ class Monitor:
                 self._update(prediction=message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        now = time.monotonic()
-        previous = {name: status.received_at for name, status in self.state.health.items()}
-        self.add_statuses(Status(s.name, int.from_bytes(s.level, "little"), s.message, now,
-                                 now - previous.get(s.name, now)) for s in message.status)
+        now, health = time.monotonic(), self.state.health
+        intervals = {name: (*status.intervals, now - status.received_at)[-COMPARED_INTERVALS:]
+                     for name, status in health.items()}
+        self.add_statuses(Status(s.name, int.from_bytes(s.level, "little"), s.message, now, intervals.get(s.name, ()))
+                          for s in message.status)
 
 
 def render_progress(state: SuiteState, elapsed: float, duration: float | None, title: str) -> RenderableType:

@@ -22,7 +22,7 @@ from ros_messages import odometry as serialised_odometry
 from rosbags.rosbag2 import StoragePlugin, Writer
 from st_core.palette import LABEL_TIMES, MODEL_COLOUR, label_index, rgb
 from st_core.vehicle import VehicleParameters
-from st_live.node import Status
+from st_live.node import Monitor, Status, SuiteState
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen
@@ -268,8 +268,19 @@ def test_light_shows_the_most_severe_check(passenger: PassengerFrames, levels, l
 
 def test_status_is_silent_after_five_seconds_or_three_reporting_intervals() -> None:
     assert not Status("a", 0, "", 10.0).is_silent(15.0) and Status("a", 0, "", 10.0).is_silent(15.1)
-    slow = Status("a", 0, "", 10.0, interval=10.0)  # as in a replay at a tenth of the speed
+    slow = Status("a", 0, "", 10.0, (10.0,))  # as in a replay at a tenth of the speed
     assert not slow.is_silent(39.0) and slow.is_silent(41.0)
+
+
+def test_extra_report_in_a_slow_replay_does_not_make_a_status_silent(monkeypatch) -> None:
+    monitor = Monitor.__new__(Monitor)  # without a node
+    monitor.state, monitor._lock = SuiteState(), threading.Lock()
+    report = DiagnosticArray(status=[DiagnosticStatus(name="a", level=bytes([0]), message="")])
+    for now in (30.0, 40.0, 50.0, 51.0):
+        monkeypatch.setattr(time, "monotonic", lambda now=now: now)
+        monitor._on_diagnostics(report)
+    status = monitor.state.health["a"]
+    assert not status.is_silent(80.0) and status.is_silent(82.0)
 
 
 def test_node_is_silent_after_three_of_its_report_intervals(passenger: PassengerFrames) -> None:
@@ -277,6 +288,8 @@ def test_node_is_silent_after_three_of_its_report_intervals(passenger: Passenger
     for now in (30.0, 40.0, 50.0):
         passenger.take("/diagnostics", report, now)
     assert (passenger.make_frame(75.0)["light"], passenger.make_frame(81.0)["light"]) == ("ok", "error")
+    passenger.take("/diagnostics", report, 51.0)  # in addition, after a change
+    assert (passenger.make_frame(80.0)["light"], passenger.make_frame(82.0)["light"]) == ("ok", "error")
 
 
 def test_prediction_with_unequal_lengths_is_ignored(passenger: PassengerFrames) -> None:

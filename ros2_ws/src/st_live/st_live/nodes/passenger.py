@@ -36,6 +36,7 @@ PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
+COMPARED_INTERVALS = 3  # the longest of so many reporting intervals counts, since a node reports a change at once
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
@@ -49,11 +50,15 @@ FRAME_PERIOD = 0.1  # s
 
 
 class NodeHealth(NamedTuple):
-    """Newest status of a node, which counts as silent `timeout` [s] after `received` [s]. checks: (level, text)."""
+    """Newest status of a node. received: time [s]. intervals: between its last reports [s]. checks: (level, text)."""
 
     received: float
-    timeout: float
+    intervals: tuple[float, ...]
     checks: dict[str, tuple[int, str]]
+
+    def is_silent(self, now: float) -> bool:
+        timeout = max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * max(self.intervals, default=0.0))
+        return now - self.received >= timeout
 
 
 class PassengerFrames:
@@ -140,9 +145,9 @@ class PassengerFrames:
 
     def _find_worst_check(self, now: float) -> tuple[str, str]:
         """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
-        checks = [(level, f"{node}: {text}") for node, (received, timeout, node_checks) in self._health.items()
-                  for level, text in (node_checks.values() if now - received < timeout else
-                                      [(ERROR, f"silent for {now - received:.0f} s")])]
+        checks = [(level, f"{node}: {text}") for node, health in self._health.items()
+                  for level, text in ([(ERROR, f"silent for {now - health.received:.0f} s")] if health.is_silent(now)
+                                      else health.checks.values())]
         if not checks:
             return "none", "no diagnostics"
         level, text = max(checks)
@@ -168,8 +173,9 @@ class PassengerFrames:
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
-            interval = now - self._health[node].received if node in self._health else 0.0
-            self._health[node] = NodeHealth(now, max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * interval), {})
+            earlier = self._health.get(node)
+            intervals = (*earlier.intervals, now - earlier.received)[-COMPARED_INTERVALS:] if earlier else ()
+            self._health[node] = NodeHealth(now, intervals, {})
         for status in message.status:
             node, _, check = status.name.partition(": ")
             text = f"{check}: {status.message}" if check else status.message
