@@ -22,7 +22,7 @@ ARGUMENTS = {
     "seed": ("0", "seed of the simulated noise"),
     "ncom_rate": ("100", "NCOM packets per second: 100 or 250"),
     "can_channel": ("239.74.163.2", "multicast group on the loopback interface"),
-    "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings; bags in it are kept, and new "
+    "output": (f"runs/sim-{datetime.now(UTC):%Y%m%d-%H%M%S}", "folder of the recordings; files in it are kept, and new "
                "ones are named NAME_2"),
 }
 

@@ -1,5 +1,6 @@
 """Writes files of the virtual car: CAN logs (run.log, run.mf4) and the true motion (truth.mcap)."""
 
+import itertools
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -50,17 +51,23 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
     return record
 
 
+def choose_truth_file(folder: Path) -> Path:
+    """truth.mcap in a folder, or truth_2.mcap, truth_3.mcap and so on if the folder contains it."""
+    names = itertools.chain(["truth.mcap"], (f"truth_{number}.mcap" for number in itertools.count(2)))
+    return next(folder / name for name in names if not (folder / name).is_file())
+
+
 class TruthFile:
-    """The file truth.mcap in a folder, with the true states, for scoring.
+    """A file with the true states, for scoring.
 
     Channel /truth with JSON messages, logged at the UTC of the true state. metadata: content of the record `run`.
     fault: why the file is incomplete; empty if it is complete.
     """
 
-    def __init__(self, folder: Path, start_ns: int, settings: Settings, metadata: Mapping[str, object]):
-        self._start_ns = start_ns
+    def __init__(self, path: Path, start_ns: int, settings: Settings, metadata: Mapping[str, object]):
+        self._start_ns, self._name = start_ns, path.name
         self.fault = ""
-        self._stream = (folder / "truth.mcap").open("wb")
+        self._stream = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE)
         self._writer.start(profile="", library="st_sim")
         schema = self._writer.register_schema("st_sim/Truth", "jsonschema", json.dumps(TRUTH_SCHEMA).encode())
@@ -76,14 +83,14 @@ class TruthFile:
         try:
             self._writer.add_message(self._channel, time_ns, json.dumps(make_truth_record(truth)).encode(), time_ns)
         except OSError as error:
-            self.fault = f"truth.mcap: {error.strerror}"
+            self.fault = f"{self._name}: {error.strerror}"
 
     def close(self) -> None:
         try:
             self._writer.finish()
             self._stream.close()
         except OSError as error:
-            self.fault = f"truth.mcap: {error.strerror}"
+            self.fault = f"{self._name}: {error.strerror}"
 
 
 class LogFile:

@@ -17,7 +17,7 @@ from canedge_bridge.decode import Decoder
 
 from .driver import SimulatedCar
 from .encoders import STEERING_MESSAGE, CanEncoder, NcomEncoder, Origin
-from .files import LogFile, Mf4File, TruthFile, make_folder
+from .files import LogFile, Mf4File, TruthFile, choose_truth_file, make_folder
 from .recorded_drive import RecordedDrive
 from .scenarios import SCENARIOS, load_plan
 from .sensors import Ins, SteeringSensor
@@ -162,7 +162,8 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         started = monotonic + (start_ns - now_ns) / 1e9
         truth = None
         if options.output:
-            truth = TruthFile(make_folder("--output", options.output), start_ns, run.settings, run.metadata)
+            path = choose_truth_file(make_folder("--output", options.output))
+            truth = TruthFile(path, start_ns, run.settings, run.metadata)
             resources.callback(truth.close)
         outputs = run.generate_outputs(start_ns)
         # A higher priority, if permitted, helps to keep the deadlines.
@@ -187,7 +188,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
         ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
         files.callback(frames.close)
-        truth = TruthFile(folder, start_ns, run.settings, run.metadata)
+        truth = TruthFile(folder / "truth.mcap", start_ns, run.settings, run.metadata)
         files.callback(truth.close)
         last_due = send(
             run.generate_outputs(start_ns), ncom.write,
@@ -234,7 +235,8 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--can-rate", choices=("realistic", "full"), default="realistic",
                         help="frames of the car: realistic (default): steering, wheel speeds and gear, 217 per second; "
                              "full: also the other frames of a Leaf, in total 1750 per second")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="folder for truth.mcap")
+    parser.add_argument("--output", type=Path, metavar="DIR",
+                        help="folder for truth.mcap, or truth_2.mcap and so on if it exists")
     parser.add_argument("--to-files", type=Path, metavar="DIR",
                         help="folder for run.ncom, run.log or run.mf4, and truth.mcap; nothing is sent")
     parser.add_argument("--can-format", choices=("mf4", "log"), default="log", help="format of the CAN log")

@@ -275,6 +275,19 @@ def test_wrong_argument_is_refused_in_one_line(arguments, output, capsys):
     assert output in err
 
 
+def test_live_drive_keeps_the_true_motion_of_earlier_drives_in_its_folder(tmp_path):
+    """As the recorder keeps its bags."""
+    for name in ("truth.mcap", "truth_2.mcap", "truth_3.mcap"):
+        live = LiveRun(tmp_path, "--duration", "0.2")
+        live.listen(lambda: False)
+        live.finish()
+        assert live.process.returncode == 0
+        if name == "truth.mcap":
+            first = (tmp_path / name).read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["truth.mcap", "truth_2.mcap", "truth_3.mcap"]
+    assert (tmp_path / "truth.mcap").read_bytes() == first
+
+
 @pytest.mark.slow
 def test_full_disk_ends_the_truth_file_but_not_the_drive(tmp_path):
     if not os.path.exists("/dev/full"):
