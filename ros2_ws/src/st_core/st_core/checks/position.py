@@ -319,13 +319,13 @@ MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a st
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings) of a check of each position step against the integrated velocity, for jumps, stale samples,
-    noise and jitter; jittering time stamps are replaced by evenly spaced ones, and nothing else is then reported:
+    """(motion, findings) of a check of position steps for jumps, stale samples, noise and jitter of the time stamps.
 
         d_k = p_k - p_{k-1} - integral of R(yaw) v dt
 
     A jump is one large d. A stale position, which is older by one receiver interval h, causes a step back along the
-    track by v h, and the next new position an equal step forward.
+    track by v h, and the next new position an equal step forward. Time stamps that jitter are replaced by evenly spaced
+    ones, and nothing else is then reported.
     """
     if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []

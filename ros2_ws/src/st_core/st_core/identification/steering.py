@@ -1,6 +1,6 @@
 """Ratio and offset of the steering from experiments.
 
-The steering ratio is from turntables, which measure the angles of both front wheels versus the steering-wheel angle:
+Turntables measure the angles of both front wheels versus the steering-wheel angle, which yields the steering ratio:
 
     delta = (left + right) / 2,    delta_k = a_j + b delta_h,k + e_k,    i = 1 / b,    u(i) = i^2 u(b)
 
@@ -8,9 +8,9 @@ All J sweeps have a common slope b; sweep j has the intercept a_j and the mean x
 
     u(b)^2 = s^2 / sum (x - x_j)^2,    s^2 = sum e^2 / (n - J - 1)
 
-The steering-wheel offset cannot be identified, because the zero of the turntables is not the direction of straight
-driving. A cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %).
-Angles in rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
+Turntables do not determine the steering-wheel offset, because their zero is not the direction of straight driving. A
+cubic fitted to the residuals describes the nonlinearity of the steering, if it is significant (F test, 1 %). Angles in
+rad, left positive. Source: paper, parameter identification. Checked by: test_identification_experiments.py.
 
 The offset of the steering wheel sensor is estimated from straight driving, by two methods.
 
