@@ -21,7 +21,7 @@ class Mode(StrEnum):
 
 
 def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
-    """The check nibble for which the XOR of all nibbles of the payload is 0; data: payload with the check nibble at 0.
+    """The check nibble for which the XOR of all nibbles of the payload is 0; data: payload with this nibble set to 0.
 
     Source: derived from 1963 recorded frames of 0x002, all at one steering angle.
     """
@@ -30,7 +30,7 @@ def compute_xor_nibble(data: Sequence[Any], arbitration_id: int) -> Any:
 
 
 def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
-    """Low byte of the sum of all bytes and the bytes of the identifier; data: payload with the check byte at 0.
+    """Low byte of the sum of all bytes and the bytes of the identifier; data: payload with this byte set to 0.
 
     Source: derived from 3247 recorded frames of 0x284 at up to 100 km/h, and 2035 of 0x284 and 0x285 at rest.
     """
@@ -38,7 +38,7 @@ def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
 
 
 RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
-"""Name of a checksum -> (its number of bits, function (payload with checksum 0, identifier) -> checksum)."""
+"""Name of a checksum -> (number of bits, function of the payload with checksum 0 and the identifier)."""
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,9 @@ class DecodedFrame:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. implausible: excludes
-    plausible frames that are withheld. dropped: failed in mode `drop`. lost: missing by the counter. bad: with a
-    fault; one with a failed check in mode `warn` may also be not finite or implausible. last_seen_ns: time of the last
-    good frame with signals, or None."""
+    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: at least one
+    fault, counted once. implausible: without plausible frames that are withheld. dropped: failed a check in mode
+    `drop`. lost: missing according to the counter. last_seen_ns: time of the last good frame with signals, or None."""
 
     good: int = 0
     bad: int = 0

@@ -7,17 +7,17 @@ import numpy as np
 
 from .signals import MessageSpec, SignalSpec
 
-# After more than MAX_IMPLAUSIBLE implausible values of a signal in PLAUSIBILITY_FRAMES frames (1 s at 100 Hz), also its
+# If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values (1 s at 100 Hz) of a signal are implausible, even
 # plausible ones are withheld until MAX_IMPLAUSIBLE are consecutive: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
-Reference = tuple[int, float]  # time [ns] and value, in the unit of the signal, of an earlier frame
+Reference = tuple[int, float]  # of an earlier frame: time [ns], value in the unit of the signal
 
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
                   references: Iterable[Reference | None]) -> bool:
-    """Whether the rate limit allows the value after at least one of the references within the timeout of the message;
-    true if there is none."""
+    """Whether the rate limit permits the change from at least one reference not older than the timeout of the message;
+    true without such a reference."""
     recent = [(last_ns, last) for last_ns, last in filter(None, references)
               if 0 < time_ns - last_ns <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.

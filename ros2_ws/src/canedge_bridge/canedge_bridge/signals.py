@@ -31,7 +31,7 @@ CANONICAL_SIGNALS = {
 }
 WRAPPED_SIGNALS = frozenset({"ins_yaw"})
 MAX_SCALING = 1e12  # largest plausible factor or offset of a DBC signal
-# Range of the steering wheel angle to either side [rad] if the table gives none; half must be representable.
+# Range of the steering wheel angle to either side [rad] if the table gives none; the signal must reach half of it.
 DEFAULT_STEERING_RANGE = math.radians(180)
 
 _MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n(?:[ \t]+SG_.*\n|[ \t]*\n(?=[ \t]+SG_))*", re.MULTILINE)
@@ -317,7 +317,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError unless the layout reaches half of each limit of its range (an unsigned angle does not)."""
+    """Raises TableError if the signal cannot reach half of each limit of its range, such as an unsigned angle."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor

@@ -107,7 +107,7 @@ class Field:
         return (raw >> 1 if kind == "shifted" else raw) * self.scale + self.offset
 
     def encode(self, buffer: bytearray, value: Value) -> None:
-        """Write a value into the 8 bytes, except its flag byte; None: invalid, no change if only a flag declares this.
+        """Write a value into the 8 bytes, but not its flag byte. None: write `invalid_raw`, or nothing without one.
 
         A scaled or "shifted" quantity is clipped to the range of its format; others out of range raise NcomError.
         """
@@ -129,7 +129,7 @@ class Field:
 
     def _to_raw(self, value: float | int | str) -> int:
         """Raw number of a physical value: the closest valid one if scaled, else the integer part. Raises NcomError if
-        an unscaled value does not fit or means invalid."""
+        an unscaled value does not fit or is a code for "invalid"."""
         unscaled = self.scale == 1 and not self.offset
         _, mask, _, sign = self._bit_layout
         low, high = -sign, mask - sign
@@ -429,9 +429,9 @@ def decode_utc_offset(data: bytes) -> int | None:
 def encode_channel(channel: int, values: Mapping[str, Value]) -> bytes:
     """The 8 bytes of a channel.
 
-    A missing field, None or NaN is encoded as invalid, or as 0 where the format has no code for it. The multiplier of
+    A missing field, None or NaN is encoded as invalid, or as 0 if the format has no such code. The multiplier of
     the long-range lever arm (channel 57) is 1, so its components are limited to 32.767 m. Raises NcomError for an
-    unknown channel or field, a value out of range, and a missing value that the flag byte of others declares valid.
+    unknown channel or field, a value out of range, or a missing field whose flag byte declares others valid.
     """
     fields = FIELDS.get(channel)
     if fields is None:

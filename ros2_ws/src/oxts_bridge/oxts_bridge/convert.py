@@ -166,8 +166,8 @@ class Publishers:
         """Publish st_msgs/Trigger for an event input or output; position, motion: at that instant, None if unknown."""
         message = Trigger(header=Header(frame_id=self._settings.map_frame), source=channel, count=count)
         _set_time(message.header.stamp, stamp_ns)
-        message.pose_valid = position is not None and motion is not None
         if position is not None and motion is not None:
+            message.pose_valid = True
             _set_pose(message.pose, position, motion)
             _set_twist(message.twist, motion)
         self._out["trigger"].publish(message)
@@ -204,7 +204,7 @@ class Publishers:
         self._out["status"].publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
-        """geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
+        """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
         message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude, message.altitude = geodetic

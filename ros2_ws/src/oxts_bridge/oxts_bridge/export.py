@@ -26,7 +26,7 @@ Change: TypeAlias = tuple[int, int, str, Value]
 """Change of a status field: packet, channel, field, value (None: invalid)."""
 
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
-_LARGEST_UMAC_STATUS = 10  # the vendor's tools write larger codes of the robot interface as this one
+_LARGEST_UMAC_STATUS = 10  # the vendor's tools limit the code of the robot interface to this value
 # In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
 _RETAINED = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
@@ -197,7 +197,7 @@ def compute_gps_seconds(columns: Columns) -> np.ndarray:
 
 
 def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocity_accuracy: SettingHistory) -> None:
-    """Slip is track minus heading. yaw_rate: clockwise, in level axes [rad/s].
+    """Add speeds, track, slip (track minus heading) and curvature. yaw_rate: clockwise, in level axes [rad/s].
 
     Track, slip and curvature are NaN up to a speed of 2 sqrt(north^2 + east^2) of the velocity accuracies [m/s].
     """
@@ -217,7 +217,7 @@ def _add_speed_and_slip(out: dict, motion: Motion, yaw_rate: np.ndarray, velocit
 
 
 def _add_distances(out: dict, columns: Columns, seconds: np.ndarray) -> None:
-    """Add the trapezoidal integral of the speed, also at the times of trigger packets, which do not enter the sum."""
+    """Add the trapezoidal integral of the speed, also at trigger packets, which are not nodes of the integration."""
     for name, speed in (("Dist2d", out["Speed2d"]), ("Dist3d", out["Speed3d"])):
         usable = ~np.isnan(speed) & ~np.isnan(seconds)
         series = np.flatnonzero(usable & (columns.kind == REGULAR) & (columns.order == 0))

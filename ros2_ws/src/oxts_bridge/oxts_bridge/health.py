@@ -27,7 +27,7 @@ class Health:
     live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
     ellipsoidal altitude. silence_after: time without a packet that is an error [s].
 
-    The node updates the public attributes. navigation_status: newest defined one, except of triggers. last_packet_at:
+    The node updates the public attributes. navigation_status: newest defined one, without triggers. last_packet_at:
     time of receipt on the monotonic clock [s]. failures: number of packets that could not be published. incomplete:
     number of packets with a fix, but with an invalid position, velocity, angle or rate.
     """

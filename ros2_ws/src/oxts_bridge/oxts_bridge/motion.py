@@ -112,8 +112,8 @@ class Origin:
                 return None
         return self._set(FIRST_FIX, degrees(motion.latitude), degrees(motion.longitude), motion.altitude)
 
-    def _set(self, used: str, latitude: float, longitude: float, altitude: float) -> LocalFrame:
-        self.chosen_source = used
+    def _set(self, source: str, latitude: float, longitude: float, altitude: float) -> LocalFrame:
+        self.chosen_source = source
         self.geodetic = latitude, longitude, altitude
         self.frame = LocalFrame(radians(latitude), radians(longitude), altitude)
         return self.frame
@@ -121,8 +121,8 @@ class Origin:
 
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
-    """(UTC [ns since 1970], ENU position relative to the origin [m], motion) of each odometry message that the live
-    node publishes for recorded packets, bit-identical.
+    """Yields (UTC [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message that the
+    live node publishes for these packets, with identical bits.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".

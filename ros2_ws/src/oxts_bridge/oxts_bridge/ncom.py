@@ -27,7 +27,6 @@ NAN = math.nan
 SYNC = 0xE7
 PACKET_SIZE = 72
 STRUCTURE_B = 11
-_SYNC = bytes([SYNC])
 
 # Index of the first byte of each field. A checksum is the low byte of the sum of all bytes from byte 1 up to it.
 MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
@@ -279,7 +278,7 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
                 if in_sync or status == STRUCTURE_B or (STATUS_RULES[status].is_defined and inner_checksums_match(raw)):
                     return start, True
             counters.checksum_errors += in_sync
-        found = data.find(_SYNC, start + 1)
+        found = data.find(SYNC, start + 1)
         following = len(data) if found < 0 else found
         counters.skipped_bytes += following - start
         start, in_sync = following, False
@@ -309,7 +308,7 @@ def compute_host_minute(received_ns: int, milliseconds: int) -> int:
 class GpsClock:
     """Tracks the GPS time of packets that all have milliseconds of the minute, and some the minute (channel 0).
 
-    The clock counts a minute whenever the milliseconds wrap; a sent minute has precedence over the count.
+    The clock counts a minute whenever the milliseconds wrap; a sent minute takes precedence over the count.
     minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, forward by more than
     1 s beyond the pause on the receive clock (0 in a file), or to a sent minute that differs from the count.
     """

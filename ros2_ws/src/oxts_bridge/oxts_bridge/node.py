@@ -66,7 +66,7 @@ class OxtsBridge(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("oxts_bridge")
         self._settings = parameters.declare(self, PARAMETERS)
-        check(self._settings, self.get_name())
+        check_settings(self._settings, self.get_name())
         self._live = not self._settings.replay_file
         self._source: Source | None = None
         self._outputs: Publishers | None = None
@@ -222,7 +222,7 @@ class OxtsBridge(LifecycleNode):
                                   self._parser.clock.jumps)
 
 
-def check(settings: SimpleNamespace, node_name: str) -> None:
+def check_settings(settings: SimpleNamespace, node_name: str) -> None:
     """Raises ConfigurationError for a parameter value that is invalid although it is within its declared range."""
 
     def reject(key: str, reason: str) -> None:

@@ -24,7 +24,7 @@ _LARGEST_DATAGRAM = 65_535  # bytes
 _RECEIVE_BUFFER = 1 << 20  # bytes
 _WAKE_PERIOD = 0.2  # s
 RETRY_PERIOD = 1.0  # s
-SENDER_TIMEOUT = 2.0  # s of silence of the sender in use after which another one is accepted
+SENDER_TIMEOUT = 2.0  # s; after this silence of the sender in use, another one is accepted
 _MAX_SENDERS_COUNTED = 16
 # A replay does not wait for longer steps of the recorded time, which come from joined files or a clock change [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
@@ -35,10 +35,10 @@ OnData = Callable[[bytes, int, bool], int]
 
 
 def continues_stream(newest: Packet | None, data: bytes) -> bool:
-    """Whether a datagram continues a stream, and is not of a second unit at the same address.
+    """Whether a datagram continues a stream; false for a second unit at the same address.
 
     Its first packet must be at most 1 s later than the newest packet of the stream, at a position consistent with the
-    velocity. False if it is no packet, or if a position or velocity is unknown.
+    velocity. False also without a packet, or if a position or velocity is unknown.
     """
     if newest is None:
         return False
@@ -61,7 +61,7 @@ def continues_stream(newest: Packet | None, data: bytes) -> bool:
 class SourceStatus:
     """State of a source for the diagnostics.
 
-    problem: why no data can arrive, or empty.  is_done: a replay has reached its end.  sender: address in use.
+    problem: reason why no data can arrive, or "".  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
     ignored: ignored datagrams of up to 16 senders, by address, or by address and port for the address in use.
     ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.

@@ -8,9 +8,9 @@ from . import channels, ncom
 from .ncom import DUPLICATE, LATE, NEW, SAME, Counters, GpsClock, Packet, StatusRule
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
-HOST_MINUTE_DELAY_NS = 2_000_000_000  # without channel 0, after which a stream gets its minute from the host's clock
+HOST_MINUTE_DELAY_NS = 2_000_000_000  # time without channel 0 until the minute is taken from the host's clock
 GAP_STEPS = 1.75  # a step longer than this many typical steps is a gap
-_CLOCK_SAMPLES = 1000  # number of clock offsets that are kept: four seconds at 250 Hz
+_CLOCK_SAMPLES = 1000  # number of stored clock offsets: four seconds at 250 Hz
 
 
 @dataclass(slots=True)
@@ -180,7 +180,7 @@ class NcomParser:
 
 
 class StreamStatistics:
-    """Rate, gaps and delay of the regular packets."""
+    """Rate, gaps and clock offset of the regular packets."""
 
     def __init__(self) -> None:
         self.gaps = 0

@@ -14,7 +14,7 @@ pytest.importorskip("st_msgs.msg", reason="needs the built workspace")
 
 from ins_rig import free_port
 from node_rig import launch
-from oxts_bridge.node import PARAMETERS, check
+from oxts_bridge.node import PARAMETERS, check_settings
 from ros_processes import free_domain
 from st_ros.parameters import ConfigurationError
 
@@ -59,10 +59,10 @@ def test_invalid_configuration_is_refused_in_one_line(parameters, text, tmp_path
 ])
 def test_inconsistent_parameters_are_refused_by_name(key, value, text):
     settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in PARAMETERS})
-    check(settings, "oxts_bridge")
+    check_settings(settings, "oxts_bridge")
     setattr(settings, key, value)
     with pytest.raises(ConfigurationError) as error:
-        check(settings, "oxts_bridge")
+        check_settings(settings, "oxts_bridge")
     assert text in str(error.value) and str(error.value).startswith("oxts_bridge.")
 
 

@@ -48,7 +48,7 @@ PREDICTOR = (
     Parameter("plan_frame", "base_link", "required frame of plans on plan/inputs; plans in another frame are refused"),
 )
 
-_NUMBER_WHEN_TAKEN = Parameter(
+_NUMBER_IF_EXISTS = Parameter(
     "number_if_exists", False, "record into NAME_2 if the directory contains files; false: stop")
 
 EVALUATOR = (
@@ -56,7 +56,7 @@ EVALUATOR = (
     Parameter("models", MODELS, "models to score"),
     _MODEL_FILE, _EFFECTS_DIRECTORY, _MAXIMUM_GAP, _FILTER_CUTOFF, _MAP_FRAME,
     Parameter("output_directory", "", "directory of the bag of errors, new or empty; empty: no bag"),
-    _NUMBER_WHEN_TAKEN,
+    _NUMBER_IF_EXISTS,
 )
 
 # Raw packets and frames, topics that cannot be derived from them, and topics that external viewers and tools expect.
@@ -67,7 +67,7 @@ TOPICS = ["ins/ncom", "ins/odometry", "ins/status", "ins/trigger", "ins/origin",
 ALL_TOPICS = ["ins/*", "vehicle/*", "can/*", *_COMMON_TOPICS]
 RECORDER = (
     Parameter("output_directory", "", "directory of the bag, new or empty; required"),
-    _NUMBER_WHEN_TAKEN,
+    _NUMBER_IF_EXISTS,
     Parameter("topics", TOPICS, "topics to record; * and ? stand for any characters; relative to the node's namespace"),
     Parameter("configuration_files", [], "files stored as text in the bag: vehicle, node parameters"),
     Parameter("metadata_json", "", 'further metadata of the bag: {"record": {"key": "text"}}'),

@@ -52,7 +52,7 @@ def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ConfigurationError as error:
-        print(f"{error}", file=sys.stderr, flush=True)
+        print(error, file=sys.stderr, flush=True)
         status = 2
     finally:
         if node is not None:

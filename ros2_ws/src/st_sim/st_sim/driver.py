@@ -67,7 +67,7 @@ class Driver:
         elif demand.steer == "path":
             fast_enough = speed > MIN_STEERING_SPEED
             if self._holding and fast_enough:
-                # Move the road to the car after a held steering wheel, so that the steering does not jump.
+                # The steering wheel was held: move the road to the car, so that the steering does not jump.
                 course = s[YAW] + math.atan2(s[VY], s[VX])
                 self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
                 self._offset_integral = 0.0

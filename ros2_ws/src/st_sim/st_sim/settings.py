@@ -33,9 +33,8 @@ def read_document(path: Path) -> Any:
 
 def read_vehicle(path: Path) -> VehicleParameters:
     """The car of a vehicle file. Raises SimulationError naming file and key."""
-    document = read_document(path)
     try:
-        return VehicleParameters.from_document(document)
+        return VehicleParameters.from_document(read_document(path))
     except ConfigurationError as error:
         raise SimulationError(f"{path}: {error}") from None
 

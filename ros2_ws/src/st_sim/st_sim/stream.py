@@ -1,4 +1,4 @@
-"""Generates the output of the virtual car in order of time, and sends it to sockets, buses or files."""
+"""Generates the output of the virtual car in chronological order, and sends it to sockets, buses or files."""
 
 import heapq
 import socket
@@ -131,7 +131,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts. can_errors: frames not sent. late: sent after LATE_THRESHOLD. worst_delay: after the deadline [s]."""
+    """Counts. can_errors: frames not sent. late: sent more than LATE_THRESHOLD after the deadline. worst_delay: [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0

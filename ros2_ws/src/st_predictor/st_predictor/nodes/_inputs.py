@@ -87,8 +87,8 @@ class PublisherLock:
 
 
 class _Input:
-    """One input topic. received: number of messages of the accepted publisher, with refused ones. last_refusal: why
-    the newest was refused, or "". arrived_ns: arrival of the newest accepted message, host UTC."""
+    """One input topic. received: number of messages of the accepted publisher, including refused ones. last_refusal:
+    reason for which the newest was refused, or "". arrived_ns: arrival of the newest accepted message, host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change

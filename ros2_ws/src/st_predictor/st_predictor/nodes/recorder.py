@@ -37,7 +37,7 @@ QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
 
 
 class PublisherWatchdog:
-    """Finds nodes that have a publisher of a recorded topic, but none of whose messages arrives.
+    """Finds nodes that publish a recorded topic, but from which no message arrives.
 
     DDS may match a publisher with a subscription that never receives its data, so only a message proves a connection.
     """
@@ -56,7 +56,7 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence, if above SILENCE_TIMEOUT, by node, for nodes that alone publish one of `topics`."""
+        """Seconds of silence by node, of the nodes silent for SILENCE_TIMEOUT that alone publish one of `topics`."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:
