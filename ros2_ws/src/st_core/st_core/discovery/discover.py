@@ -1,4 +1,4 @@
-"""Discovery, from recorded drives, of the effects that a model lacks, their values, and the remaining residual."""
+"""Discovery, from recorded drives, of the effects that a model lacks, with their values and the remaining residual."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -225,8 +225,8 @@ class _Analysis:
         return (problem, state.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 
     def _make_problem(self) -> tuple[Problem, dict[str, float]]:
-        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, whose
-        position error counts as noise of position_5s."""
+        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, and
+        the position error of this fit counts as noise of position_5s."""
         settings, space = self.settings, self.space
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, self.windows.noise_floor()
         if self.reference:

@@ -208,11 +208,11 @@ def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
 def _channel_regions(channel: str, bins: Sequence[BinExcess], stretches: Sequence[Stretch], cells: Sequence[Cell],
                      samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
     """Regions of one channel; empty without a significant bin."""
-    of_channel = [b for b in bins if b.channel == channel]
-    if not any(b.significant for b in of_channel):
+    channel_bins = [b for b in bins if b.channel == channel]
+    if not any(b.significant for b in channel_bins):
         return []
-    overall = next(b for b in of_channel if b.range.quantity == EVERYWHERE)
-    ranges = [_range_region(group, of_channel, overall, has_reference) for group in _group_neighbours(of_channel)]
+    overall = next(b for b in channel_bins if b.range.quantity == EVERYWHERE)
+    ranges = [_range_region(group, channel_bins, overall, has_reference) for group in _group_neighbours(channel_bins)]
     # Ranked by the lower bound, because a range with few observations can have a large error by chance.
     regions = sorted((r for r in ranges if r.interval[0] > 1.0 and r.excess >= MIN_CONTRAST * overall.excess),
                      key=lambda r: -r.interval[0])[:MAX_RANGES]

@@ -358,7 +358,7 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
 
 
 def null_p_value(problem: Problem, fit: Fit, effect: str) -> float:
-    """p-value of the hypothesis that an effect has its start values (null, or those of the healthy car), by Hotelling's
+    """p-value of the hypothesis that an effect has its start values (null or healthy car), by Hotelling's
     T^2 test with sandwich covariance."""
     indices = problem.space.indices(effect)
     columns = np.searchsorted(fit.indices, indices)

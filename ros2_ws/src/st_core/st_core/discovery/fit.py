@@ -247,7 +247,7 @@ class Problem:
             fresh: Iterable[str] = (), iterations: int = ITERATIONS) -> Fit:
         """Fit a set of effects by robust Gauss-Newton. sensitivities: with respect to at least the free parameters, at
         a nearby vector; updated at each step. vector: initial vector, by default that of the sensitivities. fresh:
-        effects whose sensitivities are recomputed at each step."""
+        effects for which the sensitivities are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
         first, vector = sensitivities.vector if vector is None else vector, self.start.copy()

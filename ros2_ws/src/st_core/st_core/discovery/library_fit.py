@@ -36,7 +36,7 @@ CLOCK_FITS = 3  # number of joint fits for the correction of clocks, each with t
 class HealthyCar:
     """The fitted healthy car. vector: (p,) values of the whole library. prior: (p, p) curvature of the prior about the
     vector. residual_scale: (c,) scale (`Loss.scale_of`) of the errors of each column at the end of the horizon [SI].
-    position_error [m]: mean position error there, in the run with the largest. gain [1]: largest reduction of the
+    position_error [m]: mean position error there, in the worst run. gain [1]: largest reduction of the
     loss per residual of one run by an effect, with a prior from the other runs; smaller gains may be false alarms."""
 
     vector: np.ndarray
@@ -113,7 +113,7 @@ def _minimum_loss(h: np.ndarray, g: np.ndarray, centre: np.ndarray, prior: np.nd
 
 
 def theoretical_values(space: Space) -> np.ndarray:
-    """(p,) theoretical values where known, else the null. Effects that convert the base model keep their null."""
+    """(p,) theoretical values where known, else nulls. Effects that convert the base model keep their null values."""
     vector = space.null.copy()
     for i, (effect, parameter) in enumerate(space.free):
         if parameter.theory is not None and not get_effect(effect).converts:

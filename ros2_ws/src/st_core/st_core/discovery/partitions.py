@@ -37,10 +37,10 @@ def divide_by_run(windows: Windows) -> Partition:
     pieces = int(np.ceil(MIN_STRETCHES / len(numbers)))
     part = np.zeros(len(windows), int)
     for run in numbers:
-        of_run = windows.run == run
-        seconds = windows.seconds[of_run]
+        in_run = windows.run == run
+        seconds = windows.seconds[in_run]
         edges = np.linspace(seconds.min(), seconds.max() + 1e-6, pieces + 1)
-        part[of_run] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
+        part[in_run] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
     return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(pieces)]
 
 

@@ -135,7 +135,7 @@ class Search:
         return self._drop_rejected(state).fit
 
     def _find_near_sets(self, state: SearchState) -> list[NearSet]:
-        """The sets fitted at the final residual scale whose held-out loss per residual exceeds that of the final set by
+        """Sets fitted at the final residual scale with a held-out loss per residual above that of the final set, by
         less than `limits.unexplained_share`; none if the residual is near the noise."""
         p, limits = self.problem, self.limits
         if max((e.noise_ratio for e in state.evidence.values()), default=0.0) <= limits.max_noise_ratio:

@@ -21,8 +21,8 @@ from .partitions import Partition
 class VaryingFit:
     """An effect with its own value in each part of a partition. varies_with: name of the partition. gain [1]: reduction
     of the loss per residual compared with one common value. p_value [1]: of the hypothesis that the value is the same
-    in all parts, corrected for all effects and partitions. index: of the parameter with the most information. values:
-    (value, standard deviation) of it by part. steps: (p,) step of all parameters [parameter scales], by part."""
+    in all parts, corrected for all effects and partitions. index: parameter with the most information. values: its
+    (value, standard deviation) by part. steps: (p,) step of all parameters [parameter scales], by part."""
 
     name: str
     varies_with: str

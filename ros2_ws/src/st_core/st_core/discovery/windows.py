@@ -32,7 +32,7 @@ from .settings import DiscoverySettings
 STEP = 0.05  # s, integration step
 TYRE_MODELS = ("linear", "nonlinear")
 SIDESLIP_SETTLING_TIME = 0.75  # s, in which the error of an assumed initial sideslip decays
-MARGIN_NS = 600_000_000  # ns, before the first window; half of it after the last: for effects that shift the steering
+MARGIN_NS = 600_000_000  # ns before the first window, half after the last; for effects that shift the steering in time
 MAX_GAP = 0.1  # s, longest gap that is interpolated, as PredictionSettings.maximum_gap
 MIN_SPEED = 1.5  # m/s; slower windows have hardly any lateral motion
 PAUSE_NS = 5_000_000_000  # ns between runs on the common clock

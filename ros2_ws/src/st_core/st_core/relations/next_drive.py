@@ -97,8 +97,8 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, Re
         ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
-            of_rival = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
-            added_joint = REPETITIONS * _compute_joint_curvature(loss, residuals, sensitivities, of_rival, fit)
+            to_rival = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
+            added_joint = REPETITIONS * _compute_joint_curvature(loss, residuals, sensitivities, to_rival, fit)
             separation[name] = _compute_separation(recorded[name] + added_joint, fit, other, design_effect)
         u = compute_quantities(windows)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
@@ -116,11 +116,11 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
     return loss
 
 
-def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray, of_rival: np.ndarray,
+def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray, to_rival: np.ndarray,
                              fit: RelationFit) -> np.ndarray:
     """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
-    of_scale = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
-    joint = np.concatenate([sensitivities[:-SPLINES], of_rival, of_scale[None]])
+    to_scale = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
+    joint = np.concatenate([sensitivities[:-SPLINES], to_rival, to_scale[None]])
     return loss.quadratic(residuals, joint).hessian.sum(axis=0)
 
 

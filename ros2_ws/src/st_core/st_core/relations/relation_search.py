@@ -20,7 +20,7 @@ from .selection import ScreenedCandidate
 
 MAX_FITTED = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
-MAX_DETECTABLE = 3.0  # typical magnitudes; model terms whose detection limits are all higher count as not examined
+MAX_DETECTABLE = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
@@ -76,7 +76,7 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
-        """Model terms whose candidates all have detection limits above MAX_DETECTABLE typical magnitudes."""
+        """Model terms for which all detection limits exceed MAX_DETECTABLE typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")
@@ -209,9 +209,9 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines), 0.0))
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     density = np.histogram(np.clip(u, c.low, c.high), edges)[0] / max(len(u), 1)
-    runs = {name: (float(np.nanmean(before[of_run])), float(np.nanmean(after[of_run])))
-            for k, name in enumerate(fits.windows.names) if (of_run := fits.windows.run == k).any()
-            and np.isfinite(before[of_run]).any() and np.isfinite(after[of_run]).any()}
+    runs = {name: (float(np.nanmean(before[in_run])), float(np.nanmean(after[in_run])))
+            for k, name in enumerate(fits.windows.names) if (in_run := fits.windows.run == k).any()
+            and np.isfinite(before[in_run]).any() and np.isfinite(after[in_run]).any()}
     full = fits.make_space(c).at(fit.vector)
     library_part = full.select_effects(e for e in full.effects if e.name != c.effect)
     relation = Relation(

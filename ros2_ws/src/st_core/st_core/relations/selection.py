@@ -149,11 +149,11 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
                 f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
     blocks, run, names = average_by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
-        of_run = blocks[(run == k) & np.isfinite(blocks)]
+        run_rises = blocks[(run == k) & np.isfinite(blocks)]
         windows = fits.windows.run == k
-        if len(of_run) <= 2 or np.nanmean(rise[windows]) < fits.limits.relevant_position:
+        if len(run_rises) <= 2 or np.nanmean(rise[windows]) < fits.limits.relevant_position:
             continue
-        if compute_lower_bound(of_run, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
+        if compute_lower_bound(run_rises, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
             return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
     return ""
