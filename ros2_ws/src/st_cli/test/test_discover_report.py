@@ -66,8 +66,8 @@ def make_varying_effect(logs, partition="run"):
 def test_title_and_table_list_values_with_the_largest_effect_first(logs):
     found = discovery(logs, STEPS, 1.72)
     assert report_text.format_title(found) == (
-        "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.8940; heading misalignment 0.561°; lateral "
-        "acceleration bias -0.600 m/s²")
+        "5 s position error 1.72 m → 0.55 m (held-out): steering ratio × 0.8940 or a cause outside the library with "
+        "the same effect; heading misalignment 0.561°; lateral acceleration bias -0.600 m/s²")
     effects = [replace(e, channel="yaw", share=0.25) for e in reversed(found.effects)]
     first, *_, last = report_text.list_effect_rows(replace(found, effects=tuple(effects)))
     assert first[0] == "steering ratio" and first[2:4] == ("+0.90 m", "heading error by 25 %")
@@ -114,7 +114,12 @@ def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, wh
 
 def test_causes_outside_the_library_are_listed_for_a_named_effect(logs):
     found = discovery(logs, (("steering_ratio", {"factor": 0.94}, 0.5),), 1.7)
-    assert any("a wrong wheelbase" in text for text in report_text.recommend(found, None))
+    assert any(text.startswith("measure steering ratio on the car, and check what would have the same effect and is "
+                               "not in the library: a wrong wheelbase in the vehicle file")
+               for text in report_text.recommend(found, None))
+    assert "or a cause outside the library with the same effect" in report_text.format_title(found)
+    mass = discovery(logs, (("mass", {"factor": 0.94}, 0.5),), 1.7)
+    assert "outside the library" not in report_text.format_title(mass)
 
 
 def test_correction_of_recordings_is_advised_only_if_one_exists(logs):

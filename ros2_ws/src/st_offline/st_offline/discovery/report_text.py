@@ -33,6 +33,7 @@ MAX_KEYS = 3  # keys of a vehicle file listed in a sentence; the table contains 
 MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the linear range of the prediction
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
+OTHER_CAUSE = " or a cause outside the library with the same effect"
 EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
                "removed and the others are refitted. An effect is named only if it is significant and reduces the "
@@ -73,7 +74,8 @@ def format_title(discovery: Discovery) -> str:
     """The result in one line."""
     if discovery.outcome == "not_testable":
         return "These drives have too little excitation for a result"
-    effects = [name_with_alternatives(discovery, e) for e in sort_by_size(discovery.effects)]
+    effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if get_effect(e.name).imitated_by else "")
+               for e in sort_by_size(discovery.effects)]
     combinations = map(format_combination, discovery.unseparated_combinations)
     position = discovery.errors.get("position_5s")
     one_dominates = position is None or any(e.position_5s_increase > 0.5 * (position.base - position.augmented)
@@ -355,7 +357,8 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first; ["nothing"] if there are none."""
     lines = _vehicle_lines(discovery, update)
-    lines += [f"measure {to_words(e.name)} on the car: {causes} would have the same effect and is not in the library"
+    lines += [f"measure {to_words(e.name)} on the car, and check what would have the same effect and is not in the "
+              f"library: {causes}"
               for e in discovery.effects if (causes := get_effect(e.name).imitated_by)]
     for name, changes in (update.not_folded if update is not None else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
