@@ -40,7 +40,7 @@ class Parameter:
         return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
 
     def check(self, value: Any) -> Any:
-        """The value in the declared type; NaN only if the default is. Raises ConfigurationError with key and limit."""
+        """The value in the declared type; NaN only if the default is NaN. Raises ConfigurationError with the limit."""
         expected = type(self.default)
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)

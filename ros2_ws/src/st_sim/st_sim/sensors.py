@@ -55,7 +55,8 @@ ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.00
 
 
 class _Noise:
-    """White noise plus a slow Gauss-Markov process (standard deviations); time: its correlation time [s]."""
+    """White noise plus a slow first-order Gauss-Markov process. white, slow: standard deviations. time: correlation
+    time of the slow noise [s]. interval: between values [s]. draw: source of standard normal numbers."""
 
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw

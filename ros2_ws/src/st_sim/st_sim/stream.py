@@ -22,7 +22,7 @@ Source = SimulatedCar | RecordedDrive
 TICK_MS = 2
 # Period and phase [ms]; the phases differ, as without a common clock.
 TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
-INS_CAN_DELAY = 0.0015  # s from the datagram to the first frame on CAN
+INS_CAN_DELAY = 0.0015  # s from the datagram to the first CAN frame of the same epoch
 EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
 LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
 # s after power-up of an INS: ends of the phases without data and with raw data, then start and end of initialising.

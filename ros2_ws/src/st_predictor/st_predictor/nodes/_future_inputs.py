@@ -20,7 +20,7 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
-PLAN_TIMEOUT = 10.0  # s since the newest plan until the planner counts as stopped: a refused plan is then dropped
+PLAN_TIMEOUT = 10.0  # s without a new plan until a refused one is dropped, because the planner has stopped
 NOT_USED = "not used: no prediction at the moment"
 
 
@@ -69,7 +69,7 @@ class PlanInput:
 
 
 class CourseInput:
-    """Predicts inputs from `course`, None without a `course_file`. horizon, step: of the predictions [s].
+    """Predicts inputs from a recorded course. course: None without a `course_file`. horizon, step: of predictions [s].
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
     a course of another site is not used.

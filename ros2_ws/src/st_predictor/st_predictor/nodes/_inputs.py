@@ -130,7 +130,7 @@ class _Input:
 class Inputs:
     """Passes every usable sample to `add_ins` and `add_steering`, which return False for a sample they refuse.
 
-    on_change: called when the warning about competing publishers has changed, to publish it at once.
+    on_change: called when the warning about competing publishers changes, to publish it at once.
     """
 
     def __init__(self, node: Node, map_frame: str, add_ins: Callable[[InsSample], bool],
