@@ -28,7 +28,7 @@ INPUTS_OF_MODE = {"hindsight": "measured inputs", "forecast": "inputs held"}
 def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], console: Console) -> int:
     """Write and print the results of a run; returns the exit status.
 
-    extra: entries of summary.json, with the title `what`. Status 0: every process ended normally, and a horizon
+    extra: further entries of summary.json; `what` is the title. Status 0: every process ended normally, and a horizon
     was scored or the user ended the run; 130: the user ended the run before all nodes were up; 1: all other cases.
     """
     if outcome.interrupted and not outcome.statuses:

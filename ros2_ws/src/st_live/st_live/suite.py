@@ -104,11 +104,10 @@ class Processes:
 
     def reap(self, name: str) -> Child | None:
         """Remove and return the child with this name if it has ended; else None."""
-        for child in self.children:
-            if child.name == name and child.process.poll() is not None:
-                self.children.remove(child)
-                return child
-        return None
+        child = next((c for c in self.children if c.name == name and c.process.poll() is not None), None)
+        if child is not None:
+            self.children.remove(child)
+        return child
 
     def stop(self, name: str | None = None, timeout: float = STOP_TIMEOUT) -> dict[str, int]:
         """End one child, or all in the order of their start; returns the exit statuses.

@@ -1,4 +1,4 @@
-"""Implements `st verify`: recomputes the recorded predictions and scores of the nodes with the library and compares."""
+"""Implements `st verify`: recomputes recorded predictions and scores of the nodes with the library; compares both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -59,7 +59,7 @@ def test_latex_row_equals_that_of_the_paper():
 def test_best_value_is_chosen_by_printed_magnitude_and_may_be_shared():
     models = {"a": make_statistics((0.004, 1.0, 1.0), (0.0, 1.0, 1.0)),
               "b": make_statistics((-0.0049, 1.0, 2.0), (0.006, 1.0, 1.0))}
-    best = {(model, axis): [is_best for _, is_best in tables.list_statistics(models, model, "hindsight", axis, "means")]
+    best = {(model, axis): [is_best for _, is_best in tables.list_statistics(models, model, axis, "means")]
             for model in models for axis in ("longitudinal", "lateral")}
     assert best == {("a", "longitudinal"): [True, True, True], ("b", "longitudinal"): [True, True, False],
                     ("a", "lateral"): [True, True, True], ("b", "lateral"): [False, True, True]}

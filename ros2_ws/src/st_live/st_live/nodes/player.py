@@ -71,17 +71,16 @@ class Follower:
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
 
-def read_header_stamp(data: bytes) -> int:
-    """header.stamp [ns] of a serialised message that begins with a header, after 4 bytes of CDR encapsulation."""
-    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+def read_header_stamp(data: bytes, offset: int = 4) -> int:
+    """Time [ns] at `offset` of a serialised message; by default header.stamp, after 4 bytes of CDR encapsulation."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, offset)
     return seconds * 1_000_000_000 + nanoseconds
 
 
 def read_issued_at(data: bytes) -> int:
     """issued_at [ns] of a serialised st_msgs/Prediction: the field after frame_id, which is padded to 4 bytes."""
     (length,) = struct.unpack_from("<I", data, 12)
-    seconds, nanoseconds = struct.unpack_from("<iI", data, 16 + math.ceil(length / 4) * 4)
-    return seconds * 1_000_000_000 + nanoseconds
+    return read_header_stamp(data, 16 + math.ceil(length / 4) * 4)
 
 
 class Player:

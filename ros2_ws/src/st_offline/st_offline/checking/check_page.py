@@ -105,12 +105,11 @@ def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, 
 
 def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
     """Draw at most MAX_FIGURES comparisons, those with the most severe findings first."""
-    ranked: list[tuple[int, float, int, CheckedRun, Comparison]] = []
-    for run in runs:
-        for comparison in run.checked.comparisons:
-            concerned = [finding for finding in run.checked.findings if finding.name in comparison.findings]
-            worst = min(map(check_report.severity_rank, concerned), default=len(check_report.SEVERITY_ORDER))
-            largest = max((finding.effect or 0.0 for finding in concerned), default=0.0)
-            ranked.append((worst, -largest, len(ranked), run, comparison))
-    return [draw_panel(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
-            for *_, run, comparison in sorted(ranked)[:MAX_FIGURES]]
+    def rank(pair: tuple[Comparison, CheckedRun]) -> tuple[int, float]:
+        comparison, run = pair
+        findings = [finding for finding in run.checked.findings if finding.name in comparison.findings]
+        worst = min(map(check_report.severity_rank, findings), default=len(check_report.SEVERITY_ORDER))
+        return worst, -max((finding.effect or 0.0 for finding in findings), default=0.0)
+
+    pairs = sorted(((comparison, run) for run in runs for comparison in run.checked.comparisons), key=rank)
+    return [draw_panel(*pair, f"{pair[1].name}: " if len(runs) > 1 else "") for pair in pairs[:MAX_FIGURES]]

@@ -201,11 +201,11 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
                  relation: RelationReport | None = None) -> None:
     """Print the result, the values of its effects, recommendations, and the files. recordings: all runs, including
     those that cannot be used."""
-    def print_line(name: str, text: str) -> None:
+    def print_entry(name: str, text: str) -> None:
         console.print(f"[bold]{name}[/bold]: {escape(text)}", highlight=False)
 
     for role, text in report_text.describe_drives(discovery):
-        print_line(role, text)
+        print_entry(role, text)
     console.print(f"[bold]{escape(report_text.format_title(discovery))}[/bold]", highlight=False)
     if relation is not None and relation.headline:
         console.print(f"[bold]{escape(relation.headline)}[/bold]", highlight=False)
@@ -218,7 +218,7 @@ def print_result(discovery: Discovery, update: VehicleUpdate | None, recordings:
     advice = report_text.recommend(discovery, update)[1:MAX_ADVICE]
     for heading, text in (*report_text.summarise(discovery, update, findings), *(("to do", text) for text in advice),
                           *(("warning", text) for text in discovery.warnings)):
-        print_line(heading, text)
+        print_entry(heading, text)
     for drive in recordings:
         if drive.problem:
             report_problem(drive.name, drive.problem, console)

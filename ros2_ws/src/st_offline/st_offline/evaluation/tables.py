@@ -112,14 +112,14 @@ def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: 
     return entry[axis] if over == "means" else entry["samples"][axis]
 
 
-def list_statistics(models: Models, model: str, mode: str, axis: str, over: str) -> list[tuple[str, bool]]:
-    """(text, whether no model has a smaller printed magnitude) of each of STATISTICS; several models may be best."""
-    entries = [(name, get_axis_statistics(models, name, mode, axis, over)) for name in models]
+def list_statistics(models: Models, model: str, axis: str, over: str) -> list[tuple[str, bool]]:
+    """(text, whether no model has a smaller printed magnitude) of each of STATISTICS in hindsight, for one model."""
+    entries = {name: get_axis_statistics(models, name, "hindsight", axis, over) for name in models}
     result = []
     for kind in STATISTICS:
-        sizes = {name: round(abs(size), DECIMALS) for name, entry in entries if (size := entry[kind]) is not None}
+        sizes = {name: round(abs(x), DECIMALS) for name, entry in entries.items() if (x := entry[kind]) is not None}
         is_best = model in sizes and sizes[model] == min(sizes.values())
-        result.append((format_error(get_axis_statistics(models, model, mode, axis, over)[kind]), is_best))
+        result.append((format_error(entries[model][kind]), is_best))
     return result
 
 
@@ -175,7 +175,7 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
     for report in reports:
         for number, model in enumerate(report.models):
             cells = [Text(" | ").join(Text(f"{text:>5}", style="bold" if is_best else "") for text, is_best in
-                                      list_statistics(report.models, model, "hindsight", axis, over))
+                                      list_statistics(report.models, model, axis, over))
                      for axis in REPORTED_AXES]
             forecasts = [" | ".join(
                 f"{format_error(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
@@ -201,7 +201,7 @@ def make_latex_table(reports: Sequence[Any], over: str, note: str) -> str:
     ]
 
     def format_triple(report: Any, model: str, axis: str) -> str:
-        statistics = list_statistics(report.models, model, "hindsight", axis, over)
+        statistics = list_statistics(report.models, model, axis, over)
         parts = [rf"\mathbf{{{text}}}" if is_best else text for text, is_best in statistics]
         sign = "" if statistics[0][0].startswith("-") else r"\phantom{-}"  # only a mean may be negative
         return "$" + sign + r" \mid ".join(parts) + "$"
