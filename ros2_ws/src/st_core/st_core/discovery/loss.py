@@ -147,9 +147,10 @@ class Loss:
         moved = np.tile(vector, (len(indices), 1))
         moved[np.arange(len(indices)), indices] += step
         for i, index in enumerate(indices):
-            if self.errors.model_at(moved[i]) is None:
-                step[i] = -step[i]
-                moved[i, index] = vector[index] + step[i]
+            opposite = vector[index] - step[i]
+            within_bounds = self.space.low[index] <= opposite <= self.space.high[index]
+            if within_bounds and self.errors.model_at(moved[i]) is None:
+                step[i], moved[i, index] = -step[i], opposite
         before, size = self.errors.at(vector), step / self.space.scale[indices]
         sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
