@@ -195,7 +195,7 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
                          reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
     """Result of an experiment from a fit. reported: parameters that become estimates. systematic: standard uncertainty
-    by parameter, added in quadrature to that from the variation between drives."""
+    by parameter, estimated from the same drives, added in quadrature to that from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
@@ -206,16 +206,15 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     covariance = spread.covariance + np.diag(np.square(added))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
-    # Only the variation between the drives was estimated from few values; the systematic errors are known.
-    degrees_of_freedom = [effective_degrees_of_freedom(float(estimated), float(total), float(degrees))
-                          for estimated, total, degrees in zip(np.diag(spread.covariance), np.diag(covariance),
-                                                               spread.degrees_of_freedom, strict=True)]
+    # Only the errors of the single-track model are known; all others were estimated from these few drives.
+    estimated = np.diag(spread.covariance) + np.square([systematic.get(n, 0.0) for n in fit.names])
+    degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated.tolist(), np.diag(covariance).tolist(),
+                                  spread.degrees_of_freedom.tolist()))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
         ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
                           symmetric_interval(float(fit.values[i]), float(uncertainty[i]), degrees_of_freedom[i]),
-                          method, runs,
-                          *_judge_estimate(fit, i, uncertainty[i]))
+                          method, runs, *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
                  "the limit, or gaps)") for name, (used, total) in fit.windows.items() if used < total]
