@@ -23,11 +23,10 @@ def test(
     pytest = [sys.executable, "-m", "pytest", "-rfEs", "-q"]
     chosen = "not slow and not timing" if fast else "not timing"
     # By file, in the order of testpaths: the longest files come first. One worker more than cores, because some tests
-    # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported; in
-    # reverse order, the longest comes first.
+    # wait. Timing tests mostly wait: two run at a time, after all others, and only their files are imported.
     by_file = ["--dist", "loadfile", "--no-loadscope-reorder"]
-    timed = sorted((str(file) for folder in ("tests", "ros2_ws/src") for file in (root / folder).rglob("test_*.py")
-                    if "mark.timing" in file.read_text(encoding="utf-8")), reverse=True)
+    timed = [str(file) for folder in ("tests", "ros2_ws/src") for file in sorted((root / folder).rglob("test_*.py"))
+             if "mark.timing" in file.read_text(encoding="utf-8")]
     parts = [
         [*pytest, "-n", str(len(os.sched_getaffinity(0)) + 1), *by_file, "-m", chosen],
         *([] if fast else [[*pytest, "-n", "2", *by_file, "-m", "timing", *timed]]),
