@@ -99,7 +99,7 @@ class Origin:
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
         """The map frame, chosen now if not before; None while waiting for the unit's local frame.
 
-        now_ns: time on any clock [ns]; a step back to before the wait ends it.
+        now_ns: current time of any clock [ns]; the wait ends if it jumps back to before the start of the wait.
         """
         if self.frame is not None:
             return self.frame

@@ -91,7 +91,7 @@ class PageServer(ThreadingHTTPServer):
             self.condition.notify_all()
 
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
-        """Wait for a frame after number `after` or for the stop; (frame, number), a comment after KEEP_ALIVE_PERIOD."""
+        """Wait for a frame newer than `after`; (frame, number), or a comment after KEEP_ALIVE_PERIOD or at the end."""
         with self.condition:
             if self.condition.wait_for(lambda: self._frame_number > after or self.ended, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number
@@ -247,7 +247,7 @@ class _RerunHandler(_Handler):
 
 
 def show_recording(folder: Path, file: Path, console: Console) -> None:
-    """Serve a recording (.rrd), show its address, and wait for Ctrl-C or the end of Rerun.
+    """Serve a recording (.rrd), show its address, and wait until Ctrl-C is pressed or Rerun exits.
 
     folder: for settings and logs. Raises SuiteError if the start fails; call `check_rerun` first.
     """
@@ -262,7 +262,7 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
     try:
         rerun = _start_rerun(processes, recording, rerun_port)
         show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)
-        console.print("Ctrl-C ends the view.")
+        console.print("Press Ctrl-C to stop the viewer.")
         rerun.process.wait()
     except KeyboardInterrupt:
         console.print()
@@ -291,7 +291,7 @@ def _start_rerun(processes: Processes, recording: str, port: int) -> Child:
     while not _accepts_connections(port):
         if rerun.process.poll() is not None or time.monotonic() > end:
             output = rerun.read_last_lines() or "no output"
-            raise SuiteError(f"the server of the view did not start: {output} (log: {rerun.log})")
+            raise SuiteError(f"the Rerun viewer did not start: {output} (log: {rerun.log})")
         time.sleep(0.1)
     return rerun
 

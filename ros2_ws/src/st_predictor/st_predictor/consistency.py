@@ -35,7 +35,7 @@ class Verdict:
 
 
 class Consistency:
-    """Periodically checks the newest 30 s of a history, extended up to 60 s to include 20 s of driving.
+    """Periodically checks the last 30 s of a history, extended up to 60 s to include 20 s of driving.
 
     Measurements before a position jump are not used. A check of so little data may be wrong, so a fault is reported
     only if two successive checks find it; the first check without the fault clears it.

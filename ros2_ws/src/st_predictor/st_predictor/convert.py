@@ -133,7 +133,7 @@ def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Traje
 
 
 def read_ins_path(message: Prediction) -> Path:
-    """The predicted path of the INS point with its forecast bands, except bands of another length than the path."""
+    """The predicted path of the INS point with its forecast bands; bands of a different length are left out."""
     x, y, yaw = map(np.asarray, (message.x, message.y, message.yaw))
     x, y = cg_to_ins_position(x, y, yaw, message.cg_to_ins_x, message.cg_to_ins_y)
     bands = sorted((b for b in message.bands if b.mode == BAND_MODE), key=lambda b: -b.level)

@@ -37,7 +37,7 @@ def config(relative: str) -> Path:
 def source_version() -> str:
     """Version of the wheel if its files are used, else `git describe` of the checkout; "unknown" without either."""
     try:
-        if (root := project_root()) == INSTALLED_FILES:  # git may find a repository around the environment of the wheel
+        if (root := project_root()) == INSTALLED_FILES:  # its environment may lie in another git repository
             return metadata.version(DISTRIBUTION)
         command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=5).stdout.strip()
@@ -56,12 +56,12 @@ def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
             problem = "is a file" if folder.is_file() else "is not empty"
-            raise OutputError(f"{folder} {problem}: name another --output (existing files are not overwritten)")
+            raise OutputError(f"{folder} {problem}: choose another --output (existing files are not overwritten)")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
             if (free := shutil.disk_usage(folder).free) < MIN_FREE_SPACE:
                 raise OutputError(f"{folder}: its disk is full ({free / 1e6:.1f} MB left, "
-                                  f"{MIN_FREE_SPACE / 1e6:.0f} MB required): free some space, or name another --output")
+                                  f"{MIN_FREE_SPACE / 1e6:.0f} MB required): free space, or choose another --output")
     except OutputError:
         raise
     except OSError as error:

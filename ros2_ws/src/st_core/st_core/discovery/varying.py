@@ -47,8 +47,8 @@ def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Pa
 
 def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: str, partition: Partition,
                  tests: int) -> VaryingFit | None:
-    """One effect with its own value in each part of one partition; None with fewer than two informative parts, or with
-    as many as blocks. tests: number of tests, for the Bonferroni correction."""
+    """One effect with its own value in each part of one partition; None if fewer than two parts are informative, or if
+    there are no more blocks than parts. tests: number of tests, for the Bonferroni correction."""
     space, (number, names) = problem.space, partition
     indices = space.indices(effect)
     fitted = problem.free_indices(fit.names) if problem.prior is None else space.indices(*fit.names)
@@ -90,7 +90,7 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
 
 def collect_varying_evidence(problem: Problem, fit: Fit, v: VaryingFit,
                              partitions: Mapping[str, Partition]) -> Evidence:
-    """Evidence for separate values in the parts, from linearised errors in the same driving (not held out)."""
+    """Evidence for separate values in the parts, from linearised in-sample errors."""
     rows = problem.errors.at(fit.vector)
     corrected, sensitivities = rows.copy(), problem.all_sensitivities(fit.vector).values
     for k, step in v.steps.items():

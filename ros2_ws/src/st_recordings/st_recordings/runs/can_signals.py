@@ -172,7 +172,7 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
 
 def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
                    ) -> tuple[Series | None, Series | None]:
-    """(speed of the car by its wheels or its speed signal, forward speed of the INS on CAN) [m/s]; None if missing.
+    """(speed of the car from wheel speeds or speed signal, forward speed of the INS on CAN) [m/s]; None if missing.
 
     to_reference: converts log times [ns] to the clock of the result [ns].
     """
