@@ -212,6 +212,17 @@ def test_invalid_run_file_refuses_only_the_recordings_that_it_names(tmp_path: Pa
     assert "recordings that this file does not name are read without it" in caplog.text
 
 
+@pytest.mark.parametrize(("name", "content"), [
+    ("drive_1.csv", b"each: 'drive_[0-9].csv'\nspeeed: 1\n"),
+    ("Test drive_1.csv", b"each: 'Test drive_*.csv'\nspeeed: 1\n"),
+    ("fahrt_ä.csv", "csv: fahrt_ä.csv\n".encode("latin-1"))])
+def test_invalid_run_file_with_a_pattern_refuses_the_recordings_that_match(tmp_path: Path, name: str,
+                                                                           content: bytes) -> None:
+    (file,) = touch(tmp_path, name, content=DRIVE)
+    (tmp_path / "run.yaml").write_bytes(content)
+    assert find_runs([file])[0].problem is not None
+
+
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
     (run,) = find_runs([tmp_path])

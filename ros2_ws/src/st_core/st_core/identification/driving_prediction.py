@@ -22,8 +22,10 @@ N drives, which adds T / sqrt(12 N) to the uncertainty of their common dead time
 Checked by: test_identification_driving.py.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -173,10 +175,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     row, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
     # Change of the inertia per change of the dead time, with all other parameters refitted.
     change = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
-    systematic = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
+    known = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
-                                  systematic)
+                                  {}, known)
     estimate = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
@@ -193,20 +195,23 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
-                         reported: Sequence[str], systematic: Mapping[str, float]) -> Identification:
+                         reported: Sequence[str], systematic: Mapping[str, float],
+                         known: Mapping[str, float] = MappingProxyType({})) -> Identification:
     """Result of an experiment from a fit. reported: parameters that become estimates. systematic: standard uncertainty
-    by parameter, estimated from the same drives, added in quadrature to that from the variation between drives."""
+    by parameter, estimated from the same drives; known: without statistics, as that of a sampling interval. Both are
+    added in quadrature to that from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
     relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
-    added = [np.hypot(systematic.get(n, 0.0), offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
+    added = [math.hypot(systematic.get(n, 0.0), known.get(n, 0.0),
+                        offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
     covariance = spread.covariance + np.diag(np.square(added))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
-    # Only the errors of the single-track model are known; all others were estimated from these few drives.
+    # Student's t applies to what was estimated from these few drives, not to known errors, as of the model.
     estimated = np.diag(spread.covariance) + np.square([systematic.get(n, 0.0) for n in fit.names])
     degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated.tolist(), np.diag(covariance).tolist(),
                                   spread.degrees_of_freedom.tolist()))

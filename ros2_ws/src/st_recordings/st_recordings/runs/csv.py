@@ -508,16 +508,12 @@ def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
     row_steps = np.diff(known_rows)
     row_step = int(np.median(row_steps)) if len(known_rows) >= 3 else 1
     if row_step > 1 and np.mean(row_steps % row_step == 0) > MIN_REGULAR_SHARE:
-        return _count_lost(row_steps, row_step)
+        return int((np.maximum(np.round(row_steps / row_step), 1) - 1).sum())
     if row_step > 1 or 3 <= len(known_rows) < MIN_SIMILAR_RATE * len(column):
         steps = np.diff(time_ns[known_rows])
         step = float(np.median(steps))
         if step > 0 and np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_SHARE:
             ends = [] if row_step > 1 else [time_ns[known_rows[0]] - time_ns[0], time_ns[-1] - time_ns[known_rows[-1]]]
-            return _count_lost(steps, step) + int(np.sum(ends) / step)
+            # Rounded before they are added: a late stamp also shortens the next step.
+            return max(int((np.round(steps / step) - 1).sum()), 0) + int(np.sum(ends) / step)
     return len(column) - len(known_rows)
-
-
-def _count_lost(steps: np.ndarray, step: float) -> int:
-    """Number of samples between those that are `steps` apart, if two successive ones are about `step` apart."""
-    return int((np.maximum(np.round(steps / step), 1) - 1).sum())

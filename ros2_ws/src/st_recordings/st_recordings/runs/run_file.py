@@ -64,10 +64,12 @@ def _read_leniently(path: Path) -> str:
 
 
 def _may_concern(path: Path, file: Path) -> bool:
-    """Whether an invalid run.yaml may be about a recording: by its own name, or a name or pattern in its text."""
+    """Whether an invalid run.yaml may be about a recording: by its own name, or a name or pattern in its text, as a
+    word or as the rest of a line; true for a text that is not UTF-8."""
     text = _read_leniently(path)
-    return path.name == file.stem + RUN_SUFFIX or file.name in text or any(
-        fnmatch(file.name, Path(word).name) for word in re.findall(r"[^\s'\",\[\]]+", text))
+    values = re.findall(r"[^\s'\",\[\]]+", text) + re.findall(r"[:-] +(\S.*)", text)
+    return path.name == file.stem + RUN_SUFFIX or file.name in text or "\N{REPLACEMENT CHARACTER}" in text or any(
+        fnmatch(file.name, Path(value.strip("'\" \r")).name) for value in values)
 
 
 def _log_unused(error: RunError) -> None:
