@@ -7,12 +7,14 @@ whole CAN log and every fourth row of the INS log (25 Hz); the set "complete" is
 """
 
 import json
+import math
 from dataclasses import replace
 from functools import cache, cached_property
 
 import numpy as np
 import pytest
 from st_cli.cli import app
+from st_cli.verbs.raw_logs import describe_alignment
 from st_core.clock_alignment import align, manual_alignment
 from st_core.clock_types import Alignment, Verdict
 from st_recordings.runs.can_logs import read_can_logs
@@ -166,6 +168,12 @@ def test_log_without_shared_signals_is_refused_and_accepts_a_specified_offset(pa
     given, _ = align_clocks(pair.ins, nothing, offset=OFFSET - pair.log.start_ns * 1e-9)
     assert given.method == manual_alignment(0, 0).method
     assert given.offset_ns == pytest.approx(OFFSET * 1e9 - pair.log.start_ns, abs=1000)
+
+
+def test_infinite_deviations_are_unknown(pair: Pair) -> None:
+    refused = replace(pair.alignment, offset_deviation=math.inf, drift_deviation=math.inf)
+    text = describe_alignment(refused, pair.log.start_ns, absolute=True)
+    assert text.count("unknown") == 2 and "inf" not in text
 
 
 def test_align_command_writes_result_and_figure(pair: Pair, tmp_path) -> None:

@@ -1,6 +1,7 @@
 """The commands `st align`, `st import`, `st ncom` and `st recover` for raw logs and bags."""
 
 import json
+import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,8 +68,9 @@ def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) ->
               else f"CAN log starts at INS time {_format_seconds(int(alignment.to_reference_ns(start_ns)))} s")
     if alignment.method == "by hand":
         return f"{offset}, set by hand"
-    return (f"{offset} (standard deviation {alignment.offset_deviation * 1e3:.1f} ms), drift "
-            f"{alignment.drift_ppm:+.1f} ppm ({alignment.drift_deviation:.1f} ppm), {alignment.verdict}")
+    return (f"{offset} (standard deviation {_format_deviation(alignment.offset_deviation * 1e3, 'ms', 1)}), drift "
+            f"{alignment.drift_ppm:+.1f} ppm ({_format_deviation(alignment.drift_deviation, 'ppm', 1)}), "
+            f"{alignment.verdict}")
 
 
 def print_alignment(pair: "RawRun") -> None:
@@ -97,10 +99,12 @@ def print_alignment(pair: "RawRun") -> None:
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
-            table.add_row("  its standard deviation", f"{alignment.offset_deviation * 1e3:.2f} ms",
-                          f"{own_deviation * 1e3:.2f} ms without the uncertainty of the assumed delay")
+            own = _format_deviation(own_deviation * 1e3, "ms")
+            table.add_row("  its standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
+                          f"{own} without the uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
-                          f"INS relative to CAN clock; standard deviation {alignment.drift_deviation:.2f} ppm")
+                          "INS relative to CAN clock; standard deviation "
+                          f"{_format_deviation(alignment.drift_deviation, 'ppm')}")
             table.add_row(span, f"{alignment.overlap:.1f} s", "")
         console.print(table)
     for reason in alignment.reasons:
@@ -111,9 +115,14 @@ def print_alignment(pair: "RawRun") -> None:
         for name in ("its offset minus the\nresult, ms (deviation)", "correlation", "residual /\nstandard deviation"):
             table.add_column(name, justify="right", no_wrap=True)
         for row in alignment.signals:
-            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({row.deviation * 1e3:.2f})"
+            deviation = _format_deviation(row.deviation * 1e3)
+            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({deviation})"
             table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
         console.print(table)
+
+
+def _format_deviation(deviation: float, unit: str = "", decimals: int = 2) -> str:
+    return f"{deviation:.{decimals}f} {unit}".rstrip() if math.isfinite(deviation) else "unknown"
 
 
 def _format_seconds(nanoseconds: int) -> str:
