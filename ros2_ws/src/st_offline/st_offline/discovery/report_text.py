@@ -74,7 +74,7 @@ def format_title(discovery: Discovery) -> str:
     """The result in one line."""
     if discovery.outcome == "not_testable":
         return "These drives have too little excitation for a result"
-    effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if get_effect(e.name).imitated_by else "")
+    effects = [name_with_alternatives(discovery, e) + (OTHER_CAUSE if _list_other_causes(discovery, e.name) else "")
                for e in sort_by_size(discovery.effects)]
     combinations = map(format_combination, discovery.unseparated_combinations)
     position = discovery.errors.get("position_5s")
@@ -354,12 +354,17 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
     return lines
 
 
+def _list_other_causes(discovery: Discovery, name: str) -> str:
+    """Causes outside the library of an effect; none with reference drives, as both drives then have the same causes."""
+    return "" if discovery.start == "reference" else get_effect(name).imitated_by
+
+
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first; ["nothing"] if there are none."""
     lines = _vehicle_lines(discovery, update)
     lines += [f"measure {to_words(e.name)} on the car, and check what would have the same effect and is not in the "
               f"library: {causes}"
-              for e in discovery.effects if (causes := get_effect(e.name).imitated_by)]
+              for e in discovery.effects if (causes := _list_other_causes(discovery, e.name))]
     for name, changes in (update.not_folded if update is not None else {}).items():
         lines.append(f"{to_words(name)} is in model.yaml, because no entry of the vehicle file can correct it: these "
                      "recordings contain the road-wheel angle, or play in the steering acts before the ratio; for "
