@@ -13,6 +13,7 @@ from . import _options as shared
 from ._options import console
 
 if TYPE_CHECKING:
+    from rich.table import Table
     from st_core.clock_types import Alignment
     from st_core.vehicle import VehicleParameters
     from st_recordings.runs import ReadSettings
@@ -110,15 +111,20 @@ def print_alignment(pair: "RawRun") -> None:
     for reason in alignment.reasons:
         print_line(f"  [{style}]·[/{style}] {escape(reason)}", console)
     if alignment.signals:
-        table = Table(box=None, padding=(0, 2))
-        table.add_column("signal", overflow="fold")
-        for name in ("its offset minus the\nresult, ms (deviation)", "correlation", "residual /\nstandard deviation"):
-            table.add_column(name, justify="right", no_wrap=True)
-        for row in alignment.signals:
-            deviation = _format_deviation(row.deviation * 1e3)
-            difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({deviation})"
-            table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
-        console.print(table)
+        console.print(_make_signal_table(alignment))
+
+
+def _make_signal_table(alignment: "Alignment") -> "Table":
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("signal", overflow="fold")
+    for name in ("its offset minus the\nresult, ms (deviation)", "correlation", "residual /\nstandard deviation"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in alignment.signals:
+        difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({_format_deviation(row.deviation * 1e3)})"
+        table.add_row(row.name, difference, f"{row.correlation:.5f}", f"{row.residual:.4f}")
+    return table
 
 
 def _format_deviation(deviation: float, unit: str = "", decimals: int = 2) -> str:
