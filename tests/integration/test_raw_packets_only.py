@@ -51,7 +51,7 @@ def test_drive_and_auxiliary_signals_are_identical(complete: Path, raw: Path) ->
 
 def test_verification_has_identical_comparisons(complete: Path, raw: Path) -> None:
     of_all, of_raw = verify(complete), verify(raw)
-    assert of_all.n_starts > 100  # about 330 on an idle machine, 190 on a busy one
+    assert of_all.n_starts > 30  # not empty; about 330 on an idle machine, 72 on a very busy one
     assert of_all.comparisons == of_raw.comparisons
 
 
