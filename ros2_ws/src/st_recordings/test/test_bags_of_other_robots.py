@@ -1,7 +1,8 @@
 """Bags without odometry, as INS drivers and Autoware record them, and bags of ROS 1 are read; others are refused with
 what to do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,19 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from st_core.log import DriveLog
-from st_recordings.runs import ReadSettings, find_runs, read
+from st_core.types import body_to_map
+from st_recordings.runs import ReadSettings, RunSource, find_runs, read
+from st_recordings.runs.axes import rotate_to_body_axes
 from st_recordings.runs.bag import ODOMETRY
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.run_types import SteeringField
 
 STEER = ReadSettings(steering=SteeringField("/steer", "data", "wheel"))
-AUTOWARE = {
+DEFINITIONS = {
     "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",
     "autoware_vehicle_msgs/msg/VelocityReport": "std_msgs/Header header\nfloat32 longitudinal_velocity\n"
-                                                "float32 lateral_velocity\nfloat32 heading_rate\n"}
+                                                "float32 lateral_velocity\nfloat32 heading_rate\n",
+    "own_msgs/msg/Wheel": "builtin_interfaces/Time stamp\nfloat64 steering_wheel_angle_deg\n"}
 Messages = dict[str, Callable[[int], Any]]
 
 
@@ -46,16 +50,26 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
         return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(log.yaw[k] / 2)),
                     w=float(np.cos(log.yaw[k] / 2)))
 
-    def twist(k: int) -> Any:
-        return make("geometry_msgs/msg/Twist", linear=vector(log.velocity_x[k], log.velocity_y[k]),
-                    angular=vector(0, 0, log.yaw_rate[k]))
+    def twist(k: int, yaw: float = 0.0, yaw_rate: float | None = None) -> Any:
+        east, north = body_to_map(log.velocity_x[k], log.velocity_y[k], yaw)
+        return make("geometry_msgs/msg/Twist", linear=vector(east, north),
+                    angular=vector(0, 0, log.yaw_rate[k] if yaw_rate is None else yaw_rate))
+
+    def odometry(k: int, velocity: Any) -> Any:
+        return make(ODOMETRY, header=stamped(k), child_frame_id="base_link",
+                    pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose(k), covariance=np.zeros(36)),
+                    twist=make("geometry_msgs/msg/TwistWithCovariance", twist=velocity, covariance=np.zeros(36)))
 
     def pose(k: int) -> Any:
         return make("geometry_msgs/msg/Pose", position=vector(log.x[k], log.y[k], kind="Point"),
                     orientation=orientation(k))
 
-    def stamped(k: int) -> Any:
-        return header(int(log.ins_time_ns[k]) + stamp_offset_ns, "map")
+    def stamped(k: int, frame: str = "map") -> Any:
+        return header(int(log.ins_time_ns[k]) + stamp_offset_ns, frame)
+
+    def twist_over_ground(frame: str) -> Callable[[int], Any]:
+        return lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k, frame),
+                              twist=twist(k, yaw=log.yaw[k], yaw_rate=0.0))
 
     return {
         "/imu/data": lambda k: make(
@@ -66,31 +80,36 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
             "sensor_msgs/msg/NavSatFix", header=stamped(k), latitude=float(latitude[k]), longitude=float(longitude[k]),
             altitude=0.0, status=make("sensor_msgs/msg/NavSatStatus", status=0, service=1), position_covariance=nine,
             position_covariance_type=0),
-        "/twist": lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k), twist=twist(k)),
+        "/twist": lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k, "base_link"), twist=twist(k)),
+        "/twist_in_map": lambda k: make("geometry_msgs/msg/TwistStamped", header=stamped(k, "map"), twist=twist(k)),
+        **{f"/{frame}_velocity": twist_over_ground(frame) for frame in ("map", "gps", "base_link")},
         "/pose": lambda k: make("geometry_msgs/msg/PoseStamped", header=stamped(k), pose=pose(k)),
-        "/odom": lambda k: make(
-            ODOMETRY, header=stamped(k), child_frame_id="base_link",
-            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose(k), covariance=np.zeros(36)),
-            twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist(k), covariance=np.zeros(36))),
+        "/odom": lambda k: odometry(k, twist(k)),
+        "/odom_over_ground": lambda k: odometry(k, twist(k, yaw=log.yaw[k])),
+        "/wheel": lambda k: store.types["own_msgs/msg/Wheel"](
+            stamp=stamped(k).stamp, steering_wheel_angle_deg=float(np.degrees(wheel[k]))),
         "/steer": lambda k: make("std_msgs/msg/Float64", data=float(wheel[k])),
         **dict.fromkeys(("/vehicle/status/steering_status", "/second/steering_status"), lambda k: store.types[
             "autoware_vehicle_msgs/msg/SteeringReport"](
             stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k])))),
         "/vehicle/status/velocity_status": lambda k: store.types["autoware_vehicle_msgs/msg/VelocityReport"](
-            header=stamped(k), longitudinal_velocity=float(log.velocity_x[k]),
+            header=stamped(k, "base_link"), longitudinal_velocity=float(log.velocity_x[k]),
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
 
 
-def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, rows: slice = slice(None)) -> Path:
-    """stamp_offset_ns: stamps minus times of reception. rows: of the log."""
-    store = make_store(Stores.ROS2_JAZZY, AUTOWARE)
+def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, rows: slice = slice(None),
+          change: Mapping[str, Callable[[Any, int], Any]] | None = None) -> Path:
+    """stamp_offset_ns: stamps minus times of reception. rows: of the log. change: topic -> function that changes the
+    message of a row."""
+    store = make_store(Stores.ROS2_JAZZY, DEFINITIONS)
     messages = make_messages(log, store, stamp_offset_ns)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic in topics:
             kind = messages[topic](0).__msgtype__
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, time_ns in [*enumerate(log.ins_time_ns.tolist())][rows]:
-                writer.write(connection, time_ns, store.serialize_cdr(messages[topic](k), kind))
+                message = (change or {}).get(topic, lambda message, k: message)(messages[topic](k), k)
+                writer.write(connection, time_ns, store.serialize_cdr(message, kind))
     return folder
 
 
@@ -125,6 +144,65 @@ def test_bag_without_odometry_is_read_as_a_table(tmp_path: Path, drive_log: Driv
     run = read(source, CAR, settings)
     assert_same(run.log, drive_log, max_lost=0, rotated=rotated)
     assert not run.warnings and run.log.name == "drive" and run.provenance["recorded"] == {}
+
+
+@pytest.mark.parametrize(("topics", "warning"), [
+    (("/imu/data", "/fix", "/map_velocity", "/steer"), ""), (("/imu/data", "/fix", "/gps_velocity", "/steer"), ""),
+    (("/imu/data", "/pose", "/base_link_velocity", "/steer"),
+     r"only as velocities to the east and north \(frame_id is 'base_link'\); they were rotated"),
+    (("/pose", "/twist_in_map", "/steer"), r"only as velocities in body axes \(frame_id is 'map'\)$"),
+    (("/odom_over_ground", "/steer"), "only as velocities to the east and north; they were rotated into body axes")])
+def test_axes_of_velocities_follow_from_their_direction(tmp_path: Path, drive_log: DriveLog, topics,
+                                                        warning: str) -> None:
+    """The yaw rate of the receivers is 0, so that of the Imu is read."""
+    (source,) = find_runs([write(tmp_path / "drive", drive_log, *topics)])
+    run = read(source, CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0, rotated="/fix" in topics)
+    assert_warned(run.warnings, warning)
+
+
+@pytest.mark.parametrize(("frame_id", "yaw", "is_rotated"), [
+    ("map", 0.05, True), ("robot/odom", 0.05, True), ("gps_link", 0.05, True), ("", 0.05, False),
+    ("base_link", 0.05, False), ("base_link", 0.3, True), ("map", 0.3, True), ("imu_link", -1.6, True)])
+def test_frame_decides_on_the_axes_where_the_direction_does_not(frame_id: str, yaw: float, is_rotated: bool) -> None:
+    columns = {"velocity_x": np.full(50, 10 * np.cos(yaw)), "velocity_y": np.full(50, 10 * np.sin(yaw)),
+               "yaw": np.full(50, yaw)}
+    rotate_to_body_axes(columns, frame_id)
+    np.testing.assert_allclose(columns["velocity_y"], 0.0 if is_rotated else 10 * np.sin(yaw), atol=1e-12)
+
+
+def test_velocities_to_the_north_and_east_are_rotated() -> None:
+    yaw = np.linspace(0.0, 2.0, 50)
+    columns = {"velocity_x": 10 * np.sin(yaw), "velocity_y": 10 * np.cos(yaw), "yaw": yaw}
+    assert "to the north and east; they were rotated" in rotate_to_body_axes(columns)
+    np.testing.assert_allclose(columns["velocity_x"], 10.0)
+
+
+def test_fixes_with_the_status_of_no_fix_are_left_out(tmp_path: Path, drive_log: DriveLog) -> None:
+    def spoil(message: Any, k: int) -> Any:
+        return replace(message, latitude=51.9 + 1e-5 * k, status=replace(message.status, status=-1)) if (
+            500 <= k < 900) else message
+
+    folder = write(tmp_path / "drive", drive_log, "/imu/data", "/fix", "/twist", "/steer", change={"/fix": spoil})
+    run = read(find_runs([folder])[0], CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=400, rotated=True)
+    assert_warned(run.warnings, "400 of 2[0-9]+ rows .* have no number")
+
+
+def test_orientation_that_the_driver_does_not_measure_is_not_read(tmp_path: Path, drive_log: DriveLog) -> None:
+    """REP 145: the first element of its covariance is then -1."""
+    def forget(message: Any, k: int) -> Any:
+        return replace(message, orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+                       orientation_covariance=np.array([-1.0, *np.zeros(8)]))
+
+    folder = write(tmp_path / "drive", drive_log, "/imu/data", "/fix", "/twist", "/steer", change={"/imu/data": forget})
+    with pytest.raises(RunError, match="no column was recognised as yaw "):
+        read(RunSource("drive", "bag", (folder,)), CAR, STEER)
+
+
+def test_steering_angle_in_degrees_in_the_name_of_its_field(tmp_path: Path, drive_log: DriveLog) -> None:
+    (source,) = find_runs([write(tmp_path / "drive", drive_log, "/pose", "/twist", "/wheel")])
+    assert_same(read(source, CAR).log, drive_log, max_lost=0)
 
 
 def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_path: Path,

@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from st_core.log import DriveLog
 
 from ..bag_metadata import read_information
+from .axes import rotate_to_body_axes
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, open_bag, storage_files
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_share
@@ -252,6 +253,7 @@ def _select_odometry(
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
+    notes += [note] if (note := rotate_to_body_axes(values)) else []
     return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
 
 

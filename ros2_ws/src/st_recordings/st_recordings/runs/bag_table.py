@@ -11,7 +11,7 @@ from st_core.vehicle import VehicleParameters
 from .bag_storage import Storage, Topic, open_bag
 from .cdr import ODOMETRY, CdrLayout
 from .columns import Layout, find_columns
-from .csv import ROAD_WHEEL, STEERING_WHEEL, build_drive, find_missing_channels
+from .csv import QUATERNION_CHANNELS, ROAD_WHEEL, STEERING_WHEEL, build_drive, find_missing_channels
 from .csv_table import parse_table
 from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
@@ -20,6 +20,10 @@ from .run_types import LoadedRun, SteeringField
 ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export its topics as one CSV file with "
           "PlotJuggler and name the columns in a run.yaml")
 STAMPS = ("header.stamp", "stamp")
+STEERING = (ROAD_WHEEL, STEERING_WHEEL)
+UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
+FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
+"""Types whose status.status is negative without a fix; position and velocity are then old or arbitrary."""
 
 
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
@@ -37,10 +41,10 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         topic = find_steering_topic(storage, steering)
         columns = read_steering_columns(storage, topic, steering)
         channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
-        parts = [(name, stamps, {column: values for column, values in part.items() if column not in (
-            ROAD_WHEEL, STEERING_WHEEL)}) for name, stamps, part in parts]
+        parts = [(name, stamps, {column: values for column, values in part.items() if column not in STEERING})
+                 for name, stamps, part in parts]
         parts.append((topic.name, columns["header.stamp"], {channel: columns[ROAD_WHEEL]}))
-    for channel in (ROAD_WHEEL, STEERING_WHEEL):
+    for channel in STEERING:
         if len(topics := [name for name, _, part in parts if channel in part]) > 1:
             raise RunError(path, f"topics {' and '.join(topics)} may each contain the {channel}",
                            "name the right one with --steering-topic")
@@ -51,11 +55,14 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
     merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)
     text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
     table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), warnings)
+    velocity = table.sources["velocity_x"].name if "velocity_x" in table.sources else ""
+    frame_id = next((_find_fields(storage, topic)[2] for topic in storage.topics
+                     if velocity.startswith(f"{topic.name}/")), "")
     try:
-        return build_drive(table, vehicle)
+        return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
         problem = f"it contains no message of type {ODOMETRY}, and read as a table: {error.problem}"
-        has_steering = {ROAD_WHEEL, STEERING_WHEEL} & table.sources.keys()
+        has_steering = {*STEERING} & table.sources.keys()
         raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
                        f"--steering-topic; or {ADVICE}") from None
 
@@ -71,28 +78,40 @@ def has_ins_channels(path: Path) -> bool:
     return not find_missing_channels({channel for fields in found for channel in fields}, (), INS_SIGNALS)
 
 
-def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[str, str]]]:
-    """(field with the stamp, channel -> (name of its column, field)) of the first message of a topic; no channels if
-    the type is unknown or has no stamp."""
+def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[str, str, float]], str]:
+    """(field with the stamp, channel -> (name of its column, field, factor to SI), frame_id) of the first message of a
+    topic; no channels if the type is unknown or has no stamp."""
     try:
         example = storage.store.deserialize_cdr(next(storage.messages(topic.name)), topic.type_name)
         layout = CdrLayout(storage.store, topic.type_name, example)
     except Exception:  # any, from rosbags
-        return "", {}
-    paths = [path for path, field in layout.fields.items() if field.count == 1]
+        return "", {}, ""
+    has_orientation = getattr(example, "orientation_covariance", [0.0])[0] != UNKNOWN_COVARIANCE
+    paths = [path for path, field in layout.fields.items()
+             if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
-    found = {channel: (names[source.column], paths[source.column])
+    found = {channel: (names[source.column], paths[source.column], source.factor)
              for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}
     stamp = next((path for path in STAMPS if path in layout.fields), "")
-    return stamp, found if stamp else {}
+    return stamp, found if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
 
 
 def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp."""
-    stamp, found = _find_fields(storage, topic)
+    """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp.
+
+    An INS field that is 0 or NaN in every message is one that its driver does not fill.
+    """
+    stamp, found, _ = _find_fields(storage, topic)
     if not found:
         return np.empty(0), {}
-    columns = storage.read_fields(topic, [stamp, *(field for _, field in found.values())])
+    status = ["status.status"] if topic.type_name in FIX_TYPES else []
+    columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in found.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
-    return stamps, {channel if channel in (ROAD_WHEEL, STEERING_WHEEL) else name: columns[field]
-                    for channel, (name, field) in found.items()}
+    if status:
+        no_fix = columns[status[0]] < 0
+        columns |= {field: np.where(no_fix, np.nan, columns[field]) for _, field, _ in found.values()}
+    unfilled = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
+    unfilled -= {*STEERING, *(() if unfilled.issuperset(QUATERNION_CHANNELS) else QUATERNION_CHANNELS)}
+    filled = {channel: columns[field] for channel, (_, field, _) in found.items() if channel not in unfilled}
+    return stamps, {**{found[channel][0]: values for channel, values in filled.items() if channel not in STEERING},
+                    **{channel: found[channel][2] * filled[channel] for channel in STEERING if channel in filled}}

@@ -12,6 +12,7 @@ from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 from st_core.types import wrap_angle
 from st_core.vehicle import VehicleParameters
 
+from .axes import MAX_AGREEING_ANGLE, MIN_COMPARED_SAMPLES, MIN_COURSE_SPEED, rotate_to_body_axes
 from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
 from .errors import RunError, format_share
@@ -29,13 +30,8 @@ COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "yaw": f"{HEADING} or {COURSE}"}
 """Channel -> channels from which it can also be computed."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
-MIN_COURSE_SPEED = 1.0
-"""Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
-MIN_COMPARED_SAMPLES = 20
-"""Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
-MAX_AGREEING_ANGLE, MIN_DISAGREEING_ANGLE = 0.1, 0.3
-"""[rad]. A heading and a course agree if their median difference, due to sideslip and noise, is smaller than the first
-limit; above the second, the heading has another unit or direction."""
+MIN_DISAGREEING_ANGLE = 0.3
+"""[rad]. If the median difference of a heading and a course is larger, the heading has another unit or direction."""
 MAX_HELD_SHARE = 0.3
 """If the position repeats the previous one in a larger fraction of the rows in which the car moves, its rate is lower
 than the rate of the rows."""
@@ -67,17 +63,18 @@ def add_steering_column(layout: Layout, steering: SteeringField | None) -> Layou
 
 
 def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scale: float = 1.0,
-                steering: SteeringField | None = None) -> LoadedRun:
+                steering: SteeringField | None = None, frame_id: str = "") -> LoadedRun:
     """Builds a drive from a table. Raises RunError.
 
     A row without a number in an INS channel is left out of the INS samples but not of the steering samples, and vice
     versa; a missing acceleration becomes NaN. vehicle: required for a table with only the steering wheel angle.
     yaw_scale: correction factor of yaw, applied before unwrapping. steering: column that an option names, and its sign.
+    frame_id: of the velocities, if they are from a ROS message.
     """
     file = table.file
     _require_columns(table, (*INS_SIGNALS, ROAD_WHEEL))
     notes = list(table.warnings)
-    columns, origin = _derive_channels(table, notes)
+    columns, origin = _derive_channels(table, notes, frame_id)
     steering_channels = _choose_steering(table, columns, vehicle, steering, notes)
     missing = _count_missing(table, columns, steering_channels, notes)
     ins = table.used & all_finite(columns, INS_SIGNALS)
@@ -208,11 +205,12 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                        f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
 
 
-def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
+def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
+                     ) -> tuple[dict[str, np.ndarray], tuple[float, float, float] | None]:
     """(columns with derived channels, origin of the map: latitude, longitude [rad] and altitude [m]; None if the table
     has x and y, or no fix).
 
-    Derives missing channels: yaw from compass heading, quaternion or course; velocities from east and north velocity,
+    Derives missing channels: yaw from compass heading, quaternion or course; velocities from those over ground,
     or as `_complete_motion`; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
     """
     columns, origin = dict(table.columns), None
@@ -229,6 +227,9 @@ def _derive_channels(table: Table, notes: list[str]) -> tuple[dict[str, np.ndarr
         _check_yaw(table, np.arctan2(north, east), np.hypot(east, north))
         c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
         columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
+    elif columns.keys() >= {"velocity_x", "velocity_y", "yaw"}:
+        note = rotate_to_body_axes(columns, frame_id)
+        notes += [f"{table.file}: {note}"] if note else []
     _complete_motion(table, columns, notes)
     if not {"x", "y"} <= columns.keys() and columns.keys() >= {"latitude", "longitude"}:
         latitude, longitude = columns["latitude"], columns["longitude"]

@@ -1,0 +1,47 @@
+"""Axes of recorded velocities: velocities over ground, to the east and north, are rotated into body axes."""
+
+import re
+
+import numpy as np
+from st_core.types import wrap_angle
+
+MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
+"""Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure no other."""
+MIN_COURSE_SPEED = 1.0
+"""Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
+MIN_COMPARED_SAMPLES = 20
+"""Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
+MAX_COMPARED_SAMPLES = 10_000
+MAX_AGREEING_ANGLE = 0.1
+"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller; they agree only in one
+reading if that of the other reading is larger by this."""
+
+
+def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> str:
+    """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
+
+    The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground. If it does not, as on
+    a straight road to the east, frame_id does; without a map frame, body axes are assumed. Returns a warning if the
+    velocities do not have the axes that frame_id names, else "".
+    """
+    velocity = columns["velocity_x"] + 1j * columns["velocity_y"]
+    rows = np.flatnonzero((np.abs(velocity) > MIN_COURSE_SPEED) & np.isfinite(columns["yaw"]))
+    if len(rows) < MIN_COMPARED_SAMPLES:
+        return ""
+    rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
+    east, yaw = velocity[rows], columns["yaw"][rows]
+    body_error, *map_errors = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
+        east * np.exp(1j * yaw), east, 1j * east.conj()))
+    names_map = is_map = not MAP_FRAMES.isdisjoint(re.split("[^a-z]+", frame_id.lower()))
+    if min(body_error, *map_errors) < MAX_AGREEING_ANGLE < abs(body_error - min(map_errors)):
+        is_map = min(map_errors) < body_error
+    axes = "body axes"
+    if is_map:
+        is_north_first = map_errors[1] < map_errors[0] - MAX_AGREEING_ANGLE
+        axes = "the north and east" if is_north_first else "the east and north"
+        velocity = (1j * velocity.conj() if is_north_first else velocity) * np.exp(-1j * columns["yaw"])
+        columns["velocity_x"], columns["velocity_y"] = velocity.real, velocity.imag
+    frame = f" (frame_id is {frame_id!r})" if frame_id else ""
+    return "" if is_map == names_map else (
+        f"velocity_x and velocity_y agree with yaw only as velocities {'to ' if is_map else 'in '}{axes}{frame}"
+        f"{'; they were rotated into body axes' if is_map else ''}")
