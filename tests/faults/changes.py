@@ -221,7 +221,7 @@ class Steering:
         if identifier(data) != STEERING:
             return (data,)
         frame, field = bytearray(frame_data(data)), self._spec.checksum.field
-        frame[field.lowest] ^= 1 << field.shift
+        frame[field.low_byte] ^= 1 << field.shift
         return (datagram(STEERING, bytes(frame)),)
 
     def stuck_counter(self, data: bytes) -> Sequence[bytes]:

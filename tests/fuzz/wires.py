@@ -181,7 +181,7 @@ def _can_frames(data: bytes, folder: Path) -> str:
     rows = [decoder.statistics(name) for name in decoder.table.messages]
     assert decoded == sum(row.good for row in rows)
     assert decoder.skipped.total() <= count
-    assert all(text.isprintable() for text in decoder.implausible_signals())
+    assert all(text.isprintable() for text in decoder.plausibility_faults())
     reasons = {name for row in rows for name, value in vars(row).items() if value and name != "last_seen_ns"}
     return " ".join(sorted(reasons | set(decoder.skipped)))
 
@@ -212,15 +212,15 @@ def _can_datagram(data: bytes, folder: Path) -> str:
     decoder = _decoder()
     seen: list[can.Message] = []
     receiver = Receiver(lambda: bus, lambda frame, time_ns: seen.append(frame) or decoder.decode(frame, time_ns))
-    malformed = bus.malformed
+    malformed = bus.malformed_count
     sender.send(data[:4096])
     sender.send(pack_message(MARKER))  # avoids a time-out where the input is not a frame
     while not seen or seen[-1].data != MARKER.data:
         receiver._receive(bus)
     status = receiver.status()
     assert status.callback_errors == 0
-    assert status.frames + status.error_frames + bus.malformed - malformed == 2
-    return "not a frame" if bus.malformed > malformed else f"a frame; {status.last_error}"
+    assert status.frames + status.error_frames + bus.malformed_count - malformed == 2
+    return "not a frame" if bus.malformed_count > malformed else f"a frame; {status.last_error}"
 
 
 NCOM_FRAGMENTS = (bytes([SYNC]), bytes([SYNC]) * 72, b"\x80\0\0", b"\xff\xff\x7f", struct.pack("<d", math.nan),

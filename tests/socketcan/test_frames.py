@@ -72,7 +72,7 @@ def test_error_frames_pass_the_filters_and_are_described(error_class, data, text
 
 def test_state_of_the_bus_follows_error_frames(interface, start_receiver):
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     for send, expected in (
         (lambda: interface.send(STEERING), BusState.OK),
         (lambda: interface.send_error(0x004, bytes.fromhex("0020000000000000")), BusState.ERROR_PASSIVE),
@@ -92,7 +92,7 @@ def test_state_of_the_bus_follows_error_frames(interface, start_receiver):
 def test_fd_frames_are_ignored(interface, start_receiver, decoder):
     """Also those with the identifier and length of a message of the table: a classical controller ignores them."""
     receiver = start_receiver(filters=id_filters(decoder.keys))
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     good = decoder.encode("Leaf_Steering", {"steering_wheel_angle": 0.1}, 1)
     for size in (0, 5, 8, 12, 64):
         interface.send_fd(STEERING, bytes(size))
@@ -107,7 +107,7 @@ def test_fd_frames_are_ignored(interface, start_receiver, decoder):
 def test_remote_frames_and_frames_of_wrong_length_are_not_decoded(interface, start_receiver, decoder):
     decoded = []
     receiver = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     interface.send(REMOTE_FLAG | STEERING)
     for size in range(9):
         interface.send(STEERING, bytes.fromhex("1D000007B0123456")[:size])
@@ -120,7 +120,7 @@ def test_remote_frames_and_frames_of_wrong_length_are_not_decoded(interface, sta
 
 def test_frames_in_bursts_are_received_in_order(interface, start_receiver):
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     with open_bus("socketcan", interface.name) as bus:
         for burst in range(80):
             for k in range(50):
@@ -140,7 +140,7 @@ def test_frames_lost_to_a_full_receive_buffer_are_counted(interface, start_recei
         decoder.decode(message, 0)  # equal times: a gap in time would count as a pause, not as a loss
 
     receiver = start_receiver(on_frame=on_frame)
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     sent = 3000
     with open_bus("socketcan", interface.name) as bus:
         for k in range(sent):
@@ -159,7 +159,7 @@ def test_frames_lost_to_a_full_receive_buffer_are_counted(interface, start_recei
 
 def test_frames_of_an_unused_identifier_are_filtered_by_the_kernel(interface, start_receiver, decoder):
     receiver = start_receiver(filters=id_filters(decoder.keys))
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     with open_bus("socketcan", interface.name) as bus:
         for k in range(3000):
             bus.send(frame(0x7DF, bytes(8)))
@@ -172,7 +172,7 @@ def test_frames_of_an_unused_identifier_are_filtered_by_the_kernel(interface, st
 
 def test_two_receivers_receive_identical_frames(interface, start_receiver):
     first, second = start_receiver(), start_receiver()
-    wait_for(lambda: first.status().opened == second.status().opened == 1)
+    wait_for(lambda: first.status().open_count == second.status().open_count == 1)
     for k in range(100):
         interface.send(0x100 + k, bytes([k]))
     wait_for(lambda: len(first.seen) == len(second.seen) == 100)

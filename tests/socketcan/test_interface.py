@@ -25,7 +25,7 @@ def count_open_files() -> int:
 
 def test_state_follows_the_interface_and_the_receiver_reopens_a_recreated_one(interface, start_receiver):
     receiver = start_receiver(filters=id_filters([(2, False)]))
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     interface.send(2)
     wait_for_state(receiver, BusState.OK)
     interface.down()
@@ -34,14 +34,14 @@ def test_state_follows_the_interface_and_the_receiver_reopens_a_recreated_one(in
     wait_for_state(receiver, BusState.SILENT)
     interface.send(2)
     wait_for_state(receiver, BusState.OK)
-    assert receiver.status().opened == 1
+    assert receiver.status().open_count == 1
     interface.delete()
     wait_for_state(receiver, BusState.GONE)
     interface.create()
     wait_for_state(receiver, BusState.SILENT)
     interface.send(2)
     wait_for_state(receiver, BusState.OK)
-    assert receiver.status().opened == 2
+    assert receiver.status().open_count == 2
     assert receiver.status().callback_errors == 0
 
 
@@ -54,7 +54,7 @@ def test_interface_may_be_created_after_the_start(interface, start_receiver):
     wait_for_state(receiver, BusState.SILENT)
     interface.send(2, b"\1")
     wait_for(lambda: receiver.seen)
-    assert receiver.status().opened == 1
+    assert receiver.status().open_count == 1
 
 
 def test_interface_may_come_up_after_the_start(interface, start_receiver):
@@ -71,27 +71,27 @@ def test_interface_may_come_up_after_the_start(interface, start_receiver):
 
 def test_socket_survives_ten_times_down_and_up(interface, start_receiver):
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     for k in range(10):
         interface.down()
         interface.up()
         interface.send(k + 1)
         wait_for(lambda k=k: len(receiver.seen) == k + 1)
     assert [frame.arbitration_id for frame, _ in receiver.seen] == list(range(1, 11))
-    assert receiver.status().opened == 1
+    assert receiver.status().open_count == 1
 
 
 def test_recreated_interface_leaves_no_open_socket(interface, start_receiver, caplog):
     # pytest keeps log records of failed attempts, whose errors refer to their sockets.
     caplog.set_level(logging.CRITICAL, "can.interfaces.socketcan")
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     before = count_open_files()
     for k in range(4):
         interface.delete()
         wait_for_state(receiver, BusState.GONE)
         interface.create()
-        wait_for(lambda k=k: receiver.status().opened == k + 2)
+        wait_for(lambda k=k: receiver.status().open_count == k + 2)
         interface.send(2)
         wait_for_state(receiver, BusState.OK)
     wait_for(lambda: count_open_files() == before, what=f"{count_open_files()} open files instead of {before}")
@@ -100,7 +100,7 @@ def test_recreated_interface_leaves_no_open_socket(interface, start_receiver, ca
 def test_renamed_interface_counts_as_gone_until_it_has_its_name_again(interface, start_receiver):
     """As udev may do with an adapter: the open socket follows it, but the interface is configured by name."""
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     name = interface.name
     interface.down()
     interface.rename("stother0")
@@ -116,7 +116,7 @@ def test_renamed_interface_counts_as_gone_until_it_has_its_name_again(interface,
 
 def test_interface_deleted_under_load_is_received_again(interface, start_receiver):
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     done = threading.Event()
 
     def load():
@@ -148,7 +148,7 @@ def test_interface_deleted_under_load_is_received_again(interface, start_receive
 @pytest.mark.parametrize("fault", ["down", "delete"])
 def test_stop_does_not_wait_for_the_interface(fault, interface, start_receiver):
     receiver = start_receiver()
-    wait_for(lambda: receiver.status().opened == 1)
+    wait_for(lambda: receiver.status().open_count == 1)
     getattr(interface, fault)()
     wait_for(lambda: receiver.status().state in (BusState.DOWN, BusState.GONE))
     receiver.stop()

@@ -25,7 +25,7 @@ def receiver(start_receiver, decoder):
     decoded = []
     started = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
     started.decoded = decoded
-    wait_for(lambda: started.status().opened == 1)
+    wait_for(lambda: started.status().open_count == 1)
     return started
 
 
@@ -70,7 +70,7 @@ def test_pause_of_the_sender_is_reported_as_silence(sender, receiver, decoder):
         task.start()
     wait_for(lambda: receiver.status().state is BusState.OK)
     task.stop()
-    assert receiver.status().opened == 1
+    assert receiver.status().open_count == 1
 
 
 def test_messages_with_different_periods_are_counted_separately(sender, receiver, decoder):

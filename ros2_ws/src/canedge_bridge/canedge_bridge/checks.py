@@ -13,7 +13,7 @@ from .extraction import Data, Field
 
 
 class Mode(StrEnum):
-    """Reaction to a wrong counter or checksum. OFF: not checked; WARN: pass the frame on as invalid; DROP: discard."""
+    """Reaction to a wrong counter or checksum. OFF: do not check; WARN: mark the frame invalid; DROP: discard it."""
 
     OFF = "off"
     WARN = "warn"
@@ -37,13 +37,13 @@ def compute_sum8_id(data: Sequence[Any], arbitration_id: int) -> Any:
     return (sum(data) + (arbitration_id >> 8) + (arbitration_id & 0xFF)) & 0xFF
 
 
-RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
+CHECKSUM_RULES = {"xor_nibble": (4, compute_xor_nibble), "sum8_id": (8, compute_sum8_id)}
 """Name of a checksum -> (number of bits, function of the payload with checksum 0 and the identifier)."""
 
 
 @dataclass(frozen=True)
 class CheckSpec:
-    """Counter or checksum of a message. signal: DBC name. rule: function in RULES; None for a counter."""
+    """Counter or checksum of a message. signal: DBC name. rule: function in CHECKSUM_RULES; None for a counter."""
 
     signal: str
     field: Field
@@ -54,7 +54,7 @@ class CheckSpec:
         """The correct checksum of one frame, or of all frames of a log; the one in `data` is ignored."""
         assert self.rule is not None, "a counter has no checksum"
         content = list(data)
-        content[self.field.lowest] = content[self.field.lowest] & (0xFF ^ self.field.mask << self.field.shift)
+        content[self.field.low_byte] = content[self.field.low_byte] & (0xFF ^ self.field.mask << self.field.shift)
         return self.rule(content, arbitration_id)
 
     def is_correct(self, data: Data, arbitration_id: int) -> Any:
@@ -93,18 +93,18 @@ class CounterCheck:
             self._last_ns = time_ns
 
 
-def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, unreadable: np.ndarray,
+def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wrong_checksum: np.ndarray,
                         restart_after_ns: int) -> np.ndarray:
-    """Mask (n,) of the readable frames of a log whose counter is not the previous one plus 1.
+    """Mask (n,) of the frames of a log with a correct checksum whose counter is not the previous one plus 1.
 
-    data: bytes of the frames from `stack_bytes`. time_ns: their times (n,). unreadable: mask (n,) of frames with a
-    wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip. restart_after_ns: gap
-    [ns] after which any counter is correct.
+    data: bytes of the frames from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the
+    frames with one, which are assumed to have the next counter value, as in CounterCheck.skip. restart_after_ns: gap
+    [ns] after which any counter value is accepted.
     """
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))
-    before = np.concatenate(([-1], np.maximum.accumulate(np.where(unreadable, -1, index))[:-1]))  # last readable frame
-    expected = value[before] + (index - before)
-    wrong = (before >= 0) & ~unreadable & (((value - expected) & field.mask) != 0)
+    previous = np.concatenate(([-1], np.maximum.accumulate(np.where(wrong_checksum, -1, index))[:-1]))
+    expected = value[previous] + (index - previous)
+    wrong = (previous >= 0) & ~wrong_checksum & (((value - expected) & field.mask) != 0)
     gap = np.diff(time_ns, prepend=time_ns[:1]) > restart_after_ns
     return wrong & ~gap

@@ -34,9 +34,9 @@ class DecodedFrame:
 
 @dataclass
 class MessageStatistics:
-    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: at least one
-    fault, counted once. implausible: without plausible frames that are withheld. dropped: failed a check in mode
-    `drop`. lost: missing according to the counter. last_seen_ns: time of the last good frame with signals, or None."""
+    """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: with at least
+    one fault. implausible: with an implausible value; plausible frames withheld with them do not count. dropped: failed
+    a check in mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals."""
 
     good: int = 0
     bad: int = 0
@@ -51,7 +51,7 @@ class MessageStatistics:
 
 
 class _MessageState:
-    """State of the decoder for one message. plausibility: checks of limited signals, by canonical name."""
+    """State of the decoder for one message. plausibility: checks of signals with limits, by canonical name."""
 
     def __init__(self, spec: MessageSpec) -> None:
         self.spec, self.statistics = spec, MessageStatistics()
@@ -120,7 +120,7 @@ class Decoder:
 
     def _are_plausible(self, state: _MessageState, values: Mapping[str, float], time_ns: int, fault: Mode) -> bool:
         """Whether all values are plausible; also false while too many recent values of a signal are implausible,
-        because the plausible ones are then a coincidence. fault: of this frame, from `_find_fault`."""
+        because plausible ones are then due to chance. fault: of this frame, from `_find_fault`."""
         plausible = [state.plausibility[name].accepts(value, time_ns) for name, value in values.items()
                      if name in state.plausibility]
         if not all(plausible):
@@ -129,8 +129,8 @@ class Decoder:
             return False
         return not any(check.fault for check in state.plausibility.values())
 
-    def implausible_signals(self) -> list[str]:
-        """A text for every signal whose message is currently withheld because of its implausible values."""
+    def plausibility_faults(self) -> list[str]:
+        """Faults of the signals whose implausible values currently cause their messages to be withheld."""
         return [check.fault for state in self._states.values() for check in state.plausibility.values()
                 if check.fault]
 
@@ -224,7 +224,7 @@ def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> Signal
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """Converts readings [rad]: road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
+    """Conversion to road_wheel_angle [rad] = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
 
     steering_sign: +1 if the decoded sensor value is positive to the left, -1 if positive to the right.
     steering_wheel_offset [rad, left +]: steering_sign * sensor when driving straight. steering_ratio [1].
@@ -240,8 +240,8 @@ class SteeringCalibration:
         return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
     def formula(self) -> str:
-        """The conversion with the numbers of the car, for the log."""
+        """Formula of the conversion with the values of the car, for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
-                f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so a sensor at 0 gives "
+                f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so sensor value 0 gives "
                 f"{math.degrees(self.convert(0.0)[1]):.4f} deg")

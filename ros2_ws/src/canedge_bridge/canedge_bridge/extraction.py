@@ -54,12 +54,12 @@ def raw_range(signal: DbcSignal) -> tuple[int, int]:
 class Field:
     """Position of an unsigned integer of up to 64 bits in a frame.
 
-    lowest: index of its least significant byte. higher: indices of its other bytes, most significant first. shift:
-    number of bits below it in its least significant byte. bits: width.
+    low_byte: index of its least significant byte. high_bytes: indices of its other bytes, most significant first.
+    shift: number of bits below it in its least significant byte. bits: width.
     """
 
-    higher: tuple[int, ...]
-    lowest: int
+    high_bytes: tuple[int, ...]
+    low_byte: int
     shift: int
     bits: int
 
@@ -78,14 +78,14 @@ class Field:
 
     def read(self, data: Data) -> Any:
         number = 0
-        for k in self.higher:
+        for k in self.high_bytes:
             number = number << 8 | data[k]
         # The lowest byte is added last, because 64 bits may lie in nine bytes.
-        return (number << 8 - self.shift | data[self.lowest] >> self.shift) & self.mask
+        return (number << 8 - self.shift | data[self.low_byte] >> self.shift) & self.mask
 
 
 class Extractor:
-    """Extracts the physical value of one DBC signal: scale * number + offset.
+    """Extracts the physical value of one DBC signal: scale * raw value + offset.
 
     selectors: (field, values) of the multiplexers; the signal is in the frame if each field has one of its values.
     """
@@ -98,7 +98,7 @@ class Extractor:
         self._scale, self._offset = signal.scale, signal.offset
         self.selectors = tuple(_find_selectors(message, signal))
 
-    def is_sent(self, data: Data) -> Any:
+    def is_present(self, data: Data) -> Any:
         """Whether the signal is in the frame; True, not an array, for a signal that is not multiplexed."""
         sent: Any = True
         for field, values in self.selectors:

@@ -26,12 +26,12 @@ class Health:
         self._now_ns = now_ns
         self._started_at = self._rates_updated_at = time.monotonic()
         self._previous_bad = 0
-        self._previous_counts: dict[str, int] = {}  # good frames by name of the message; "": all frames on the bus
+        self._previous_counts: dict[str, int] = {}  # good frames by message name; "": all frames on the bus
         self._rates: dict[str, float] = {}  # of the same counts [frames/s]
 
     def checks(self) -> list[Check]:
         plausibility = Check("plausibility", OK, "no signal is persistently implausible")
-        if implausible := self._decoder.implausible_signals():
+        if implausible := self._decoder.plausibility_faults():
             text = "; ".join(implausible) + "; messages with these signals are not published"
             plausibility = Check("plausibility", ERROR, text)
         return [self._check_bus(), self._check_signals(), self._check_frames(), plausibility]
@@ -48,8 +48,9 @@ class Health:
             self._rates_updated_at, self._previous_counts = now, counts
         values = {
             "state": status.state, "rate [frames/s]": self._rates.get("", 0.0), "frames": status.frames,
-            "error frames": status.error_frames, "last error frame": status.last_error, "times opened": status.opened,
-            "failures": status.failures, "frames not processed": status.callback_errors,
+            "error frames": status.error_frames, "last error frame": status.last_error,
+            "times opened": status.open_count, "failures": status.failures,
+            "frames not processed": status.callback_errors,
             "receive delay median [ms]": 1e3 * status.delay, "receive delay maximum [ms]": 1e3 * status.delay_maximum,
         }
         text = f"{self._bus_name} {status.state}" + (f": {status.reason}" if status.reason else "")
@@ -91,7 +92,7 @@ class Health:
             bad += counts.bad
         values["unknown identifiers"] = self._decoder.skipped["unknown"]
         values["remote frames"] = self._decoder.skipped["remote"]
-        new, self._previous_bad = bad - self._previous_bad, bad
-        if new:
-            return Check("frames", WARN, f"{new} bad frames since the last report, {bad} since start", values)
+        new_bad, self._previous_bad = bad - self._previous_bad, bad
+        if new_bad:
+            return Check("frames", WARN, f"{new_bad} bad frames since the last report, {bad} since start", values)
         return Check("frames", OK, f"no bad frame since the last report, {bad} since start", values)

@@ -13,7 +13,7 @@ GPS_SECONDS_PARTS = ("gps_time", "gps_utc_offset")
 
 
 def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Replaces the parts of GPS time in the signals of a frame, if any, by `ins_unix_time`, UTC [s since 1970].
+    """The signals of a frame, with any parts of GPS time replaced with `ins_unix_time`, UTC [s since 1970].
 
     values: numbers or arrays by canonical name. The time is NaN where the unit has no valid time yet.
     """
@@ -55,13 +55,13 @@ def _day_number(year: np.ndarray, month: np.ndarray, day: np.ndarray) -> np.ndar
     """Days since 1970-01-01, NaN for a date that does not exist."""
     is_valid = (year >= 1) & (year <= 9999) & (month >= 1) & (month <= 12) & (day >= 1)
     months = (np.where(is_valid, year, 1970) - 1970) * 12 + np.where(is_valid, month, 1) - 1
-    first = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    following = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
-    return np.where(is_valid & (day <= following - first), first + day - 1.0, np.nan)
+    month_start = months.astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    next_month_start = (months + 1).astype("datetime64[M]").astype("datetime64[D]").astype(np.int64)
+    return np.where(is_valid & (day <= next_month_start - month_start), month_start + day - 1.0, np.nan)
 
 
 def split_unix_time(unix_time: float, names: frozenset[str]) -> dict[str, float]:
-    """GPS_SECONDS_PARTS for UTC [s since 1970] if `names` has gps_time, else DATE_TIME_PARTS, rounded to 0.01 s."""
+    """GPS time of UTC [s since 1970]: GPS_SECONDS_PARTS if `names` has gps_time, else DATE_TIME_PARTS, to 0.01 s."""
     leap = leap_seconds_at_utc(unix_time)
     if "gps_time" in names:
         # Sign as in NCOM: UTC - GPS time, which is negative.

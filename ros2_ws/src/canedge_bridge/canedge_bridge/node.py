@@ -78,7 +78,7 @@ class CanedgeBridge(Node):
         self._bus_name = bus_name = f"{settings.interface}:{settings.channel}"
         self._health = Health(bus_name, self._decoder, self._receiver.status, time.time_ns)
         self._diagnostics = Diagnostics(self, bus_name, self._health.checks)
-        # The receive thread reports a change through this, because only the executor may publish diagnostics.
+        # The receive thread reports a change through this condition, because only the executor may publish diagnostics.
         self._bus_changed = self.create_guard_condition(self._diagnostics.publish)
         self._log_start()
         self._receiver.start()
@@ -128,7 +128,7 @@ class CanedgeBridge(Node):
             self._ins_on_can.publish(InsOnCan(header=_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:
-        # The receive thread appends frames meanwhile.
+        # The length is read only once, because the receive thread keeps appending frames.
         if frames := [self._frames.popleft() for _ in range(len(self._frames))]:
             self._can_frames.publish(serialise_frames(frames, self._bus_name))
 
@@ -143,8 +143,8 @@ class CanedgeBridge(Node):
 
     def _log_start(self) -> None:
         logger, table = self.get_logger(), self._decoder.table
-        needed = ", ".join(m.name for m in table.needed) or "nothing"
-        absent = f"; not in the DBC: {', '.join(table.absent)}" if table.absent else ""
+        needed = ", ".join(m.name for m in table.needed_messages) or "nothing"
+        absent = f"; not in the DBC: {', '.join(table.absent_messages)}" if table.absent_messages else ""
         logger.info(f"bus {self._bus_name}, {table.dbc_file} with {table.signals_file}: "
                     f"decodes {len(table.messages)} messages, requires {needed}{absent}")
         if self._calibration is not None:
@@ -154,7 +154,7 @@ class CanedgeBridge(Node):
 def _make_decoder(settings: SimpleNamespace) -> Decoder:
     for name in ("dbc_file", "signals_file"):
         if not getattr(settings, name):
-            raise ConfigurationError(f"canedge_bridge.{name}: not set; give a file of config/can/")
+            raise ConfigurationError(f"canedge_bridge.{name}: not set; give a file from config/can/")
     try:
         check_channel(settings.interface, settings.channel)
         checks = {}
@@ -179,7 +179,7 @@ def _read_vehicle(file: str) -> VehicleParameters:
 
 
 def serialise_frame(frame: can.Message, time_ns: int) -> bytes:
-    """st_msgs/CanFrame as CDR, padded to four bytes; ten times as fast as filling and serialising a message."""
+    """st_msgs/CanFrame as CDR, padded to a multiple of four bytes; ten times as fast as serialising a message."""
     data, (seconds, nanoseconds) = bytes(frame.data), divmod(time_ns, 1_000_000_000)
     return _FRAME.pack(seconds, nanoseconds, frame.arbitration_id, frame.is_extended_id, frame.is_error_frame,
                        frame.is_remote_frame, frame.is_fd, len(data)) + data + bytes(-len(data) % 4)

@@ -16,8 +16,8 @@ Reference = tuple[int, float]  # of an earlier frame: time [ns], value in the un
 
 def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_ns: int,
                   references: Iterable[Reference | None]) -> bool:
-    """Whether the rate limit permits the change from at least one reference not older than the timeout of the message;
-    true without such a reference."""
+    """Whether the rate limit permits the change from at least one reference no older than the timeout of the message;
+    true if there is none."""
     recent = [(last_ns, last) for last_ns, last in filter(None, references)
               if 0 < time_ns - last_ns <= message.timeout_ns]
     # An elapsed time of at least one period is assumed, because frames can arrive closer together than sent.
@@ -29,7 +29,7 @@ def _is_reachable(signal: SignalSpec, message: MessageSpec, value: float, time_n
 class Plausibility:
     """Checks the range and the rate of change of one signal, frame by frame.
 
-    This detects a wrong byte order while the wheel turns: one step of the low byte becomes a jump of 256 steps.
+    This detects a wrong byte order while the steering wheel turns: a step of the low byte becomes one of 256 steps.
     """
 
     def __init__(self, signal: SignalSpec, message: MessageSpec):
@@ -69,8 +69,8 @@ class Plausibility:
 def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Whether each frame of a log is in range, within the rate limit, and not isolated among implausible frames.
 
-    This is the check of Plausibility, but it also uses later frames, so that the first frames after implausible ones
-    are accepted. values: SI (n,). time_ns: (n,).
+    The same check as in Plausibility, but also with later frames, so that the first frames after implausible ones are
+    accepted. values: SI (n,). time_ns: (n,).
     """
     physical, frames = values / signal.factor, np.arange(len(values))
     in_range = (physical >= signal.minimum) & (physical <= signal.maximum)

@@ -50,7 +50,7 @@ class ReceiverStatus:
     frames: int = 0  # data and remote frames
     error_frames: int = 0
     last_error: str = ""  # text of the newest error frame
-    opened: int = 0  # times the bus was opened
+    open_count: int = 0  # times the bus was opened
     failures: int = 0  # to open or read the bus
     callback_errors: int = 0  # frames for which `on_frame` raised an exception
     delay: float = float("nan")
@@ -108,7 +108,7 @@ class Receiver:
                 self._bus = self._open_bus()
                 self._last_frame_at = time.monotonic()
                 with self._lock:
-                    self._status.opened += 1
+                    self._status.open_count += 1
                 self._set_state(BusState.SILENT, "no frame yet")
             except Exception as error:  # no exception of a driver may end the thread
                 self._handle_failure(error)
@@ -242,7 +242,7 @@ _PROTOCOL = {
 
 
 def describe_error_frame(frame: can.Message) -> tuple[str, BusState | None]:
-    """Text for the error classes of a frame, and the bus state that it reports, None if it reports none."""
+    """(text of the error classes in an error frame, bus state that it reports or None)."""
     bits = frame.arbitration_id
     data = bytes(frame.data).ljust(8, b"\0")
     details = {0x002: f"bit {data[0]}" if data[0] else "",

@@ -14,7 +14,7 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 from st_core.yaml_text import suggest_key
 
-from .checks import RULES, CheckSpec, Mode
+from .checks import CHECKSUM_RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
 from .table_reader import Entry, TableError, one_line, read_document
@@ -61,8 +61,8 @@ class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
     unit: key of UNITS. factor: converts this unit to SI. minimum, maximum: possible range of si / factor [unit].
-    max_rate: largest possible rate of its change [unit/s]. sign: for a sensor that sends magnitude and sign separately:
-    extractor of the sign signal; `physical` is negated unless this signal is 0 or not in the frame.
+    max_rate: largest possible rate of its change [unit/s]. sign: extractor of the sign signal, if the sensor sends
+    magnitude and sign separately; `physical` is negated unless this signal is 0 or not in the frame.
     """
 
     extractor: Extractor
@@ -89,7 +89,7 @@ class SignalSpec:
         """The signal's value in SI units, in one frame or in all frames of a log."""
         value = self.extractor.extract(data)
         if self.sign is not None:
-            value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_sent(data)))
+            value = value * (1 - 2 * ((self.sign.extract(data) != 0) & self.sign.is_present(data)))
         value = self.gain * value + self.bias
         return (value + math.pi) % (2 * math.pi) - math.pi if self.name in WRAPPED_SIGNALS else value
 
@@ -128,25 +128,25 @@ class MessageSpec:
         """SI values by canonical name. A multiplexed signal that is not in the frame is omitted, or NaN in an array."""
         values = {}
         for signal in self.signals:
-            is_sent = signal.extractor.is_sent(data)
-            if is_sent is not False:
+            is_present = signal.extractor.is_present(data)
+            if is_present is not False:
                 value = signal.to_si(data)
-                values[signal.name] = value if is_sent is True else np.where(is_sent, value, np.nan)
+                values[signal.name] = value if is_present is True else np.where(is_present, value, np.nan)
         return values
 
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Checked contents of a DBC and its YAML table. absent: optional messages of the table that the DBC lacks."""
+    """Checked contents of a DBC and its YAML table. absent_messages: optional ones of the table that the DBC lacks."""
 
     dbc_file: Path
     signals_file: Path
     database: Any
     messages: Mapping[str, MessageSpec]
-    absent: tuple[str, ...]
+    absent_messages: tuple[str, ...]
 
     @property
-    def needed(self) -> tuple[MessageSpec, ...]:
+    def needed_messages(self) -> tuple[MessageSpec, ...]:
         return tuple(m for m in self.messages.values() if m.needed)
 
     def find_source(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
@@ -213,7 +213,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
-    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty if it has none."""
+    """Text of a DBC with only the named messages and their float and multiplexing attributes; empty without them."""
     blocks = [block for block in _MESSAGE.finditer(text) if block["name"] in names]
     ids = {block["id"] for block in blocks}
     lines = [block[0] for block in blocks]
@@ -346,10 +346,10 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
     entry.allow_only(*(("signal", "rule", "check") if key == "checksum" else ("signal", "check")))
     signal = _find_signal(dbc, entry.get("signal", str), dbc_path, entry)
     field = Field.of(signal)
-    if signal.is_signed or signal.is_float or field.higher:
+    if signal.is_signed or signal.is_float or field.high_bytes:
         raise entry.error("signal", f"{signal.name} cannot be a counter or checksum: it must be unsigned and within "
                           f"one byte in {dbc_path}")
-    bits, rule = RULES[entry.choice("rule", RULES)] if key == "checksum" else (field.bits, None)
+    bits, rule = CHECKSUM_RULES[entry.choice("rule", CHECKSUM_RULES)] if key == "checksum" else (field.bits, None)
     if bits != field.bits:
         raise entry.error("rule", f"needs {bits} bits, but {signal.name} has {field.bits}")
     return CheckSpec(signal.name, field, Mode(entry.choice("check", [str(m) for m in Mode])), rule)

@@ -72,12 +72,12 @@ class LoopbackMulticastBus(can.BusABC):
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
-        """channel: IPv4 "group" or "group:port". Raises ValueError for any other, OSError if it cannot be opened."""
+        """channel: IPv4 "group" or "group:port". Raises ValueError for another channel, OSError if it cannot open."""
         group, port = parse_channel(channel)
         self.channel_info = f"udp_multicast {group}:{port} on loopback"
         self._destination = (group, port)
-        self._accepted: frozenset[tuple[int, bool]] | None = None
-        self.malformed = 0
+        self._accepted_ids: frozenset[tuple[int, bool]] | None = None
+        self.malformed_count = 0
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         # Own frames are recognised by the port of this separate socket.
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -109,9 +109,9 @@ class LoopbackMulticastBus(can.BusABC):
 
     def _apply_filters(self, filters: Any) -> None:
         """Stores exact identifiers in a set for `_unpack`; python-can itself applies filters with other masks."""
-        self._accepted = None
+        self._accepted_ids = None
         if filters and all("extended" in f and f["can_mask"] in (0x7FF, 0x1FFFFFFF) for f in filters):
-            self._accepted = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
+            self._accepted_ids = frozenset((f["can_id"], bool(f["extended"])) for f in filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         # Reading before waiting avoids a select() for every frame of a burst.
@@ -125,7 +125,7 @@ class LoopbackMulticastBus(can.BusABC):
         if data is None:
             return None, True
         message = self._unpack(data, timestamp)
-        return message, self._accepted is not None
+        return message, self._accepted_ids is not None
 
     def _read(self) -> tuple[bytes | None, float] | None:
         """(datagram, kernel receive time [s since 1970]); (None, 0) if this object sent it; None if none is waiting."""
@@ -146,14 +146,14 @@ class LoopbackMulticastBus(can.BusABC):
             fields = msgpack.unpackb(data, raw=False)
             if any(type(fields.get(name, type_())) is not type_ for name, type_ in _FIELD_TYPES.items()):
                 raise TypeError("a field has another type than python-can sends")
-            if (self._accepted is not None and not fields["is_error_frame"]
-                    and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted):
+            if (self._accepted_ids is not None and not fields["is_error_frame"]
+                    and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted_ids):
                 return None
             fields["timestamp"] = timestamp
             fields["channel"] = self._destination[0]
             return can.Message(check=True, **fields)
         except Exception:  # msgpack and Message raise many types for malformed input
-            self.malformed += 1
+            self.malformed_count += 1
             return None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -179,7 +179,7 @@ def parse_channel(channel: str) -> tuple[str, int]:
     except ValueError:
         is_multicast = False
     if not is_multicast:
-        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255, :port may follow)")
+        raise ValueError(f"{channel!r} is not an IPv4 multicast group (224.0.0.0 to 239.255.255.255), :port optional")
     port = DEFAULT_PORT if not port_text else int(port_text) if port_text.isdigit() else 0
     if not 1 <= port <= 65535:
         raise ValueError(f"{channel!r}: the port is outside 1 to 65535")

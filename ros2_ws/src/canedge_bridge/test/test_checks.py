@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from canedge_bridge.checks import RULES, CheckSpec, CounterCheck, Mode
+from canedge_bridge.checks import CHECKSUM_RULES, CheckSpec, CounterCheck, Mode
 from canedge_bridge.extraction import Field, stack_bytes
 from hypothesis import given
 from hypothesis import strategies as st
 
-XOR_NIBBLE = CheckSpec("", Field((), 4, 4, 4), Mode.WARN, RULES["xor_nibble"][1])
-SUM8 = CheckSpec("", Field((), 7, 0, 8), Mode.DROP, RULES["sum8_id"][1])
+XOR_NIBBLE = CheckSpec("", Field((), 4, 4, 4), Mode.WARN, CHECKSUM_RULES["xor_nibble"][1])
+SUM8 = CheckSpec("", Field((), 7, 0, 8), Mode.DROP, CHECKSUM_RULES["sum8_id"][1])
 SECOND = 1_000_000_000
 
 

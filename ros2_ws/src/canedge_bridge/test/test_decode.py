@@ -170,7 +170,7 @@ def test_frame_with_two_faults_is_one_bad_frame(dbc_file, signals_file):
 
 def test_wrong_byte_order_is_detected_while_steering(decoder):
     """Low byte and high byte interchanged, as decoded by a DBC with the wrong byte order."""
-    assert decoder.implausible_signals() == []
+    assert decoder.plausibility_faults() == []
     accepted = 0
     for count in range(200):
         data = bytearray(encode_steering(decoder, count, math.radians(0.5 * count)).data)
@@ -178,10 +178,10 @@ def test_wrong_byte_order_is_detected_while_steering(decoder):
         swapped = can.Message(arbitration_id=2, is_extended_id=False, data=data)
         accepted += decoder.decode(swapped, count * STEP) is not None
     assert accepted <= 20
-    assert "SteeringWheelAngle decodes to implausible values" in decoder.implausible_signals()[0]
+    assert "SteeringWheelAngle decodes to implausible values" in decoder.plausibility_faults()[0]
     # Ten consecutive plausible frames end it.
     results = [decoder.decode(encode_steering(decoder, count, 0.0), count * STEP) for count in range(200, 320)]
-    assert decoder.implausible_signals() == [] and results[-1] is not None and results[8] is None
+    assert decoder.plausibility_faults() == [] and results[-1] is not None and results[8] is None
 
 
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])

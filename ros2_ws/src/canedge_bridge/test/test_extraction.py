@@ -16,7 +16,7 @@ DATABASE = load_dbc(Path(__file__).resolve().parents[4] / "config" / "can" / "le
 def extract_one(message, data):
     """Signals of one frame by name."""
     extractors = [Extractor(message, signal) for signal in message.signals]
-    return {e.signal.name: e.extract(data) for e in extractors if e.is_sent(data)}
+    return {e.signal.name: e.extract(data) for e in extractors if e.is_present(data)}
 
 
 def extract_all(message, frames):
@@ -25,7 +25,7 @@ def extract_all(message, frames):
     found = [{} for _ in frames]
     for signal in message.signals:
         extractor = Extractor(message, signal)
-        sent = np.broadcast_to(extractor.is_sent(data), len(frames))
+        sent = np.broadcast_to(extractor.is_present(data), len(frames))
         for k, value in enumerate(extractor.extract(data)):
             if sent[k]:
                 found[k][signal.name] = value

@@ -65,7 +65,7 @@ def data_frame(identifier=2):
 
 def test_frames_are_received_in_order_with_their_stamps(bus, frame, start_receiver, wait_until):
     receiver = start_receiver(make_opener(bus))
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     before = time.time_ns()
     for identifier in range(20):
         bus.send(frame(identifier, ""))
@@ -80,21 +80,21 @@ def test_frames_are_received_in_order_with_their_stamps(bus, frame, start_receiv
 
 def test_silent_bus_is_not_reopened(bus, frame, start_receiver, wait_until):
     receiver = start_receiver(make_opener(bus), silence=0.1)
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     assert receiver.status().state is BusState.SILENT
     for _ in range(2):
         bus.send(frame(1, ""))
         assert wait_until(lambda: receiver.status().state is BusState.OK)
         assert wait_until(lambda: receiver.status().state is BusState.SILENT)
     assert "no frame for more than 0.1 s" in receiver.status().reason
-    assert receiver.status().opened == 1
+    assert receiver.status().open_count == 1
 
 
 def test_error_frames_on_the_loopback_bus(frame, start_receiver, wait_until):
     channel = f"239.74.13.21:{20000 + os.getpid() % 20000}"
     with open_bus("udp_multicast", channel) as sender:
         receiver = start_receiver(lambda: open_bus("udp_multicast", channel))
-        assert wait_until(lambda: receiver.status().opened == 1)
+        assert wait_until(lambda: receiver.status().open_count == 1)
         for message, state in ((frame(2, ""), BusState.OK), (error_frame(0x004, 0x10), BusState.ERROR_PASSIVE),
                                (frame(2, ""), BusState.ERROR_PASSIVE), (error_frame(0x040), BusState.BUS_OFF),
                                (error_frame(0x100), BusState.SILENT), (frame(2, ""), BusState.OK)):
@@ -109,7 +109,7 @@ def test_error_frames_on_the_loopback_bus(frame, start_receiver, wait_until):
 
 def test_bus_off_lasts_until_the_next_frame(bus, frame, start_receiver, wait_until):
     receiver = start_receiver(make_opener(bus), silence=0.05)
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     bus.send(error_frame(0x040))
     assert wait_until(lambda: receiver.status().state is BusState.BUS_OFF)
     assert not wait_until(lambda: receiver.status().state is not BusState.BUS_OFF, limit=0.5)
@@ -140,7 +140,7 @@ def test_network_that_is_down_is_not_reopened(start_receiver, wait_until):
     assert wait_until(lambda: len(receiver.received) == 2)
     assert wait_until(lambda: receiver.status().state is BusState.OK)
     assert [s for s, _ in receiver.states] == [BusState.SILENT, BusState.OK, BusState.DOWN, BusState.OK]
-    assert receiver.status().opened == 1 and not bus.closed
+    assert receiver.status().open_count == 1 and not bus.closed
 
 
 def test_removed_device_is_reopened(start_receiver, wait_until):
@@ -155,7 +155,7 @@ def test_removed_device_is_reopened(start_receiver, wait_until):
     assert wait_until(lambda: len(receiver.received) == 2)
     assert [s for s, _ in receiver.states] == [BusState.SILENT, BusState.OK, BusState.GONE, BusState.SILENT,
                                                BusState.OK]
-    assert buses[0].closed and receiver.status().opened == 2
+    assert buses[0].closed and receiver.status().open_count == 2
 
 
 @pytest.mark.parametrize("error", [RuntimeError("bug"), can.CanOperationError("buffer"), ValueError(), OSError()])
@@ -173,7 +173,7 @@ def test_exception_in_the_frame_callback_is_counted(bus, frame, start_receiver, 
         raise LookupError(message.arbitration_id)
 
     receiver = start_receiver(make_opener(bus), fail, on_error=errors.append)
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     bus.send(frame(1, ""))
     bus.send(frame(2, ""))
     assert wait_until(lambda: receiver.status().callback_errors == 2)
@@ -185,7 +185,7 @@ def test_exception_in_the_state_callback_does_not_end_the_thread(bus, frame, sta
     errors = []
     receiver = start_receiver(make_opener(bus), on_error=errors.append)
     receiver._on_state = lambda state, reason: 1 / 0
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     bus.send(frame(1, ""))
     assert wait_until(lambda: receiver.received and receiver.status().state is BusState.OK)
     assert wait_until(lambda: any(isinstance(t, ZeroDivisionError) for t in errors))
@@ -204,7 +204,7 @@ def test_stamps_of_another_clock_are_replaced_by_the_time_of_reception(start_rec
 def test_stop_closes_the_bus_or_ends_the_waiting_for_one(start_receiver, wait_until):
     bus = ScriptedBus([])
     receiver = start_receiver(lambda: bus)
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     receiver.stop()
     receiver.stop()  # has no effect
     assert bus.closed
@@ -221,7 +221,7 @@ def test_stop_closes_the_bus_or_ends_the_waiting_for_one(start_receiver, wait_un
 def test_removed_interface_is_detected_without_a_socket_error(start_receiver, wait_until):
     """The state of the link is read from files of the kernel."""
     receiver = start_receiver(lambda: ScriptedBus([]), network_interface="lo")
-    assert wait_until(lambda: receiver.status().opened == 1)
+    assert wait_until(lambda: receiver.status().open_count == 1)
     assert receiver.status().state is BusState.SILENT
     removed = start_receiver(lambda: ScriptedBus([]), network_interface="no-such-can")
     assert wait_until(lambda: removed.status().state is BusState.GONE)

@@ -9,12 +9,12 @@ from canedge_bridge.table_reader import TableError
 
 def test_leaf_table_and_dbc_agree(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file)
-    assert table.absent == ()
+    assert table.absent_messages == ()
     assert {m.name: m.dbc.frame_id for m in table.messages.values()} == {
         "Leaf_Steering": 0x002, "Leaf_WheelSpeedFront": 0x284, "Leaf_WheelSpeedRear": 0x285, "RT_DateTime": 0x600,
         "RT_MilliTime": 0x630, "RT_VelocityLevel": 0x604, "RT_HeadingPitchRoll": 0x607, "RT_RateVehicle": 0x608,
         "RT_IsoOrientation": 0x633, "RT_IsoVsVelocity": 0x634, "RT_IsoVsAngularVelocity": 0x636}
-    assert [m.name for m in table.needed] == ["Leaf_Steering"]
+    assert [m.name for m in table.needed_messages] == ["Leaf_Steering"]
 
 
 def set_key(path, value):
@@ -127,12 +127,12 @@ def test_dbc_without_the_needed_signal_is_refused(edit_dbc, signals_file):
 
 def test_dbc_without_an_optional_message_is_accepted(edit_dbc, signals_file):
     table = load_table(edit_dbc("BO_ 1584 RT_MilliTime:", "BO_ 1584 Other:"), signals_file)
-    assert table.absent == ("RT_MilliTime",)
+    assert table.absent_messages == ("RT_MilliTime",)
 
 
 def test_needed_messages_can_be_replaced(dbc_file, signals_file):
     table = load_table(dbc_file, signals_file, ["RT_VelocityLevel"])
-    assert [m.name for m in table.needed] == ["RT_VelocityLevel"]
+    assert [m.name for m in table.needed_messages] == ["RT_VelocityLevel"]
     with pytest.raises(TableError, match="needed message Unknown is not in the table"):
         load_table(dbc_file, signals_file, ["Unknown"])
 

@@ -88,7 +88,7 @@ def test_malformed_datagram_is_counted(datagram, channel, frame):
         other.sendto(datagram, (group, port))
         sender.send(frame(2, "05"))
         assert bus.recv(5.0).data == b"\x05"
-        assert bus.malformed == 1
+        assert bus.malformed_count == 1
 
 
 def test_groups_that_share_a_port_are_separate_buses(channel, frame):

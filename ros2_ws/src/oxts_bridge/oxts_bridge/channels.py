@@ -52,8 +52,8 @@ ALWAYS = Validity("always", lambda raw, data: True, invalid_raw=0)
 class Field:
     """One value of a status channel: physical value = raw number * scale + offset.
 
-    name: from the vendor, or from this project if the vendor gives none. unit: unit of the physical value. cyclic:
-    width [bits] of a counter that wraps; status.StatusTracker unwraps it.
+    name: from the vendor, or from this project if the vendor gives none. unit: unit of the physical value.
+    counter_bits: width of a counter that wraps, else 0; status.StatusTracker unwraps it.
     kind: format of the raw number:
         u8 to u64, i8 to i32, f32: unsigned or signed integer or float, little-endian
         bits<first>+<count>, lo4, hi4: bits of one byte (no bits: the value is the offset), its lower nibble, its upper
@@ -70,7 +70,7 @@ class Field:
     scale: float = 1
     validity: Validity = ALWAYS
     offset: float = 0
-    cyclic: int = 0
+    counter_bits: int = 0
 
     @cached_property
     def _bit_layout(self) -> tuple[int, int, int, int]:
@@ -140,7 +140,7 @@ class Field:
         if low <= number <= high and accepts(number, _VALID_FLAGS):
             return number
         if unscaled:
-            raise NcomError(f"{self.name}: {value} does not fit: {low} to {high} expected, valid: {self.validity.text}")
+            raise NcomError(f"{self.name}: {value} does not fit: expected {low} to {high}; valid: {self.validity.text}")
         while not accepts(number, _VALID_FLAGS):
             number += 1 if number <= 0 else -1
         return number
@@ -209,7 +209,7 @@ def _innovations(*names: str, first: int = 0) -> list[Field]:
 
 
 def _counters(*names: str) -> list[Field]:
-    return [F(name, "u16", 2 * i, cyclic=16) for i, name in enumerate(names)]
+    return [F(name, "u16", 2 * i, counter_bits=16) for i, name in enumerate(names)]
 
 
 def _receiver_counters(receiver: str) -> list[Field]:
@@ -271,7 +271,8 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
     16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, BIT0_SET)],
     17: _receiver_counters("GpsSecondary"),
-    18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, cyclic=16), F("ImuCharsSkipped", "u16", 6, cyclic=16)],
+    18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, counter_bits=16),
+         F("ImuCharsSkipped", "u16", 6, counter_bits=16)],
     19: [F("DevId", "text8", 0)],
     20: [F("GpsDiffAge", "i16", 0, "s", 0.01, unless(-1)), F("BaseStationId", "text4", 2)],
     21: [F("DiskSpace", "i32", 0, "byte", 1024, NOT_NEGATIVE), F("FileSize", "i32", 4, "byte", 1024, NOT_NEGATIVE)],
@@ -340,8 +341,8 @@ TABLE: dict[int, list[Field]] = {
     56: _receiver_status("GpsSecondary"),
     57: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", LONG_RANGE),  # multiplied by byte 7, see decode_channel()
     58: _angles("VehicleToOutput"),
-    59: [F("ImuMissedPkts", "u16", 0, cyclic=16), F("ImuResetCount", "u8", 2, cyclic=8),
-         F("ImuErrorCount", "u8", 3, cyclic=8), _word("ImuCalibrationDay", 4, "day"),
+    59: [F("ImuMissedPkts", "u16", 0, counter_bits=16), F("ImuResetCount", "u8", 2, counter_bits=8),
+         F("ImuErrorCount", "u8", 3, counter_bits=8), _word("ImuCalibrationDay", 4, "day"),
          _word("ImuTemperature", 6, "degC", 0.01, -70)],
     60: _angles("Ned2Surf"),
     61: _receiver_counters("GpsExternal"),
@@ -365,8 +366,8 @@ TABLE: dict[int, list[Field]] = {
     75: [_word("FirmwareExpiryDay", 0, "day"), _byte("SupplyVoltage", 2, "V", 0.2), _word("ImuRate", 3, "Hz", 0.02)],
     76: [*_counters("DiffChars", "DiffPkts", "DiffCharsSkipped"), _byte("NtripStatus", 6), _byte("WifiStatus", 7)],
     77: [_byte("DiffFormat", 0), _byte("DiffType", 1), _byte("DiffNumStations", 2)],
-    78: [F("CanTx", "u16", 0, cyclic=16), F("CanRx", "u16", 2, cyclic=16), _byte("CanTxOkPercent", 4, "%"),
-         _byte("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, cyclic=8), F("CanLastError", "u8", 7)],
+    78: [F("CanTx", "u16", 0, counter_bits=16), F("CanRx", "u16", 2, counter_bits=16), _byte("CanTxOkPercent", 4, "%"),
+         _byte("CanRxOkPercent", 5, "%"), F("CanErrors", "u8", 6, counter_bits=8), F("CanLastError", "u8", 7)],
     85: [F("KitDevId", "u64", 0)],
     87: [F("JerkFiltType", "lo4", 0), F("JerkFiltOrder", "hi4", 0, validity=POSITIVE),
          F("JerkFiltFreq", "f32", 1, "Hz"), F("JerkFiltWindow", "u24", 5, "ms")],
@@ -397,7 +398,7 @@ UTC_CHANNEL = 16
 def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
     """Values of a channel by field name, in the units of the table; None: invalid. Empty for an unknown channel.
 
-    Cyclic counters are as sent; status.StatusTracker unwraps them and adds derived values.
+    Counters are not unwrapped; status.StatusTracker unwraps them and adds derived values.
     """
     word = int.from_bytes(data, "little")
     values = {name: field.decode(word, data) for name, field in FIELDS.get(channel, {}).items()}

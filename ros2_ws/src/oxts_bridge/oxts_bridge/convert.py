@@ -47,8 +47,9 @@ class Publishers:
     def __init__(self, node: Node, settings: SimpleNamespace):
         self._node, self._settings = node, settings
         self._publishers: list[Publisher] = []
-        self._out = {name: self._create(type_, f"ins/{name}", LATCHED if name in ("status", "origin") else SAMPLE_QOS,
-                                        name in settings.topics) for name, type_ in MESSAGE_TYPES.items()}
+        self._outputs = {
+            name: self._create(type_, f"ins/{name}", LATCHED if name in ("status", "origin") else SAMPLE_QOS,
+                               name in settings.topics) for name, type_ in MESSAGE_TYPES.items()}
         self._tf = self._create(TFMessage, "/tf", 100, settings.publish_tf)
         self._tf_static = self._create(TFMessage, "/tf_static", LATCHED, settings.publish_tf)
         self._clock = self._create(Clock, "/clock", 10, settings.publish_clock)
@@ -81,19 +82,19 @@ class Publishers:
 
     def publish_raw(self, received: ReceivedPacket) -> None:
         """Publish st_msgs/Ncom: the packet as received, stamped with the time of receipt."""
-        if received.received_ns is not None and self._out["ncom"].has_subscribers():
+        if received.received_ns is not None and self._outputs["ncom"].has_subscribers():
             _set_time(self._ncom.header.stamp, received.received_ns)
             self._ncom.raw_packet.data[:] = memoryview(received.raw)
-            self._out["ncom"].publish(self._ncom)
+            self._outputs["ncom"].publish(self._ncom)
 
     def publish_time_reference(self, received: ReceivedPacket) -> None:
         """Publish sensor_msgs/TimeReference: host time of receipt (header) and UTC of the INS."""
         received_ns, utc_ns = received.received_ns, received.utc_ns
-        if received_ns is not None and utc_ns is not None and self._out["time_reference"].has_subscribers():
+        if received_ns is not None and utc_ns is not None and self._outputs["time_reference"].has_subscribers():
             message = self._time_reference
             _set_time(message.header.stamp, received_ns)
             _set_time(message.time_ref, utc_ns)
-            self._out["time_reference"].publish(message)
+            self._outputs["time_reference"].publish(message)
 
     def publish_motion(self, stamp_ns: int, motion: Motion, position: Vector | None, accuracy: Accuracy) -> None:
         """Publish odometry, the transform from odom to base_link, and velocity.
@@ -102,7 +103,7 @@ class Publishers:
         frame [m]; None without an origin: only velocity is published.
         """
         if position is not None:
-            if self._out["odometry"].has_subscribers():
+            if self._outputs["odometry"].has_subscribers():
                 message = self._odometry
                 _set_time(message.header.stamp, stamp_ns)
                 _set_pose(message.pose.pose, position, motion)
@@ -111,22 +112,22 @@ class Publishers:
                 orientation_covariance = _rotate_orientation_covariance(motion, accuracy) or _UNKNOWN_BLOCK
                 _set_block(message.pose.covariance, 21, orientation_covariance)
                 _set_block(message.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
-                self._out["odometry"].publish(message)
+                self._outputs["odometry"].publish(message)
             if self._tf.has_subscribers():
                 x, y, z = motion.attitude.to_enu(self._ins_to_base)
                 _set_time(self._transform.header.stamp, stamp_ns)
                 _set_vector(self._transform.transform.translation, (position[0] + x, position[1] + y, position[2] + z))
                 _set_quaternion(self._transform.transform.rotation, motion.attitude.to_quaternion())
                 self._tf.publish(self._transforms)
-        if self._out["velocity"].has_subscribers():
+        if self._outputs["velocity"].has_subscribers():
             _set_time(self._velocity.header.stamp, stamp_ns)
             _set_twist(self._velocity.twist.twist, motion)
             _set_block(self._velocity.twist.covariance, 0, _rotate_velocity_covariance(motion, accuracy))
-            self._out["velocity"].publish(self._velocity)
+            self._outputs["velocity"].publish(self._velocity)
 
     def publish_fix(self, stamp_ns: int, motion: Motion, accuracy: Accuracy, status: StatusTracker) -> None:
         """Publish sensor_msgs/NavSatFix; altitude above the ellipsoid, NaN while the geoid undulation is unknown."""
-        if not self._out["nav_sat_fix"].has_subscribers():
+        if not self._outputs["nav_sat_fix"].has_subscribers():
             return
         # Height above the ellipsoid = altitude + undulation. The manual subtracts; recordings show that this is wrong.
         undulation = 0.0 if self._settings.altitude_is_ellipsoidal else status.get_number("Undulation")
@@ -138,7 +139,7 @@ class Publishers:
         message.position_covariance[::4] = variances or 0.0
         message.position_covariance_type = (
             NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN if variances else NavSatFix.COVARIANCE_TYPE_UNKNOWN)
-        self._out["nav_sat_fix"].publish(message)
+        self._outputs["nav_sat_fix"].publish(message)
 
     def publish_imu(self, stamp_ns: int, received: ReceivedPacket, motion: Motion | None, accuracy: Accuracy) -> None:
         """Publish sensor_msgs/Imu, unless a rate or acceleration is invalid. motion: None without a valid attitude.
@@ -147,7 +148,7 @@ class Publishers:
         """
         packet, covariance = received.packet, self._imu.orientation_covariance
         is_valid = isfinite(sum(packet.acceleration) + sum(packet.angular_rate))
-        if not is_valid or not self._out["imu"].has_subscribers():
+        if not is_valid or not self._outputs["imu"].has_subscribers():
             return
         _set_time(self._imu.header.stamp, stamp_ns)
         _set_vector(self._imu.angular_velocity, flu_from_frd(packet.angular_rate))
@@ -159,7 +160,7 @@ class Publishers:
         else:
             _set_quaternion(self._imu.orientation, motion.attitude.to_quaternion())
             covariance[:] = _rotate_orientation_covariance(motion, accuracy) or 0.0
-        self._out["imu"].publish(self._imu)
+        self._outputs["imu"].publish(self._imu)
 
     def publish_trigger(self, stamp_ns: int, channel: int, count: int, position: Vector | None,
                         motion: Motion | None) -> None:
@@ -170,7 +171,7 @@ class Publishers:
             message.pose_valid = True
             _set_pose(message.pose, position, motion)
             _set_twist(message.twist, motion)
-        self._out["trigger"].publish(message)
+        self._outputs["trigger"].publish(message)
 
     def publish_status(self, stamp_ns: int, navigation_status: int, status: StatusTracker, counters: Counters,
                        time_jumps: int) -> None:
@@ -201,14 +202,14 @@ class Publishers:
         for name, field in (("position", "GpsPosMode"), ("velocity", "GpsVelMode"), ("orientation", "GpsAttMode")):
             setattr(message, f"{name}_mode", _to_integer(get(field)))
             setattr(message, f"{name}_mode_text", describe_mode(get(field)))
-        self._out["status"].publish(message)
+        self._outputs["status"].publish(message)
 
     def publish_origin(self, stamp_ns: int, geodetic: tuple[float, float, float]) -> None:
         """Publish the origin of the map. geodetic: latitude, longitude [deg], altitude [m] as the unit sends it."""
         message = NavSatFix(header=Header(frame_id=self._settings.map_frame))
         _set_time(message.header.stamp, stamp_ns)
         message.latitude, message.longitude, message.altitude = geodetic
-        self._out["origin"].publish(message)
+        self._outputs["origin"].publish(message)
 
     def publish_clock(self, utc_ns: int) -> None:
         message = Clock()

@@ -28,7 +28,7 @@ Change: TypeAlias = tuple[int, int, str, Value]
 TRIGGER_NAMES = {24: "in1down", 43: "in1up", 65: "out1", 79: "in2down", 80: "in2up", 81: "out2"}
 _LARGEST_UMAC_STATUS = 10  # the vendor's tools limit the code of the robot interface to this value
 # In these fields "invalid" means "no new value": the last value stays valid, as in the vendor's tools.
-_RETAINED = frozenset(
+_RETAINED_FIELDS = frozenset(
     name for fields in FIELDS.values() for name, field in fields.items()
     if name.startswith("Inn") or name == "Undulation" or field.validity is B6_BIT7_CLEAR)
 _DERIVATION_FIELDS = {4: ("VnAcc", "VeAcc"), 60: ("Ned2SurfHeading", "Ned2SurfPitch", "Ned2SurfRoll"),
@@ -95,7 +95,7 @@ def _make_table(columns: Columns, history: Mapping[int, SettingHistory]) -> dict
         "nav_mode": columns.navigation_status, "channel": columns.channel, "time": compute_gps_seconds(columns),
         "week": np.where(is_timed, (gps_ms // WEEK_MS).astype(str), ""),
         "tow": np.where(is_timed, gps_ms % WEEK_MS / 1e3, np.nan),
-        "quality": np.where(has_navigation, np.where(columns.approximate, "approx", "valid"), ""),
+        "quality": np.where(has_navigation, np.where(columns.is_approximate, "approx", "valid"), ""),
         **dict(zip(("Ax", "Ay", "Az"), columns.acceleration, strict=True)),
         **dict(zip(("Wx", "Wy", "Wz"), degrees(columns.angular_rate), strict=True)),
         "Lat": degrees(columns.latitude), "Lon": degrees(columns.longitude), "Alt": columns.altitude,
@@ -120,7 +120,7 @@ def _read_status(columns: Columns) -> tuple[list[Change], Mapping[int, SettingHi
         fields = tracker.update(channel, columns.batch_s[:, i].tobytes(), seconds, position)
         for name, sent in fields.items():
             value = min(sent, _LARGEST_UMAC_STATUS) if name == "UmacStatus" and sent is not None else sent
-            is_reported = name not in RAW_FIELDS and (value is not None or name not in _RETAINED)
+            is_reported = name not in RAW_FIELDS and (value is not None or name not in _RETAINED_FIELDS)
             if is_reported and last_values.get(name) != value:
                 last_values[name] = value
                 changes.append((i, channel, name, value))
@@ -145,7 +145,7 @@ def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[
     for (start, angles), end in zip(surfaces, ends, strict=True):
         if None in angles:
             continue
-        fix = (columns.kind[start:end] != EMPTY) & ~columns.approximate[start:end]
+        fix = (columns.kind[start:end] != EMPTY) & ~columns.is_approximate[start:end]
         attitude = np.array([columns.heading[start:end], columns.pitch[start:end], columns.roll[start:end]])
         usable = np.flatnonzero(fix & ~np.isnan(attitude).any(axis=0))
         surface = Rotation.from_euler("ZYX", np.array(angles, float), degrees=True)
@@ -161,7 +161,7 @@ def _compute_surface_angles(columns: Columns, surfaces: SettingHistory) -> list[
 
 def _derive_columns(columns: Columns, history: Mapping[int, SettingHistory]) -> dict[str, np.ndarray]:
     """Derived columns by name, in the order and units (of m, deg, s) of the vendor's tools."""
-    has_fix = (columns.kind != EMPTY) & ~columns.approximate
+    has_fix = (columns.kind != EMPTY) & ~columns.is_approximate
     names = ("acceleration", "angular_rate", "latitude", "longitude", "altitude", "velocity_ned", "heading", "pitch",
              "roll")
     motion = Motion.from_packet(Packet(**{name: np.where(has_fix, getattr(columns, name), np.nan) for name in names}))
@@ -177,7 +177,7 @@ def _derive_columns(columns: Columns, history: Mapping[int, SettingHistory]) -> 
     out["Af"], out["Al"], out["Ad"] = flu_from_frd(level_axes.to_enu(motion.acceleration))
     out["Wf"], out["Wl"], out["Wd"] = np.degrees(level_rate)
     _add_angular_acceleration(out, columns, seconds)
-    _add_filtered(out, columns, seconds, acceleration_filter=history[74], rate_filter=history[63])
+    _add_filtered_signals(out, columns, seconds, acceleration_filter=history[74], rate_filter=history[63])
     for prefix, vector in (("IsoVo", motion.body_velocity), ("IsoVh", (out["Vf"], -out["Vl"], up)),
                            ("IsoAo", _compute_ground_acceleration(motion))):
         out[f"{prefix}X"], out[f"{prefix}Y"], out[f"{prefix}Z"] = vector
@@ -253,7 +253,7 @@ def _add_angular_acceleration(out: dict, columns: Columns, seconds: np.ndarray) 
     out["Yx"], out["Yy"], out["Yz"] = result
 
 
-def _add_filtered(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: SettingHistory,
+def _add_filtered_signals(out: dict, columns: Columns, seconds: np.ndarray, acceleration_filter: SettingHistory,
                   rate_filter: SettingHistory) -> None:
     regular = (columns.kind == REGULAR) & ~np.isnan(seconds)
     for prefix, signal, changes in (("FiltA", columns.acceleration, acceleration_filter),
@@ -272,8 +272,8 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
         K = tan(pi fc / fs),  D = K^2 + 2 z K + 1
 
     settings: (index of the first sample, (cutoff fc [Hz], damping ratio z)); both 0: no filter; one 0 or None: ignored.
-    NaN until there are a setting with fc < fs / 2 and three evenly spaced samples, of which three may precede a new
-    setting; the filter starts in steady state at the first of them.
+    NaN until a setting has fc < fs / 2 and three evenly spaced samples, which may precede it; the filter starts in
+    steady state at the first of these.
     Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py (case filters).
     """
     output = np.full(len(values), np.nan)

@@ -48,10 +48,10 @@ _UTC_OFFSET = np.array([  # indexed by byte 7 of channel 16
 
 @dataclass(kw_only=True)
 class Columns(Packet):
-    """The accepted packets of a file as columns, in file order; structure B packets are included as EMPTY.
+    """The accepted packets of a file as columns, in file order; structure B packets have kind EMPTY.
 
     offset: byte position in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in ReceivedPacket.
-    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  approximate: true for
+    gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  is_approximate: true for
     navigation values sent before the first fix.  has_status: batch S is valid.
     """
 
@@ -61,10 +61,10 @@ class Columns(Packet):
     order: np.ndarray
     gps_ns: np.ndarray
     utc_ns: np.ndarray
-    approximate: np.ndarray
+    is_approximate: np.ndarray
     has_status: np.ndarray
-    checksum_errors: int  # these two as in Counters
-    skipped_bytes: int
+    checksum_errors: int  # as in Counters
+    skipped_bytes: int  # as in Counters
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -129,7 +129,7 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
         acceleration=acceleration, angular_rate=angular_rate, velocity_ned=velocity,
         latitude=packets["latitude"].copy(), longitude=packets["longitude"].copy(), altitude=altitude,
         heading=heading, pitch=pitch, roll=roll,
-        approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status],
+        is_approximate=_IS_APPROXIMATE[status], has_status=_HAS_STATUS[status],
         checksum_errors=counters.checksum_errors, skipped_bytes=counters.skipped_bytes)
     _mask_invalid(columns)
     return columns
@@ -150,10 +150,10 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
     timed = np.flatnonzero(_HAS_TIME[status] & (ms < ncom.MINUTE_MS))
     is_minute = (minutes >= ncom.FIRST_MINUTE) & (minutes <= ncom.LAST_MINUTE)
     sets_minute = _SETS_CLOCK[status] & (packets["channel"] == 0) & is_minute
-    hints = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
+    status_packets = np.flatnonzero(sets_minute & (status == ncom.STATUS_ONLY))
     gps_ms, timed_order = compute_packet_times(
         ms[timed].astype(np.int64), np.where(sets_minute[timed], minutes[timed], -1),
-        list(zip(np.searchsorted(timed, hints).tolist(), minutes[hints].tolist(), strict=True)))
+        list(zip(np.searchsorted(timed, status_packets).tolist(), minutes[status_packets].tolist(), strict=True)))
     same = np.flatnonzero(timed_order == ncom.SAME)
     repeats = (raw[timed[same]] == raw[timed[same - 1]]).all(axis=1)
     timed_order[same[repeats]] = ncom.DUPLICATE
@@ -172,15 +172,15 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
 
 
 def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
-                         hints: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
+                         status_minutes: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
     """GPS time [ms] (-1 unknown) and order (NEW, SAME, LATE) of packets.
 
     The results are the same as from a GpsClock that steps through all packets. Once the clock has settled, times are
     computed by counting minute rollovers up to the next late packet, or to the next transmitted minute that differs
     from the count; there, the clock steps through _SINGLE_STEPS packets again.
 
-    ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. hints: (index, minute) for
-    each status-only packet that sent a minute; index: number of timed packets before it.
+    ms: milliseconds of the minute. minutes: GPS minute sent with the packet, -1 if none. status_minutes: (index,
+    minute) for each status-only packet that sent a minute; index: number of timed packets before it.
     """
     step = np.diff(ms, prepend=ms[:1])
     ahead = step % ncom.MINUTE_MS
@@ -192,7 +192,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
     stops = np.union1d(np.flatnonzero(is_late), timed[1:][np.diff(bases) != 0])
     times = np.full(len(ms), -1, np.int64)
     order = np.where(ahead > 0, ncom.NEW, ncom.SAME).astype(np.int8)
-    waiting, clock, start = deque(hints), ncom.GpsClock(), 0
+    waiting, clock, start = deque(status_minutes), ncom.GpsClock(), 0
     while start < len(ms):
         if clock.is_settled:
             base, k = clock.minute - wraps[start - 1], np.searchsorted(timed, start)
@@ -204,7 +204,7 @@ def compute_packet_times(ms: np.ndarray, minutes: np.ndarray,
             start = stop
         for i in range(start, min(start + _SINGLE_STEPS, len(ms))):
             while waiting and waiting[0][0] <= i:
-                clock.hint(waiting.popleft()[1])
+                clock.initialise_minute(waiting.popleft()[1])
             time, order[i] = clock.step(int(ms[i]), None if minutes[i] < 0 else int(minutes[i]))
             times[i] = -1 if time is None else time
             start = i + 1
@@ -228,7 +228,7 @@ def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
 
 def _mask_invalid(columns: Columns) -> None:
     """Replace values that the navigation status declares invalid, and impossible positions, by NaN."""
-    columns.approximate &= columns.kind != EMPTY
+    columns.is_approximate &= columns.kind != EMPTY
     no_imu = (columns.kind != REGULAR) & (columns.kind != TRIGGER)
     no_navigation = no_imu | ~_HAS_NAVIGATION[columns.navigation_status]
     with np.errstate(invalid="ignore"):

@@ -55,7 +55,7 @@ class Attitude:
 
     @classmethod
     def from_ned(cls, heading: Number, pitch: Number, roll: Number) -> "Attitude":
-        """From the angles of a packet: heading clockwise from north, pitch nose up +, roll right side down + [rad]."""
+        """Attitude from packet angles: heading clockwise from north, pitch nose up +, roll right side down + [rad]."""
         return cls(yaw_from_heading(heading), -pitch, roll)
 
     def to_quaternion(self) -> Quaternion:

@@ -27,16 +27,16 @@ class Health:
     live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
     ellipsoidal altitude. silence_after: time without a packet that is an error [s].
 
-    The node updates the public attributes. navigation_status: newest defined one, without triggers. last_packet_at:
-    time of receipt on the monotonic clock [s]. failures: number of packets that could not be published. incomplete:
-    number of packets with a fix, but with an invalid position, velocity, angle or rate.
+    The node updates the public attributes. navigation_status: newest defined status of a packet that is not a trigger.
+    last_packet_at: time of receipt on the monotonic clock [s]. failures: number of packets that could not be
+    published. incomplete_packets: number of packets with a fix, but with an invalid position, velocity, angle or rate.
     """
 
     def __init__(self, parser: NcomParser, status: StatusTracker, origin: Origin, statistics: StreamStatistics,
                  source: Callable[[], SourceStatus | None], live: bool, ellipsoidal: bool, silence_after: float):
         self.navigation_status: int | None = None
         self.last_packet_at = _NEVER
-        self.failures = self.incomplete = 0
+        self.failures = self.incomplete_packets = 0
         self._best_mode: int | None = None
         self._parser, self._status, self._origin, self._statistics = parser, status, origin, statistics
         self._source, self._live, self._ellipsoidal, self._silence_after = source, live, ellipsoidal, silence_after
@@ -64,7 +64,8 @@ class Health:
             return Check("source", ERROR, source.problem, values)
         if source.is_done:
             return Check("source", OK, f"{source.name}: replay finished", values)
-        ignored, self._previous_ignored = source.ignored_ports - self._previous_ignored, source.ignored_ports
+        ignored = source.ignored_from_other_ports - self._previous_ignored
+        self._previous_ignored = source.ignored_from_other_ports
         if ignored > 0:
             text = f"{ignored} datagrams from other ports of {source.sender} ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
@@ -80,7 +81,7 @@ class Health:
             "checksum errors": counters.checksum_errors, "skipped bytes": counters.skipped_bytes,
             "late": counters.late, "gaps": self._statistics.gaps,
             "impossible positions": counters.impossible_positions, "impossible times": counters.impossible_times,
-            "packets without a complete solution": self.incomplete,
+            "packets without a complete solution": self.incomplete_packets,
         }
         increments = {name: count - self._previous_faults.get(name, 0) for name, count in faults.items()}
         self._previous_faults = faults

@@ -33,9 +33,9 @@ class Accuracy(NamedTuple):
                    (radians(number("RollAcc")), radians(number("PitchAcc")), radians(number("HeadingAcc"))))
 
 
-def compute_variances(deviations: Vector) -> Vector | None:
+def compute_variances(standard_deviations: Vector) -> Vector | None:
     """Squares of three standard deviations; None if one is unknown."""
-    a, b, c = deviations
+    a, b, c = standard_deviations
     return None if isnan(a + b + c) else (a**2, b**2, c**2)
 
 
@@ -122,7 +122,7 @@ class Origin:
 def reconstruct_odometry(packets: Iterable[tuple[int, bytes]], origin: Origin, live: bool = True,
                          by_receive_time: bool = False) -> Iterator[tuple[int, Vector, Motion]]:
     """Yields (UTC [ns since 1970], ENU position relative to the origin [m], motion) of every odometry message that the
-    live node publishes for these packets, with identical bits.
+    live node publishes for these packets, bit for bit.
 
     packets: (time of receipt [ns since 1970], 72 bytes), in order of receipt. origin: as configured in the node.
     live: the packets came from a unit, not from a replayed file. by_receive_time: stamp_source was "receive".

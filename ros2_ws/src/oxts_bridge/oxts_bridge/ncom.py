@@ -90,7 +90,7 @@ class StatusRule(NamedTuple):
 
 
 RAW_IMU, INITIALISING, LOCKING, LOCKED, EXPIRED, BLOCKED, STATUS_ONLY = 1, 2, 3, 4, 6, 7, 10
-_DEFINED: dict[int, StatusRule] = {
+_DEFINED_RULES: dict[int, StatusRule] = {
     0: StatusRule("nothing valid"),
     RAW_IMU: StatusRule("raw IMU", "regular"),
     INITIALISING: StatusRule("initialising", "regular", "approximate", has_time=True),
@@ -106,7 +106,7 @@ _DEFINED: dict[int, StatusRule] = {
     22: StatusRule("trigger while locked", "trigger", "valid"),
 }
 STATUS_RULES: tuple[StatusRule, ...] = tuple(
-    _DEFINED.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
+    _DEFINED_RULES.get(n, StatusRule(f"reserved ({n})", is_defined=False)) for n in range(256))
 # Statuses in which channel 0 sets the GPS minute, and channel 16 the UTC offset. Files start with status-only packets.
 # Raw IMU (status 1) is excluded because the unit's clock is not set yet.
 MINUTE_STATUSES = frozenset((INITIALISING, LOCKING, LOCKED, STATUS_ONLY))
@@ -146,7 +146,7 @@ def get_fix_status(mode: int | None) -> int:
 
 @dataclass(slots=True)
 class Packet:
-    """Values in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
+    """Values of a packet in the transmitted axes: NED, and FRD of the vehicle (forward, right, down). NaN = invalid.
 
     The fields of several packets are columns: arrays (n,), vectors (3, n), batch_s (8, n) uint8.
 
@@ -306,7 +306,7 @@ def compute_host_minute(received_ns: int, milliseconds: int) -> int:
 
 
 class GpsClock:
-    """Tracks the GPS time of packets that all have milliseconds of the minute, and some the minute (channel 0).
+    """Tracks the GPS time of packets: all send milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute takes precedence over the count.
     minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, forward by more than
@@ -318,7 +318,7 @@ class GpsClock:
         self.milliseconds: int | None = None
         self.jumps = 0
         self._received_ns: int | None = None
-        self._unconfirmed: int | None = None  # difference of the last sent minute from the count
+        self._unconfirmed_difference: int | None = None  # difference of the last sent minute from the count
         self._late_count = 0  # length of the current run of late packets
         self._late_ms = 0  # time of its newest packet
         self._late_minute: int | None = None
@@ -326,9 +326,9 @@ class GpsClock:
     @property
     def is_settled(self) -> bool:
         """Whether the time is known and neither a minute change nor a run of late packets awaits confirmation."""
-        return self._compute_time() is not None and self._unconfirmed is None and self._late_count == 0
+        return self._compute_time() is not None and self._unconfirmed_difference is None and self._late_count == 0
 
-    def hint(self, minute: int) -> None:
+    def initialise_minute(self, minute: int) -> None:
         """Set the minute, from a status-only packet (no milliseconds) or the host's clock, if none is known yet."""
         if self.minute is None:
             self.minute = minute
@@ -357,7 +357,7 @@ class GpsClock:
         if minute is not None and minute != self.minute:
             jumped |= self._correct_minute(ms, minute)
         elif minute is not None:
-            self._unconfirmed = None
+            self._unconfirmed_difference = None
         self.jumps += jumped
         return self._compute_time(), NEW if ahead else SAME
 
@@ -371,10 +371,10 @@ class GpsClock:
         """Replace the counted minute by a different one that was sent; returns whether the time jumps."""
         difference = None if self.minute is None else minute - self.minute
         is_near_change = ms < CONFIRMATION_MS or ms >= MINUTE_MS - CONFIRMATION_MS
-        if is_near_change and difference in (-1, 1) and self._unconfirmed != difference:
-            self._unconfirmed = difference
+        if is_near_change and difference in (-1, 1) and self._unconfirmed_difference != difference:
+            self._unconfirmed_difference = difference
             return False
-        self.minute, self._unconfirmed = minute, None
+        self.minute, self._unconfirmed_difference = minute, None
         return difference is not None
 
     def _step_back(self, ms: int, minute: int | None, behind: int) -> tuple[int | None, int]:
@@ -401,5 +401,5 @@ class GpsClock:
 
     def _restart(self, ms: int, minute: int | None) -> int | None:
         self.milliseconds, self.minute = ms, minute
-        self._unconfirmed, self._late_count = None, 0
+        self._unconfirmed_difference, self._late_count = None, 0
         return self._compute_time()

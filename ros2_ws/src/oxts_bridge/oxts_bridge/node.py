@@ -73,8 +73,8 @@ class OxtsBridge(LifecycleNode):
         self._problem = ""
         self._reset()
         self._diagnostics = Diagnostics(self, "oxts", lambda: self._health.checks())  # noqa: PLW0108 - _reset() replaces it
-        # The thread of the source reports a change through this, because only the executor may publish diagnostics.
-        self._changed = self.create_guard_condition(self._diagnostics.publish)
+        # The source's thread reports a change through this condition, since only the executor may publish diagnostics.
+        self._source_changed = self.create_guard_condition(self._diagnostics.publish)
         if self._settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != _SUCCESS:
@@ -93,7 +93,7 @@ class OxtsBridge(LifecycleNode):
             self._live, s.altitude_is_ellipsoidal, s.silence_after)
         self._published_frame: LocalFrame | None = None
         self._newest_packet: Packet | None = None
-        self._reported: tuple | None = None
+        self._reported_state: tuple | None = None
         self._reported_at = self._clock_at = float("-inf")
 
     # Lifecycle
@@ -134,7 +134,7 @@ class OxtsBridge(LifecycleNode):
     def _make_source(self) -> Source:
         s = self._settings
         if self._live:
-            return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._changed.trigger,
+            return UdpSource(s.bind_address, s.udp_port, s.sender_filter, self._on_data, self._source_changed.trigger,
                              lambda data: continues_stream(self._newest_packet, data))
         return ReplaySource(Path(s.replay_file), self._on_data, self._parser.restart, s.speed_factor, s.loop,
                             s.start_offset)
@@ -176,7 +176,7 @@ class OxtsBridge(LifecycleNode):
             return
         in_series = received.kind == "regular" and received.order == NEW
         motion = extract_motion(received)
-        self._health.incomplete += in_series and motion is None and received.rule.navigation == "valid"
+        self._health.incomplete_packets += in_series and motion is None and received.rule.navigation == "valid"
         position = self._locate(publishers, received_ns, motion)
         if received.event_ns is not None:
             # An event that is only repeated in a regular packet has no pose.
@@ -215,9 +215,9 @@ class OxtsBridge(LifecycleNode):
     def _publish_status(self, publishers: Publishers, stamp: int, now: float) -> None:
         get = self._status.get
         state = (self._health.navigation_status, get("GpsPosMode"), get("GpsVelMode"), get("GpsAttMode"))
-        if state == self._reported and now - self._reported_at < self._settings.status_period:
+        if state == self._reported_state and now - self._reported_at < self._settings.status_period:
             return
-        self._reported, self._reported_at = state, now
+        self._reported_state, self._reported_at = state, now
         publishers.publish_status(stamp, self._health.navigation_status or 0, self._status, self._parser.counters,
                                   self._parser.clock.jumps)
 

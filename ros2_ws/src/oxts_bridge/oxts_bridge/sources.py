@@ -25,7 +25,7 @@ _RECEIVE_BUFFER = 1 << 20  # bytes
 _WAKE_PERIOD = 0.2  # s
 RETRY_PERIOD = 1.0  # s
 SENDER_TIMEOUT = 2.0  # s; after this silence of the sender in use, another one is accepted
-_MAX_SENDERS_COUNTED = 16
+_MAX_COUNTED_SENDERS = 16
 # A replay does not wait for longer steps of the recorded time, which come from joined files or a clock change [ns].
 LONGEST_PAUSE_NS = 60_000_000_000
 LONGEST_CONTINUATION_MS = 1_000  # a datagram from another port continues the stream only within this time
@@ -64,7 +64,7 @@ class SourceStatus:
     problem: reason why no data can arrive, or "".  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
     ignored: ignored datagrams of up to 16 senders, by address, or by address and port for the address in use.
-    ignored_ports: ignored datagrams from other ports of the sender in use.  progress: fraction of the file replayed.
+    ignored_from_other_ports: those from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed passes of a looped replay.
     """
 
@@ -74,13 +74,13 @@ class SourceStatus:
     sender: str = ""
     datagrams: int = 0
     ignored: dict[str, int] = field(default_factory=dict)
-    ignored_ports: int = 0
+    ignored_from_other_ports: int = 0
     progress: float = 0.0
     loops: int = 0
 
 
 class Source(ABC):
-    """NCOM bytes, read in a separate thread."""
+    """Source of NCOM bytes, read in a separate thread."""
 
     def __init__(self, name: str):
         self.status = SourceStatus(name)
@@ -163,9 +163,9 @@ class UdpSource(Source):
         address, port = sender
         if sender != self._sender and not self._accepts(address, data):
             same_address = address == self.status.sender
-            self.status.ignored_ports += same_address
+            self.status.ignored_from_other_ports += same_address
             name, ignored = f"{address} port {port}" if same_address else address, self.status.ignored
-            if name in ignored or len(ignored) < _MAX_SENDERS_COUNTED:
+            if name in ignored or len(ignored) < _MAX_COUNTED_SENDERS:
                 ignored[name] = ignored.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):
             self._last_packet_at = time.monotonic()

@@ -16,8 +16,8 @@ _LAG_WEIGHT = 0.01  # of a new value in the filtered lag, as in the vendor's too
 # Processed even if their bytes repeat: values derived from channels 23 and 45 change; 12 and 57 set the same fields.
 _NEVER_SKIPPED = frozenset({12, 23, 45, 57})
 
-_CYCLIC = {
-    channel: tuple((name, 1 << field.cyclic) for name, field in fields.items() if field.cyclic)
+_COUNTER_MODULI = {
+    channel: tuple((name, 1 << field.counter_bits) for name, field in fields.items() if field.counter_bits)
     for channel, fields in FIELDS.items()
 }
 
@@ -46,7 +46,7 @@ class StatusTracker:
             return {}
         self.raw[channel] = data
         fields = decode_channel(channel, data)
-        for name, modulus in _CYCLIC.get(channel, ()):
+        for name, modulus in _COUNTER_MODULI.get(channel, ()):
             previous = self.values.get(name)
             if previous is not None:
                 fields[name] = previous + (fields[name] - previous) % modulus

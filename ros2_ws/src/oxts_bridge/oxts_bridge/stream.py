@@ -128,11 +128,11 @@ class NcomParser:
         if gps_ms is not None:
             self._untimed_since_ns = None
             return gps_ms * 1_000_000, order
-        if received_ns is not None and order == NEW:  # the minute of the clock is that of its newest packet
+        if received_ns is not None and order == NEW:  # a late packet must not set the minute of the newest one
             if self._untimed_since_ns is None:
                 self._untimed_since_ns = received_ns
             if received_ns - self._untimed_since_ns > HOST_MINUTE_DELAY_NS:
-                self.clock.hint(ncom.compute_host_minute(received_ns, packet.milliseconds))
+                self.clock.initialise_minute(ncom.compute_host_minute(received_ns, packet.milliseconds))
                 self.minute_from_host = True
         return None, order
 
@@ -175,7 +175,7 @@ class NcomParser:
         if not ncom.FIRST_MINUTE <= minute <= ncom.LAST_MINUTE:
             return None
         if status == ncom.STATUS_ONLY:
-            self.clock.hint(minute)
+            self.clock.initialise_minute(minute)
         return minute
 
 

@@ -139,10 +139,10 @@ def test_other_minute_of_channel_0_is_accepted_at_once():
 
 def test_minute_of_a_status_only_packet_is_used_only_without_another():
     clock = GpsClock()
-    clock.hint(MINUTE)
-    clock.hint(MINUTE + 3)
+    clock.initialise_minute(MINUTE)
+    clock.initialise_minute(MINUTE + 3)
     assert feed(clock, (1000, None)) == [(1000, NEW)]
-    clock.hint(MINUTE + 9)
+    clock.initialise_minute(MINUTE + 9)
     assert feed(clock, (1010, None)) == [(1010, NEW)]
 
 
