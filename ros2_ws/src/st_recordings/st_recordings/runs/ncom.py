@@ -43,7 +43,7 @@ def read_ncom(file: Path) -> NcomLog:
         raise RunError(file, problem, "remove the file from the command, or name the right one") from None
     warnings = _describe_damage(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
-    fix = regular & ~columns.approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
+    fix = regular & ~columns.is_approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
     fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
         counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)

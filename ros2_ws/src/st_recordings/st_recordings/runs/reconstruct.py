@@ -211,7 +211,7 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
     if not len(rows):
         return None, None
     forward = Motion.from_packet(columns.take(rows)).body_velocity[0]
-    fix = ~columns.approximate[rows]
+    fix = ~columns.is_approximate[rows]
     return collect_quality(columns, rows), make_series(columns.utc_ns[rows][fix], forward[fix])
 
 
