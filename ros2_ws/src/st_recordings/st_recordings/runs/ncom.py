@@ -43,8 +43,8 @@ def read_ncom(file: Path) -> NcomLog:
         raise RunError(file, problem, "remove the file from the command, or name the right one") from None
     warnings = _describe_damage(columns, file)
     regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
-    fix = regular & ~columns.is_approximate & np.isfinite(columns.latitude) & np.isfinite(columns.velocity_ned).all(axis=0)
-    fix &= np.isfinite(columns.heading) & np.isfinite(columns.angular_rate).all(axis=0)
+    fix = regular & ~columns.is_approximate & np.isfinite(columns.latitude) & np.isfinite(columns.heading)
+    fix &= np.isfinite(columns.velocity_ned).all(axis=0) & np.isfinite(columns.angular_rate).all(axis=0)
     if not fix.any():
         counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)
         statuses = ", ".join(f"{status} ({STATUS_RULES[status].text}) in {count} packets" for status, count in counts)
