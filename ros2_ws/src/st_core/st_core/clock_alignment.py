@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, Resampled, find_peaks, fit, mean_correlation, resample
+from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, Series, find_peaks, fit, mean_correlation, resample
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
 COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass: while the drift is unknown, and for the result
 STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; its rounding error is part of the uncertainty
-GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one signal is below the first, refused if all are
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # one signal below 1st: doubtful; all below 2nd: refused
 MIN_OVERLAP = 20.0  # s, if no offset fits with an overlap of 40 % of the shorter recording
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
 MAX_CLOCK_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
@@ -52,7 +52,7 @@ class ClockStep(NamedTuple):
     size: float  # increase of the lag [s]
 
 
-class _Prepared(NamedTuple):
+class _ResampledSignals(NamedTuple):
     """The usable signals of two recordings, resampled. Float times are relative to the first sample of the first usable
     signal in each recording."""
 
@@ -64,7 +64,7 @@ class _Prepared(NamedTuple):
     latency_uncertainty: float = 0.0  # largest of the signals [s]
 
 
-def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
+def _resample_signals(signals: Sequence[SharedSignal]) -> _ResampledSignals:
     """The signals that vary and are known in both recordings, resampled."""
     usable, reasons = [], []
     for signal in signals:
@@ -83,7 +83,7 @@ def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
             continue
         usable.append(signal)
     if not usable:
-        return _Prepared([], [], tuple(reasons or ["the recordings share no signal"]))
+        return _ResampledSignals([], [], tuple(reasons or ["the recordings share no signal"]))
     rows = []
     reference_ns, other_ns = int(usable[0].reference_time_ns[0]), int(usable[0].other_time_ns[0])
     for signal in usable:
@@ -94,26 +94,26 @@ def _prepare(signals: Sequence[SharedSignal]) -> _Prepared:
         if all(side.known.any() for pair in row for side in (pair.reference, pair.other)):
             rows.append(row)
     if not rows:
-        return _Prepared([], [], (*reasons, "the shared signals were measured for only a few seconds"))
+        return _ResampledSignals([], [], (*reasons, "the shared signals were measured for only a few seconds"))
     coarse, fine = map(list, zip(*rows, strict=True))
-    return _Prepared(coarse, fine, tuple(reasons), reference_ns, other_ns,
-                     max(signal.latency_uncertainty for signal in usable))
+    return _ResampledSignals(coarse, fine, tuple(reasons), reference_ns, other_ns,
+                             max(signal.latency_uncertainty for signal in usable))
 
 
 def manual_alignment(offset_ns: int, at_ns: int, signals: Sequence[SharedSignal] = ()) -> Alignment:
-    """Alignment with an offset [ns] given for the log time at_ns, of unknown uncertainty, checked with the signals."""
+    """Alignment with an offset [ns] at the log time at_ns, of unknown uncertainty, checked against the signals."""
     offset = offset_ns * 1e-9
     check = align(signals, search=(offset - MANUAL_SEARCH, offset + MANUAL_SEARCH)) if signals else refused_alignment()
-    given = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
+    manual = Alignment(at_ns, offset_ns, 0.0, float("nan"), float("nan"), "by hand", Verdict.DOUBTFUL,
                       ("the offset was given by hand and could not be checked",))
     if check.verdict is Verdict.REFUSED:
-        return given
+        return manual
     difference = check.offset_ns * 1e-9 - offset
     reason = (f"the offset was given by hand; the shared signals differ from it by {difference * 1e3:+.0f} ms in the "
               "middle of the overlap")
-    close = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
-    return replace(given, verdict=Verdict.GOOD if close else Verdict.DOUBTFUL, reasons=(reason,), signals=check.signals,
-                   peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
+    agrees = abs(difference) < max(2 * check.offset_deviation, MANUAL_TOLERANCE)
+    return replace(manual, verdict=Verdict.GOOD if agrees else Verdict.DOUBTFUL, reasons=(reason,),
+                   signals=check.signals, peak=check.peak, second_peak=check.second_peak, overlap=check.overlap)
 
 
 def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = None) -> Alignment:
@@ -122,18 +122,18 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Coarse: masked normalised cross-correlation at all lags, averaged over the signals. Fine: robust joint fit of offset
     and drift (`clock_fit.fit`). The verdict depends on the height of the peak, a similar second peak, the uncertainty
     of the offset, the agreement of the signals, the drift, and steps of a clock. The recordings must overlap by 40 % of
-    the shorter one and 10 s, or by 20 s if no offset fits with that. search: bounds of reference minus other time [s].
+    the shorter one and 10 s, or by 20 s if no such offset fits. search: bounds of reference minus other time [s].
 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
-    prepared = _prepare(signals)
-    if not prepared.fine:
-        return refused_alignment(*prepared.reasons)
-    result = _align_with_overlap(prepared, _min_overlap(prepared.fine), search)
+    shared = _resample_signals(signals)
+    if not shared.fine:
+        return refused_alignment(*shared.reasons)
+    result = _align_with_overlap(shared, _min_overlap(shared.fine), search)
     best = max((s.correlation for s in result.signals), default=0.0)
     if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
-        short = _align_with_overlap(prepared, MIN_OVERLAP, search)
+        short = _align_with_overlap(shared, MIN_OVERLAP, search)
         if short.verdict is not Verdict.REFUSED:
             return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
     return result
@@ -146,11 +146,11 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
     return max(0.4 * shorter, 10.0)
 
 
-def _align_with_overlap(prepared: _Prepared, minimum_overlap: float,
+def _align_with_overlap(shared: _ResampledSignals, minimum_overlap: float,
                         search: tuple[float, float] | None) -> Alignment:
-    fine, reasons = prepared.fine, prepared.reasons
-    between_origins = (prepared.reference_ns - prepared.other_ns) * 1e-9
-    span = (search[0] - between_origins, search[1] - between_origins) if search else (-np.inf, np.inf)
+    fine, reasons = shared.fine, shared.reasons
+    origin_difference = (shared.reference_ns - shared.other_ns) * 1e-9
+    span = (search[0] - origin_difference, search[1] - origin_difference) if search else (-np.inf, np.inf)
     peaks = find_peaks(fine, minimum_overlap, span)
     if peaks is None:
         return refused_alignment(*reasons, f"the recordings do not share {minimum_overlap:.0f} s of similar motion at "
@@ -161,7 +161,7 @@ def _align_with_overlap(prepared: _Prepared, minimum_overlap: float,
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
     middle = (low + high) / 2
     try:
-        solution = fit(prepared.coarse, coarse, middle)
+        solution = fit(shared.coarse, coarse, middle)
         solution = fit(fine, solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
@@ -175,17 +175,17 @@ def _align_with_overlap(prepared: _Prepared, minimum_overlap: float,
     if (count := np.count_nonzero(weights)) > 1:
         variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
         excess = max(variance - float(count / weights.sum()), 0.0)
-    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + prepared.latency_uncertainty**2
+    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + shared.latency_uncertainty**2
                                      + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
-    peak, second_peak = (p._replace(offset=p.offset + between_origins) for p in peaks)
+    peak, second_peak = (p._replace(offset=p.offset + origin_difference) for p in peaks)
     result = Alignment(
-        prepared.other_ns + round(middle * 1e9),
-        prepared.reference_ns - prepared.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
+        shared.other_ns + round(middle * 1e9),
+        shared.reference_ns - shared.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
         offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, reasons, tuple(lags), peak,
         second_peak, max(high - low, 0.0))
-    return _add_verdict(result, solution, fine, prepared.other_ns)
+    return _add_verdict(result, solution, fine, shared.other_ns)
 
 
 def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
@@ -237,20 +237,20 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
     Empty if no signal is usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s.
     """
-    prepared = _prepare(signals)
-    curve = mean_correlation(prepared.fine, _min_overlap(prepared.fine), (-np.inf, np.inf)) if prepared.fine else None
-    return ((curve[0] + (prepared.reference_ns - prepared.other_ns) * 1e-9, curve[1]) if curve
+    shared = _resample_signals(signals)
+    curve = mean_correlation(shared.fine, _min_overlap(shared.fine), (-np.inf, np.inf)) if shared.fine else None
+    return ((curve[0] + (shared.reference_ns - shared.other_ns) * 1e-9, curve[1]) if curve
             else (np.zeros(0), np.zeros(0)))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
     """Residual offsets in windows of 30 s after an alignment, searched within +/- 2 s; times since `at_ns` [s]."""
-    prepared = _prepare(signals)
-    if not prepared.fine:
+    shared = _resample_signals(signals)
+    if not shared.fine:
         return []
-    middle = (alignment.at_ns - prepared.other_ns) * 1e-9
-    offset = (alignment.offset_ns - (prepared.reference_ns - prepared.other_ns)) * 1e-9
-    lags = measure_window_lags(prepared.fine, offset, 2.0)
+    middle = (alignment.at_ns - shared.other_ns) * 1e-9
+    offset = (alignment.offset_ns - (shared.reference_ns - shared.other_ns)) * 1e-9
+    lags = measure_window_lags(shared.fine, offset, 2.0)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in lags]
 
@@ -358,10 +358,10 @@ def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> 
     return lags
 
 
-def _cut(signal: Resampled, start: float, end: float) -> Resampled:
+def _cut(signal: Series, start: float, end: float) -> Series:
     low = int(np.clip(np.ceil((start - signal.origin) / STEP), 0, len(signal.values)))
     high = int(np.clip(np.ceil((end - signal.origin) / STEP), low, len(signal.values)))
-    return Resampled(signal.origin + low * STEP, signal.values[low:high], signal.known[low:high])
+    return Series(signal.origin + low * STEP, signal.values[low:high], signal.known[low:high])
 
 
 def find_clock_step(lags: Sequence[WindowLag]) -> ClockStep | None:

@@ -22,11 +22,11 @@ DRIFT_PRIOR_PPM = 100.0  # standard deviation of the drift; two quartz clocks di
 PEAK_DISTANCE = 2.0  # s, minimum distance of the second peak of the correlation from the first
 BLOCK_DURATION = 5.0  # s; residuals further apart than this count as independent
 ITERATIONS = 12
-MAX_OFFSET_STEP = 0.3  # s, of the offset in one iteration
+MAX_OFFSET_STEP = 0.3  # s, largest change of the offset in one iteration
 
 
 @dataclass(frozen=True)
-class Resampled:
+class Series:
     """A signal on a regular grid."""
 
     origin: float  # s, of the first sample
@@ -38,18 +38,18 @@ class Resampled:
         return self.origin + STEP * np.arange(len(self.values))
 
 
-def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Resampled:
-    """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4), keep every fifth point.
+def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Series:
+    """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4) and keep every fifth point.
 
     time: [s], strictly increasing. values: NaN where they must not be used. cutoff: cut-off frequency of the low-pass
     [Hz], equal for both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s],
-    because the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter extends a
-    series at its ends about the end sample, which is noisy in a differentiated angle.
+    because the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter reflects a
+    series about its end samples, which are noisy in a differentiated angle.
     """
-    good = np.isfinite(values)
-    time, values = time[good], np.unwrap(values[good]) if angle else values[good]
+    finite = np.isfinite(values)
+    time, values = time[finite], np.unwrap(values[finite]) if angle else values[finite]
     if len(time) < 2:
-        return Resampled(0.0, np.zeros(0), np.zeros(0, dtype=bool))
+        return Series(0.0, np.zeros(0), np.zeros(0, dtype=bool))
     start = np.ceil(time[0] * RATE) / RATE
     grid = start + np.arange(max(int((time[-1] - start) * RATE), 0) + 1) / RATE
     sampled = np.interp(grid, time, values)
@@ -63,10 +63,10 @@ def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = 
         sampled = np.gradient(sampled) * RATE if len(grid) > 1 else np.zeros_like(sampled)
     known = maximum_filter1d((~bridged).astype(np.uint8), 2 * margin + 1, mode="constant") == 0
     known[:margin] = known[len(known) - margin:] = False
-    return Resampled(float(start), sampled[::DECIMATION], known[::DECIMATION])
+    return Series(float(start), sampled[::DECIMATION], known[::DECIMATION])
 
 
-def masked_correlation(reference: Resampled, other: Resampled, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
+def masked_correlation(reference: Series, other: Series, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:
     """(lags [s], time of the reference minus time of the other; normalised correlation of two masked series at each).
 
         r(l) = cov(f, g_l) / sqrt(var(f) var(g_l)),   over the samples known in both series at lag l
@@ -105,8 +105,8 @@ class Pair:
     """One shared signal of both recordings; the latency is subtracted from the time of `other`."""
 
     name: str
-    reference: Resampled
-    other: Resampled
+    reference: Series
+    other: Series
 
 
 @dataclass(frozen=True)
@@ -137,14 +137,14 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     parameters = np.array([offset, drift])
     for _ in range(ITERATIONS):
         normal, curvature, gradient, _ = _normal_equations(pairs, splines, parameters, middle, free_drift)
-        step = np.linalg.solve(curvature if _is_positive(curvature) else normal, -gradient)
+        step = np.linalg.solve(curvature if _is_positive_definite(curvature) else normal, -gradient)
         # Outside the width of the correlation peak the linear model is not valid: approach the peak in several steps.
         step *= MAX_OFFSET_STEP / max(abs(step[0]), MAX_OFFSET_STEP)
         parameters += step
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
             break
     normal, curvature, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
-    determined = _is_positive(curvature)
+    determined = _is_positive_definite(curvature)
     inverse = np.linalg.inv(curvature if determined else normal)
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
     start = min(float(d.time[0]) for d in details)
@@ -178,11 +178,11 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
     details = []
     for pair, (spline, other_spline) in zip(pairs, splines, strict=True):
-        rows, mapped = select_common_samples(pair, parameters, middle)
+        rows, reference_time = select_common_samples(pair, parameters, middle)
         time, other = pair.other.time[rows], pair.other.values[rows]
         if len(time) * STEP < 2.0:
             raise ValueError(f"{pair.name}: less than 2 s with usable values in both recordings")
-        reference, slope = spline(mapped), spline(mapped, 1)
+        reference, slope = spline(reference_time), spline(reference_time, 1)
         weight = np.ones(len(time))  # soft-L1 weights of the squares
         for _ in range(2):
             gain, bias = _weighted_line(other, reference, weight)
@@ -190,11 +190,11 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
             scale = max(robust_deviation(residual), 1e-4 * float(reference.std()), 1e-12)
             weight = 1.0 / np.sqrt(1.0 + (residual / (2 * scale)) ** 2)
         jacobian, other_jacobian = np.zeros((2, 2, len(time)))
-        for rows_of, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
+        for target, slopes in (jacobian, slope), (other_jacobian, gain * other_spline(time, 1)):
             for k, derivative in enumerate([slopes, slopes * (time - middle)] if free_drift else [slopes]):
                 # Project out gain and bias, which contain no information about the clocks.
                 gain, bias = _weighted_line(other, derivative, weight)
-                rows_of[k] = (derivative - gain * other - bias) / scale
+                target[k] = (derivative - gain * other - bias) / scale
         score = jacobian * (weight * residual / scale)
         normal += [[float((row * column).sum()) for column in jacobian] for row in jacobian * weight]
         cross = np.array([[float((row * column).sum()) for column in other_jacobian] for row in jacobian * weight])
@@ -208,7 +208,7 @@ def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpl
     return normal, curvature, gradient, details
 
 
-def _is_positive(matrix: np.ndarray) -> bool:
+def _is_positive_definite(matrix: np.ndarray) -> bool:
     """Whether a symmetric matrix (2, 2) is positive definite."""
     return bool(matrix[0, 0] > 0.0 and np.linalg.det(matrix) > 0.0)
 
@@ -230,11 +230,11 @@ def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
                           middle: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """(rows of `other` where both sides are known, their times on the reference clock [s]) at (offset [s], drift)."""
     known, time = pair.reference.known, pair.other.time
-    mapped = time + parameters[0] + parameters[1] * (time - middle)
-    index = np.floor((mapped - pair.reference.origin) / STEP).astype(np.int64)
+    reference_time = time + parameters[0] + parameters[1] * (time - middle)
+    index = np.floor((reference_time - pair.reference.origin) / STEP).astype(np.int64)
     inside = pair.other.known & (index >= 0) & (index < len(known) - 1)
     inside[inside] = known[index[inside]] & known[index[inside] + 1]
-    return np.flatnonzero(inside), mapped[inside]
+    return np.flatnonzero(inside), reference_time[inside]
 
 
 def mean_correlation(pairs: Sequence[Pair], minimum_overlap: float,
@@ -253,7 +253,7 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
-    The second is over PEAK_DISTANCE from the first, beyond a valley, or has correlation 0. None if none is positive.
+    The second is over PEAK_DISTANCE from the first, beyond a valley, or has correlation 0. None without a positive one.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:

@@ -91,7 +91,7 @@ def change_inputs(hooks: Iterable[tuple[int, Callable, Sequence[int]]], angle: A
                   values: Sequence[Any], thetas: Sequence[Any]) -> tuple[Any, Any]:
     """Road wheel angle [rad] and velocity_x_dot [m/s^2], changed by effects in turn.
 
-    hooks: number of an effect in `thetas`, its hook `inputs`, and the numbers of its signals in `values`.
+    hooks: index of an effect in `thetas`, its hook `inputs`, and the indices of its signals in `values`.
     """
     for index, change, rows in hooks:
         angle, acceleration = change(angle, acceleration, tuple([values[row] for row in rows]), thetas[index])

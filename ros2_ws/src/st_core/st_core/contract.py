@@ -1,7 +1,7 @@
 """Requirements on every effect, which `st effects check` applies to library and user-defined effects.
 
-Each function in `REQUIREMENTS` compares a base model with that model and the effect at its initial values, and returns
-one line that describes the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
+Each function in `REQUIREMENTS` compares a base model with and without the effect at its initial values, and returns one
+line that describes the violation, or "". The checks cover all backends: floats, the numpy batch, the compiled lanes
 and CasADi. Checked by: test_contract.py.
 """
 
@@ -62,11 +62,11 @@ def _check_null(effect: type[Effect], vehicle: VehicleParameters, base: Model, m
 
 def _check_change(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     time, angle = np.arange(100) * 0.01, 0.1 * np.sin(np.arange(100) * 0.2)
-    steered = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
-    changed = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
-               np.abs(steered[0] - time).max(),
-               np.abs(steered[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
-    if not max(changed) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
+    steering = [np.array(a) for a in model.steering(time, angle, np.arange(100) == 0)]
+    changes = (np.abs(_predict_floats(model, vehicle) - _predict_floats(base, vehicle)).max(),
+               np.abs(steering[0] - time).max(),
+               np.abs(steering[1] - angle).max(), np.abs(np.subtract(model.observe(READING), READING)).max())
+    if not max(changes) > 0.0 and model.effective_vehicle(vehicle) == vehicle and not effect.specific_force:
         return f"at its initial values it changes nothing in the {base.name} model"
     return ""
 

@@ -73,16 +73,16 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
         log = log.select_ins(used)
     log = _correct_ins(log, corrections)
     if angle := corrections.get("heading", Correction()).add:
-        parts: dict[str, Any] = {"yaw": log.yaw + angle}
+        changes: dict[str, Any] = {"yaw": log.yaw + angle}
         for kind in ("velocity", "acceleration"):
             x, y = getattr(log, f"{kind}_x"), getattr(log, f"{kind}_y")
             if x is not None and y is not None:
-                parts[f"{kind}_x"], parts[f"{kind}_y"] = map_to_body(x, y, angle)
-        log = replace(log, **parts)
+                changes[f"{kind}_x"], changes[f"{kind}_y"] = map_to_body(x, y, angle)
+        log = replace(log, **changes)
     ahead = corrections.get("position", Correction()).ahead
     if ahead:
-        forward, left = body_to_map(ahead, 0.0, log.yaw)
-        log = replace(log, x=log.x + forward, y=log.y + left)
+        east, north = body_to_map(ahead, 0.0, log.yaw)
+        log = replace(log, x=log.x + east, y=log.y + north)
     for name in STEERING:
         log = _correct_steering(log, corrections.get(name, Correction()), vehicle)
     if used.any() and not len(log.ins_time_ns):
@@ -126,7 +126,7 @@ def describe_corrections(corrections: Mapping[str, Correction]) -> tuple[str, ..
 
 def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveLog:
     group = {name: pair for pair, names in COMPONENTS.items() for name in names}
-    parts: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS):
         steps = [corrections[key] for key in (name, group.get(name, "")) if key in corrections]
         values = getattr(log, name)
@@ -134,21 +134,21 @@ def _correct_ins(log: DriveLog, corrections: Mapping[str, Correction]) -> DriveL
             continue
         for step in steps:
             values = step.scale * values + step.add
-        late_ns = round(sum(step.earlier for step in steps) / NANOSECOND)
-        if late_ns:
-            values = interpolate(log.ins_time_ns, values, log.ins_time_ns + late_ns, round(MAXIMUM_GAP / NANOSECOND))
-        parts[name] = values
-    if not parts:
+        delay_ns = round(sum(step.earlier for step in steps) / NANOSECOND)
+        if delay_ns:
+            values = interpolate(log.ins_time_ns, values, log.ins_time_ns + delay_ns, round(MAXIMUM_GAP / NANOSECOND))
+        changes[name] = values
+    if not changes:
         return log
-    known = np.all([np.isfinite(parts[name]) for name in INS_SIGNALS if name in parts], axis=0)
+    known = np.all([np.isfinite(changes[name]) for name in INS_SIGNALS if name in changes], axis=0)
     if np.all(known):
-        return replace(log, **parts)
-    return replace(log.select_ins(known), **{name: values[known] for name, values in parts.items()})
+        return replace(log, **changes)
+    return replace(log.select_ins(known), **{name: values[known] for name, values in changes.items()})
 
 
 def _correct_steering(log: DriveLog, correction: Correction, vehicle: VehicleParameters | None) -> DriveLog:
-    late_ns = round(correction.earlier / NANOSECOND)
-    log = replace(log, steering_time_ns=log.steering_time_ns - late_ns) if late_ns else log
+    delay_ns = round(correction.earlier / NANOSECOND)
+    log = replace(log, steering_time_ns=log.steering_time_ns - delay_ns) if delay_ns else log
     if correction.scale == 1.0 and not correction.add:
         return log
     steering_wheel_angle = None

@@ -99,7 +99,7 @@ class Course:
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":
-        """The course in a parallel map frame, in which `origin`, which is not changed, is at (east, north) [m].
+        """The course in a parallel map frame in which its origin is at (east, north) [m]; `origin` is unchanged.
 
         Raises StCoreError, one line, for a distance beyond MAX_ORIGIN_DISTANCE.
         """
@@ -171,9 +171,9 @@ def split_into_passes(log: DriveLog, digests: Sequence[str]) -> list[Pass]:
     time = (log.ins_time_ns - log.ins_time_ns[:1]) * 1e-9
     intervals = np.diff(time)
     displacement = np.hypot(np.diff(log.x), np.diff(log.y))
-    travelled = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * intervals
+    driven = 0.5 * (log.velocity_x[1:] + log.velocity_x[:-1]) * intervals
     slow = np.minimum(log.velocity_x[1:], log.velocity_x[:-1]) < PAUSE_SPEED
-    breaks = slow | (intervals > MAX_GAP) | (np.abs(displacement - travelled) > 0.5 + 0.5 * travelled)
+    breaks = slow | (intervals > MAX_GAP) | (np.abs(displacement - driven) > 0.5 + 0.5 * driven)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], breaks, [True]]).astype(int)))
     passes = []
     for rows in (slice(first, last + 1) for first, last in edges.reshape(-1, 2).tolist()):
@@ -199,11 +199,11 @@ DIFFERENCE_SCALES = {"position": 2.0, "direction": 0.1, "speed": 0.1, "curvature
 """Typical differences between drives of one driver on one course [m, rad, fraction of the speed, 1/m]."""
 MAX_DIFFERENCE = 7.0  # largest d of the best candidate for which the course is used
 RECENT_TIME = 2.0  # s, length of the past driving that is compared with a candidate
-BLEND_TIME = 0.3  # s, time constant from the measured to the predicted steering and acceleration: the lag of a driver
+BLEND_TIME = 0.3  # s, time constant of the transition from measured to predicted inputs: the lag of a driver
 DECAY_TIME = 0.7  # s, time constant of the decaying acceleration: pedals change about once a second
 FORGETTING_TIME = 10.0  # s, time constant of the mean square errors E: two horizons
 INITIAL_CURVATURE_ERRORS, INITIAL_SPEED_ERRORS = (1.0, 0.2), (1.0, 1.0, 0.5, 0.3)
-"""Initial E [m^2], in the order of the forecasts of `CourseTracker`, from errors of real laps held out in turn."""
+"""Initial E [m^2], in the order of the forecasts of `CourseTracker`, from leave-one-out errors of real laps."""
 SQUARED_ERROR_LIMITS = (0.01, 9.0)  # m^2: the accuracy of the INS, and the largest influence of one error
 MAX_JUMP = 2.0  # m; the tracker restarts if displacement and distance driven differ by more than this + 10 %
 MIN_COVERAGE, MAX_COVERAGE = 1.2, 2.0  # horizons ahead of the car that a pass must cover, and for which it is used
@@ -274,7 +274,7 @@ class CourseTracker:
     combined with other forecasts:
 
         curvature: held, course        speed: acceleration held, zero, decaying with DECAY_TIME, course
-        weight of each ~ E^-2,     E: mean square error of ended forecasts, exponentially forgotten with FORGETTING_TIME
+        weight of each ~ E^-2,     E: mean square error of past forecasts, with exponential forgetting (FORGETTING_TIME)
 
     A forecast of curvature is scored by the position after the distance driven, a forecast of speed by the distance
     driven. Source: Bates and Granger, The combination of forecasts, 1969. Checked by: test_course.py;
@@ -315,7 +315,7 @@ class CourseTracker:
         return self._combine(candidates, weights / weights.sum(), ego)
 
     def _advance(self, ego: EgoMotion) -> float:
-        """Add a start; returns the time since the previous one [s], 0 after a restart."""
+        """Add a start; return the time since the previous one [s], 0 after a restart."""
         elapsed = 0.0
         if self._past:
             last = self._past[-1][1]
@@ -351,7 +351,7 @@ class CourseTracker:
                 for errors, new in zip((self._curvature_errors, self._speed_errors), squares, strict=True))
 
     def _predict_from_pass(self, point: NearPoint, ego: EgoMotion) -> _Candidate | None:
-        """The prediction from a pass; None if the pass ends too soon after the car."""
+        """The prediction from a pass; None if the pass ends too soon ahead of the car."""
         points = self.course.passes[point.pass_index].points
         x, y, direction, curvature, speed = points[point.row:].T
         speed = speed * (ego.velocity_x / speed[0])
@@ -362,12 +362,12 @@ class CourseTracker:
         curvature, speed = curvature[:count], speed[:count]
         distance_behind = np.array([self._distance - distance for distance, _ in self._past])
         rows = np.round(point.row - distance_behind / SPACING).astype(int)
-        recorded = points[np.maximum(rows, 0)][rows >= 0]
-        driven = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
+        pass_points = points[np.maximum(rows, 0)][rows >= 0]
+        recent = np.array([[motion.velocity_x, motion.curvature] for _, motion in self._past])[rows >= 0]
         direction_error = float(wrap_angle(ego.direction - direction[0]))
         differences = {"position": point.distance, "direction": direction_error,
-                       "speed": float(np.sqrt(np.square(np.log(driven[:, 0] / recorded[:, 4])).mean())),
-                       "curvature": float(np.sqrt(np.square(driven[:, 1] - recorded[:, 3]).mean()))}
+                       "speed": float(np.sqrt(np.square(np.log(recent[:, 0] / pass_points[:, 4])).mean())),
+                       "curvature": float(np.sqrt(np.square(recent[:, 1] - pass_points[:, 3]).mean()))}
         square = sum((differences[name] / scale) ** 2 for name, scale in DIFFERENCE_SCALES.items())
         # e(0) [m] and e'(0) [rad] determine A and B of e(s).
         lateral_offset = math.cos(direction[0]) * (ego.y - y[0]) - math.sin(direction[0]) * (ego.x - x[0])
@@ -408,7 +408,7 @@ class CourseTracker:
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,
                   step: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """A course as inputs of `log_evaluation.evaluate_log`; one tracker follows the starts of a drive."""
+    """Function for `log_evaluation.evaluate_log` that predicts the inputs at the starts of a drive from a course."""
 
     def predict_inputs(starts_ns: np.ndarray) -> tuple[np.ndarray, ...]:
         tracker = CourseTracker(course, vehicle, horizon, step)

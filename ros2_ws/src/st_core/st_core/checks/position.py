@@ -10,7 +10,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
-    reference a           p belongs to a point a ahead           (R(yaw2) - R(yaw1)) (a, 0)
+    reference a           p is that of a point a ahead           (R(yaw2) - R(yaw1)) (a, 0)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -32,7 +32,7 @@ WINDOW = 1.0  # s
 HORIZON_WINDOWS = round(HORIZON / WINDOW)  # number of windows in the horizon
 MIN_WINDOWS = 10
 ITERATIONS = 3
-# Largest fraction of a position lag that remains after the correction of a yaw that lags, or leads, which is rarer.
+# Largest fraction of the position lag that remains after a lag of yaw, or a (rarer) lead, is corrected.
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
@@ -75,7 +75,7 @@ CAUSES = {
     "velocity_lag": Cause(("velocity_x", "velocity_y"), "velocity", "earlier", "s",
                           "velocities {lag} positions and yaw by {size:.3f} ± {half:.3f} s"),
     "position_reference": Cause(("x", "y"), "position", "ahead", "m", "positions refer to a point {size:.2f} ± "
-                                "{half:.2f} m {ahead} the point of the velocities"),
+                                "{half:.2f} m {ahead} that of the velocities"),
     "velocity_x_bias": Cause(("velocity_x",), "velocity_x", "add", "m/s", "velocity_x is {size:.2f} ± {half:.2f} m/s "
                              "too {high} compared with positions, at every speed"),
     "velocity_y_bias": Cause(("velocity_y",), "velocity_y", "add", "m/s", "velocity_y is {size:.2f} ± {half:.2f} m/s "
@@ -134,7 +134,7 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
 def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estimates: dict[str, Estimate],
                                  wheel: Estimate) -> tuple[Motion, list[Finding]]:
     """(motion, findings) with a scale error of the velocity attributed to the positions instead, if it is at least
-    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: ratio of the two."""
+    WHEEL_SCALE_TOLERANCE and the wheel speed agrees with the recorded velocity. wheel: its ratio to that velocity."""
     scale_error = next((finding for finding in findings if finding.name == "velocity_scale"), None)
     if scale_error is None or not scale_error.value or abs(wheel.value - 1.0) > 0.5 * abs(scale_error.value - 1.0) or (
             abs(scale_error.value - 1.0) < WHEEL_SCALE_TOLERANCE):
@@ -143,11 +143,11 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     text = (f"x and y are {scale.value:.4f} ± {scale.half_width:.4f} times the integrated velocity, which agrees with "
             "the wheel speed: is the scale of the projection wrong?")
     advice = Advice.correct("position", scale=float(f"{1.0 / scale.value:.5g}"))
-    of_positions = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
-                           interval=scale.interval, advice=advice)
+    attributed = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
+                         interval=scale.interval, advice=advice)
     factor = {"scale": scale_error.value}
     return (motion.corrected({"correct": {"position": factor, "velocity": factor}}),
-            [of_positions if finding is scale_error else finding for finding in findings])
+            [attributed if finding is scale_error else finding for finding in findings])
 
 
 def compute_scaled_misfit(motion: Motion) -> float:
@@ -167,8 +167,9 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
     causes = (*AXIS_SCALES, "position_lag")
     (before, misfit, _), (after, misfit_after, _) = problem.fit(causes), corrected_problem.fit(causes)
     max_ratio = MAX_RESIDUAL_LAG if lag > 0.0 else MAX_RESIDUAL_LEAD
-    explained = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
-    return MIN_LOSS_RATIO**2 * misfit_after < misfit or (explained and misfit_after < MIN_LOSS_RATIO * misfit)
+    yaw_explains_lag = abs(after["position_lag"]) < max_ratio * abs(before["position_lag"])
+    return MIN_LOSS_RATIO**2 * misfit_after < misfit or (
+        yaw_explains_lag and misfit_after < MIN_LOSS_RATIO * misfit)
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -182,8 +183,8 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     for name in problem.columns.keys() - {*AXIS_SCALES, *BIASES, "velocity_scale"}:
         theta, misfit, _ = problem.fit((*AXIS_SCALES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
-        size, along = abs(reference), theta[name] * np.sign(reference)
-        if name != "position_reference" or not 0.75 * size < along < 1.33 * size:
+        expected, fitted = abs(reference), theta[name] * np.sign(reference)
+        if name != "position_reference" or not 0.75 * expected < fitted < 1.33 * expected:
             misfits.append(misfit)
     if not compute_scaled_misfit(mirrored) < min(0.8 * min(misfits), min(misfits) - MIN_SIGN_GAIN):
         return motion, []
@@ -197,8 +198,7 @@ def make_lateral_sign_finding() -> Finding:
 
 
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
-    """The findings; those that a wrong sign of velocity_y explains equally well, as on a circle, lose their correction.
-    """
+    """The findings, without the correction of those that a wrong sign of velocity_y also explains, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
     if not any(finding.name in names for finding in findings):
         return findings
@@ -293,13 +293,13 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
     return motion
 
 
-def make_distance_panel(motion: Motion, removed: Mapping[str, float]) -> Comparison:
-    """Distance per second in the recorded units, for a figure. removed: factors already divided out, by finding."""
+def make_distance_panel(motion: Motion, factors: Mapping[str, float]) -> Comparison:
+    """Distance per second in the recorded units, for a figure. factors: divided out of the motion, by finding."""
     windows = motion.make_windows(WINDOW)
     measured, derived = np.abs(windows.change(motion.position)), np.abs(windows.integral(motion.velocity_map))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
-                      "from velocity and yaw", windows.time, measured * removed.get("position_scale", 1.0),
-                      derived * abs(removed.get("velocity_scale", removed.get("velocity_x_scale", 1.0))),
+                      "from velocity and yaw", windows.time, measured * factors.get("position_scale", 1.0),
+                      derived * abs(factors.get("velocity_scale", factors.get("velocity_x_scale", 1.0))),
                       (*CAUSES, "position_scale", "velocity_x_scale", "velocity_y_scale"))
 
 
@@ -308,7 +308,7 @@ MIN_JUDGED_STEPS = 50  # minimum number of steps from which jitter, stale sample
 MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
-JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, 10 ms more than a gap requires
+JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, so that a gap results
 MIN_STALE_SAMPLES = 5
 WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
 MIN_AGE, MAX_AGE = 0.15, 1.2  # limits of the age of a stale sample divided by the sampling interval
@@ -386,7 +386,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
     interval = min(float(ends.low), share), max(float(ends.high), share)
     text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
-            f"{delay * 1e3:.0f} ms before, and the next ones step forward again")
+            f"{delay * 1e3:.0f} ms earlier, and the next ones step forward again")
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * delay)
                 & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors)))
@@ -411,7 +411,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
             f"{median:.2f} m, largest {largest:.2f} m")
     share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
     effect = median * float(np.sqrt(share))
-    # Stretches with jumps become gaps, across which no prediction is scored.
+    # Intervals with jumps become gaps, across which no prediction is scored.
     advice = Advice.for_run_yaml({"leave_out": [
         [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
         for begin, end in find_stretches(np.unique(where), 2.0 * JUMP_MARGIN)]})

@@ -1,6 +1,6 @@
 """Robust linear regression of a residual on its possible causes.
 
-Neighbouring samples share their errors, so confidence intervals are from a bootstrap over blocks of driving
+Errors of neighbouring samples are correlated, so confidence intervals come from a bootstrap of blocks of driving
 (`st_core.regression`). Causes are found by forward selection: the cause that reduces the loss most is added and all are
 refitted, until no further cause is significant and relevant.
 """
@@ -18,7 +18,7 @@ HUBER_ITERATIONS = 6
 DRAWS, SEED = 200, 0  # of the bootstrap
 BLOCK_LENGTH = 5.0  # s, as in the alignment of clocks; correlation between neighbouring blocks widens the interval
 MIN_DEGREES_OF_FREEDOM = 4.0  # of Student's t
-RIDGE = 1e-6  # fraction of the normal matrix that is added to it, so that a draw without excitation is solvable
+RIDGE = 1e-6  # fraction of the normal matrix added to it, so that draws without excitation have a solution
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool:
-        """Whether 0 is outside 1.5 times the 95 % interval; the factor accounts for the test of a dozen causes."""
+        """Whether 0 is outside 1.5 times the 95 % interval; the factor accounts for testing a dozen causes."""
         return abs(self.value) > 1.5 * self.half_width
 
     def covers(self, value: float) -> bool:
@@ -156,7 +156,7 @@ class Regression:
 
 
 def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:
-    """The estimate with the systematic uncertainty (SYSTEMATIC_UNCERTAINTY) of the finding of this name."""
+    """The estimate widened by the systematic uncertainty of the finding of this name (SYSTEMATIC_UNCERTAINTY)."""
     kind = name.rpartition("_")[2]
     half_width = SYSTEMATIC_UNCERTAINTY.get(name, SYSTEMATIC_UNCERTAINTY.get(kind, 0.0))
     return estimate.widened(half_width * abs(estimate.value) if kind in ("scale", "sign") else half_width)

@@ -15,13 +15,13 @@ from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_s
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
-MIN_HELD_SHARE = 0.7  # minimum fraction of samples in stretches of equal values that have the usual length
+MIN_HELD_SHARE = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
 MAX_LONG_SHARE = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
 MAX_GAP_SHARE = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
-SPACING_TOLERANCE = 0.05  # largest relative error of such a sensor's mean sampling interval, which gaps increase
+SPACING_TOLERANCE = 0.05  # largest relative deviation of its mean sampling interval from the expected one
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
 MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not judged
@@ -81,14 +81,14 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     return smallest if small.sum() >= 10 and grid[small].mean() > 0.95 else 0.0
 
 
-def check_timing(motion: Motion, auxiliary: AuxiliaryData, left_out: Sequence[Finding], start_ns: int) -> list[Finding]:
-    """Findings on time stamps, gaps and missing values. left_out: findings on samples that were left out, whose times
+def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Finding], start_ns: int) -> list[Finding]:
+    """Findings on time stamps, gaps and missing values. excluded: findings on samples that were left out, whose times
     are not reported as gaps. start_ns: zero of the times in the findings."""
     findings = []
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
-        findings += _check_gaps(signal, time, [stretch for finding in left_out for stretch in finding.where])
+        findings += _check_gaps(signal, time, [interval for finding in excluded for interval in finding.where])
     missing = [_make_missing_values_finding(channel, count, motion, auxiliary)
                for channel, count in auxiliary.missing.items() if count]
     return findings + merge_findings(missing)
@@ -163,7 +163,7 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
     return findings
 
 
-def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, float]]) -> list[Finding]:
+def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[float, float]]) -> list[Finding]:
     if len(time) < 2:
         return []
     spacing = np.diff(time)
@@ -172,12 +172,12 @@ def _check_gaps(signal: str, time: np.ndarray, left_out: Sequence[tuple[float, f
     # At twice the required rate or above, long intervals are gaps, which are listed with their times below.
     if typical > 0.5 * PREDICTION_GAP and long_share > MAX_LONG_SHARE:
         text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals "
-                f"exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few starts or none are scored")
+                f"exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("look", f"record the {signal} at a higher rate, or find why most of its samples "
                                       "are not used"))]
     gaps = [k for k in np.flatnonzero(spacing > MAX_GAP)
-            if not any(time[k] < begin and end < time[k + 1] for begin, end in left_out)]
+            if not any(time[k] < begin and end < time[k + 1] for begin, end in excluded_times)]
     if not gaps:
         return []
     missing = float((spacing[gaps] - typical).sum())
@@ -304,7 +304,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     related, min_change = RELATED_QUANTITIES[name]
     expected = related(motion)[inside]
     change = np.ptp(np.percentile(expected, [5, 95]))
-    if name == "road_wheel_angle":  # if the driver holds it, as at its stop, curvature changes with speed only
+    if name == "road_wheel_angle":  # while the wheel is held, as at its stop, curvature changes with speed only
         speed = motion.velocity_x[inside]
         curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
         unexplained = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
@@ -330,7 +330,7 @@ RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
     "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
     "yaw": (lambda m: m.yaw_rate, MAX_GYRO_BIAS, 0.05)}
-# By channel: a quantity derived from other channels, and its smallest range [SI] that excludes a constant channel.
+# By channel: a quantity derived from other channels, and its range [SI] above which the channel cannot be constant.
 RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] = {
     "velocity_x": (lambda m: np.hypot(_compute_mean_rate(m.time, m.x), _compute_mean_rate(m.time, m.y)), 0.3),
     "velocity_y": (lambda m: m.yaw_rate, 0.05),
@@ -373,10 +373,10 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
         if not bad.any():
             continue
         share = float(bad.mean())
-        text = f"the INS is {condition} for {100 * share:.0f} % of the time: its positions drift there"
+        text = f"the INS is {condition} for {100 * share:.0f} % of the time: its positions drift then"
         severity = Severity.WARNING if share > LIMITS.note_share else Severity.NOTE
         findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=list_times(bad), advice=Advice(
-            "look", "leave out these stretches, or post-process the raw data of the INS")))
+            "look", "leave out these intervals, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
     typical = float(np.median(accuracy[known])) if known.any() else 0.0

@@ -2,7 +2,7 @@
 
 The prediction error is the distance between measured position and prediction by the linear single-track model, both
 from the corrected drive, HORIZON after starts that are HORIZON apart. A wrong steering ratio or offset in the vehicle
-file would favour corrections that compensate it, so gain g [1] and offset o [rad] of the road wheel angle are fitted:
+file would favour corrections that compensate it, so its gain g [1] and offset o [rad] are fitted:
 
     e = e_0 + (de/dg) g + (de/do) o,    least squares within |g| <= MAX_GAIN, |o| <= MAX_OFFSET
 
@@ -36,17 +36,17 @@ MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-REDUCED_STARTS = 100  # smallest number after a reduction, largest 199; more would change the error by less than 1 %
+REDUCED_STARTS = 100  # of many starts, 100 to 199 are used; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
 STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # which yield steps with few digits
-MERGE_GAP = 1.0  # s; stretches closer than this are merged
-State = tuple[DriveLog, VehicleParameters]
+MERGE_GAP = 1.0  # s; intervals with a smaller gap are merged
+Run = tuple[DriveLog, VehicleParameters]
 
 
 def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehicleParameters) -> list[Finding]:
-    """The findings with the prediction error [m] without and with their correction, and without harmful corrections.
+    """The findings with the prediction error [m] before and after their correction; harmful corrections are removed.
 
     The corrections of all errors are applied together, since one wrong unit may mask another, and then the correction
     of each warning separately, unless those of the errors fail or are harmful. A warning with a harmful correction
@@ -56,22 +56,22 @@ def try_corrections(findings: list[Finding], log: DriveLog, vehicle: VehiclePara
     if not tested:
         return findings
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
-    state: State = (log, vehicle)
+    run: Run = (log, vehicle)
     outcomes: dict[int, Finding] = {}
-    before = _compute_prediction_error(state)
+    before = _compute_prediction_error(run)
     harmful = False
     if errors:
-        corrected: State | None = state
+        corrected: Run | None = run
         for finding in errors:
             corrected = _apply_advice(corrected, finding.advice) if corrected else None
         after = _compute_prediction_error(corrected)
         outcomes |= {id(finding): _add_outcome(finding, before, after) for finding in errors if _is_tested(finding)}
         harmful = after is None or (before is not None and _is_worse(before, after))
         if corrected is not None and not harmful:
-            state, before = corrected, after
+            run, before = corrected, after
     for finding in tested:
         if finding.severity is Severity.WARNING and not harmful:
-            after = _compute_prediction_error(_apply_advice(state, finding.advice))
+            after = _compute_prediction_error(_apply_advice(run, finding.advice))
             outcomes[id(finding)] = _add_outcome(finding, before, after)
     return [outcomes.get(id(finding), finding) for finding in findings]
 
@@ -96,11 +96,11 @@ def _is_worse(before: float, after: float) -> bool:
     return after > MAX_ERROR_RATIO * before + ERROR_NOISE
 
 
-def _compute_prediction_error(state: State | None) -> float | None:
+def _compute_prediction_error(run: Run | None) -> float | None:
     """Root mean square of the prediction error in the module docstring [m]; None if nothing can be predicted."""
-    if state is None:
+    if run is None:
         return None
-    log, vehicle = state
+    log, vehicle = run
     starts = regular_starts(log, HORIZON)
     starts = starts[::max(len(starts) // REDUCED_STARTS, 1)]
     angle = log.road_wheel_angle
@@ -126,9 +126,9 @@ def _compute_prediction_error(state: State | None) -> float | None:
     return float(np.sqrt(2.0 * np.mean(residual**2)))
 
 
-def _apply_advice(state: State, advice: Advice | None) -> State | None:
+def _apply_advice(run: Run, advice: Advice | None) -> Run | None:
     """The run with the correction applied; None without a correction, or if it fails."""
-    log, vehicle = state
+    log, vehicle = run
     if advice is None or not advice.entry:
         return None
     try:
@@ -154,7 +154,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
 
     Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
-    For a small car, no speed above its median speed is proposed, since it would make the tyres softer throughout.
+    For a small car, no speed above its median speed is proposed, since that would soften the tyres throughout.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)

@@ -37,7 +37,7 @@ MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angle
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
 EXCHANGED = {"x": "y", "y": "x"}  # columns of run.yaml
-MIRRORED, FROM_EAST = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml; 2nd: of a heading
+MIRRORED, FROM_EAST = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml, the second of yaw
 MotionAndFinding = tuple[Motion, Finding | None]
 
 
@@ -47,12 +47,12 @@ def match_unit(factor: float, table: Mapping[float, Any]) -> float | None:
 
 
 def _matches(ratio: float, target: float) -> bool:
-    """Whether a ratio differs from its target by less than a unit, sign or axis would change it."""
+    """Whether a ratio differs from its target by less than a wrong unit, sign or axis would cause."""
     return is_near(ratio, target, LIMITS.unit_ratio)
 
 
 def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion with units, signs and axes corrected, the findings). `check_time_unit` must precede it."""
+    """(motion with units, signs and axes corrected, the findings). `check_time_unit` must be applied first."""
     findings: list[Finding] = []
     for step in (_correct_rate_in_unit_of_yaw, _correct_north_east, _correct_yaw_or_rate, _correct_position_axes,
                  _correct_distance, _correct_velocity_axes, _correct_yaw_offset):
@@ -101,20 +101,20 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
 def check_nominal_rate(findings: list[Finding], estimates: Mapping[str, Estimate]) -> Finding | None:
     """Finding of time stamps at a wrong nominal rate, if velocity and yaw rate are too large by the same factor."""
     velocity, yaw_rate = (estimates.get(name) for name in ("velocity_scale", "yaw_rate_scale"))
-    wrong = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
-    if velocity is None or yaw_rate is None or wrong is None or yaw_rate.shifted(-1.0).covers(0.0):
+    scale_finding = next((f for f in findings if f.name in ("velocity_scale", "position_scale")), None)
+    if velocity is None or yaw_rate is None or scale_finding is None or yaw_rate.shifted(-1.0).covers(0.0):
         return None
     factor, difference = velocity.value, abs(velocity.value - yaw_rate.value)
     if abs(factor - 1.0) < MIN_RATE_ERROR or difference > float(
             np.hypot(np.hypot(velocity.half_width, yaw_rate.half_width), MAX_SCALE_ERROR)):
         return None
-    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: do "
-            "the stamps have a nominal rate that is not the true one?")
+    text = (f"time runs {factor:.4f} ± {velocity.half_width:.4f} times too fast compared with positions and yaw: were "
+            "the stamps made with a wrong nominal rate?")
     scale = float(f"{1.0 / factor:.5g}")
     advice = Advice.for_run_yaml({"correct": {"velocity": {"scale": scale}, "yaw_rate": {"scale": scale}}})
     advice = replace(advice, line=f"{advice.line}  # or divide the time of the rows by {factor:.4f}")
-    return replace(wrong, name="time_rate", channels=("time",), text=text, value=factor, interval=velocity.interval,
-                   advice=advice)
+    return replace(scale_finding, name="time_rate", channels=("time",), text=text, value=factor,
+                   interval=velocity.interval, advice=advice)
 
 
 def shifted_yaw_fits_better(motion: Motion, shifted: Motion) -> bool:
@@ -293,8 +293,8 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     if len(measured) < MIN_WINDOWS:
         return motion, None
     # In the map frame, velocity_x is the velocity to the east, or to the north.
-    east_first, north_first = (float(np.median(np.abs(measured - v))) for v in (unrotated, 1j * unrotated.conj()))
-    misfit, is_north_first = min(east_first, north_first), north_first < east_first
+    east_misfit, north_misfit = (float(np.median(np.abs(measured - v))) for v in (unrotated, 1j * unrotated.conj()))
+    misfit, is_north_first = min(east_misfit, north_misfit), north_misfit < east_misfit
     exchange = Advice.for_run_yaml({"columns": {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}})
     exchanged = motion.corrected(exchange.entry)
     distance = float(np.median(np.abs(measured)))

@@ -65,7 +65,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
     lag = add_systematic_uncertainty(
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
-    # If correlation and gain differ in sign, the driver countersteers (side wind, bank), and the lag is undetermined.
+    # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
     findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
@@ -80,7 +80,7 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
 
 
 def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | None:
-    """Finding of steering without correlation to curvature; None with one, if either hardly varies, or if too short."""
+    """Finding of steering that does not correlate with curvature; None if it does, hardly varies, or is too short."""
     angle = motion.steering_at_ins()
     known = np.isfinite(derived) & np.isfinite(angle)
     if known.sum() < 2 or known.mean() * np.ptp(motion.time) < MIN_COMMON_TIME or (
@@ -120,10 +120,10 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 
 
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
-    """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, half-width of a 95 % interval.
+    """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, as half-width of a 95 % interval.
 
-    Only the part in excess of the systematic uncertainty of a steering lag; above 0 for a fast car that hardly
-    understeers.
+    Only the part in excess of the systematic uncertainty of a steering lag is returned; it exceeds 0 for a fast car
+    that hardly understeers.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):
@@ -179,9 +179,9 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
     `_compute_lateral_shift`."""
     if not lag.significant or not agreement.expected_lag_rejected or abs(lag.value) < LIMITS.steering_lag:
         return None
-    # The steering missed during the lag [rad s] shifts the position like a constant error of 2 missed / HORIZON.
-    missed = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
-    effect = lateral_shift * 2.0 * missed / HORIZON
+    # The steering error, integrated over the lag [rad s], acts like a constant error of 2 / HORIZON times the integral.
+    error_integral = abs(lag.value) * float(np.std(agreement.derived)) * np.sqrt(2.0)
+    effect = lateral_shift * 2.0 * error_integral / HORIZON
     text = (f"the steering {'lags' if lag.value > 0.0 else 'leads'} the car's motion by {abs(lag)} s"
             f"{format_alternative_lags(agreement, response)}, beyond the car's own response")
     advice = Advice.correct("road_wheel_angle", earlier=float(f"{lag.value:.3g}"))
@@ -199,14 +199,14 @@ def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel
     text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
-    offset_left = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
+    signed_offset = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
     if wheel_measured:
-        wheel = vehicle.steering_wheel_offset + offset_left * vehicle.steering_ratio
+        wheel = vehicle.steering_wheel_offset + signed_offset * vehicle.steering_ratio
         line = f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
                         {"steering_wheel_offset": wheel})
     else:
-        advice = Advice.correct("road_wheel_angle", add=float(f"{-offset_left:.4g}"))
+        advice = Advice.correct("road_wheel_angle", add=float(f"{-signed_offset:.4g}"))
     return _make_finding("steering_offset", ("road_wheel_angle",), text, offset, "rad", effect, advice)
 
 
@@ -231,11 +231,11 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         "heading": -forward[:, None], "point": rate[:, None], "slip": -(forward**2 * rate)[:, None],
         "roll": -(windows.change(motion.velocity_x * motion.yaw_rate)[usable] / WINDOW)[:, None]})
     estimates = _fit_rear_axle(problem, vehicle, has_varying_speed(forward))
-    declared = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
+    distance_in_file = vehicle.cg_to_rear_axle + vehicle.cg_to_ins_x
     heading = add_systematic_uncertainty("heading_misaligned", estimates["heading"])
-    point = add_systematic_uncertainty("measuring_point", estimates["point"].shifted(-declared))
+    point = add_systematic_uncertainty("measuring_point", estimates["point"].shifted(-distance_in_file))
     # If v_y has the opposite sign, the point appears as far behind the axle as it is ahead, and the slip is negative.
-    is_mirrored = (point.covers(-2.0 * declared) and declared > LIMITS.ins_position
+    is_mirrored = (point.covers(-2.0 * distance_in_file) and distance_in_file > LIMITS.ins_position
                    and estimates["slip"].interval[1] < 0.0)
     findings = []
     if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
@@ -247,10 +247,10 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
         findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
     point_or_sign = make_lateral_sign_finding() if is_mirrored else _make_point_finding(point, motion, vehicle)
     findings += [point_or_sign] if point_or_sign else []
-    motion_of_axle = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
+    axle_motion = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
-                       "velocity_y", "from yaw rate and INS position of the file", windows.time[usable], lateral,
-                       declared * rate + motion_of_axle, ("heading_misaligned", "measuring_point"))
+                       "velocity_y", "from yaw rate and the INS position in the file", windows.time[usable], lateral,
+                       distance_in_file * rate + axle_motion, ("heading_misaligned", "measuring_point"))
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 
 
@@ -303,25 +303,25 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
         return []
     largest = float(np.abs(lateral).max())
     text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
-            "wrong there")
+            "wrong")
     where = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", where=where, advice=Advice("look", "check speed and yaw rate in these stretches"))]
+                    "m/s^2", where=where, advice=Advice("look", "check speed and yaw rate at these times"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:
     """Findings of a velocity or yaw rate other than 0 while position and yaw are constant."""
     windows = motion.make_windows(STANDSTILL_WINDOW)
     distance = np.abs(windows.change(motion.position))
-    still = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
+    standstill = (distance < 0.02) & (np.abs(windows.change(motion.yaw)) < 0.002)  # m, rad
     findings = []
     for name, values, unit, minimum in (("velocity_x", motion.velocity_x, "m/s", 0.1),
                                         ("yaw_rate", motion.yaw_rate, "rad/s", 0.01)):
-        means = windows.mean(values)[still]
+        means = windows.mean(values)[standstill]
         value = float(np.median(means)) if len(means) >= 2 else 0.0
         if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
-            where = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[still][:MAX_LISTED])
+            where = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED])
             findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
                                     advice=Advice("look", f"check the bias of {name}")))
     return findings

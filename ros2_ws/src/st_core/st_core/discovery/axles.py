@@ -39,7 +39,7 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 class Axles:
     """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
     intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
-    near: vectors of sets of effects that fit nearly as well; the bands include their curves. Raises StCoreError if the
+    near: vectors of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if the
     base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
@@ -105,9 +105,9 @@ class Axles:
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
         force = compute_axle_force(self.model, self.vehicle, axle, slip)
-        without = {name: self.problem.space.at(self.problem.vector_without(self.fit, name)) for name in names}
+        models = {name: self.problem.space.at(self.problem.vector_without(self.fit, name)) for name in names}
         changes = {name: compute_axle_force(model, self.vehicle, axle, slip) / force - 1.0
-                   for name, model in without.items()}
+                   for name, model in models.items()}
         return tuple(name for name, change in changes.items() if np.abs(change).max() > MIN_FORCE_CHANGE)
 
     def contradicting_axles(self, base: AugmentedModel,
@@ -126,8 +126,8 @@ class Axles:
                     continue
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
                                                          for name in ("slip", "force", "run_of", "time", "used")})
-                without = self.model.with_values(leave_one_out.get(run.name, {}))
-                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (without, base)]
+                held_out = self.model.with_values(leave_one_out.get(run.name, {}))
+                square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out, base)]
             if square_errors[0] > square_errors[1]:
                 contradicting.append(regression.axle)
         return tuple(contradicting)
@@ -140,9 +140,9 @@ def _combination_values(model: AugmentedModel, vehicle: VehicleParameters) -> np
     front, rear = (min(max(float(force[0]) / SMALL_SLIP, low), high)
                    for force in compute_axle_forces(model, vehicle, np.array([SMALL_SLIP])))
     understeer = stability_factor(replace(car, cornering_stiffness_front=front, cornering_stiffness_rear=rear))
-    gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
+    yaw_gain = GAIN_SPEED / (car.wheelbase * (1.0 + understeer * GAIN_SPEED**2))
     # Road wheel angles at a steering wheel angle of -1 and 1 rad; a steering offset cancels in their difference.
     right, left = (model.effective_road_wheel_angle(side / vehicle.steering_ratio, vehicle) for side in (-1.0, 1.0))
     delay = sum(sum(values.values()) for name, values in model.values.items()
                 if TOTAL_DELAY in get_effect(name).combinations)
-    return np.array([front / car.mass, rear / car.mass, understeer, 0.5 * gain * float(left - right), delay])
+    return np.array([front / car.mass, rear / car.mass, understeer, 0.5 * yaw_gain * float(left - right), delay])
