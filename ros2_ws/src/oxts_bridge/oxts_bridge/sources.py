@@ -11,7 +11,7 @@ from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from st_core.measurement_history import unexplained_step
+from st_core.measurement_history import unexplained_displacement
 
 from .file_decoder import UNKNOWN_TIME, decode_file
 from .geometry import LocalFrame
@@ -54,7 +54,7 @@ def continues_stream(newest: Packet | None, data: bytes) -> bool:
                  for x, y, p in ((0.0, 0.0, newest), (east, north, packet)))
     if not 0 < elapsed_ms <= LONGEST_CONTINUATION_MS or not all(map(isfinite, (*rows[0], *rows[1]))):
         return False
-    return not unexplained_step(elapsed_ms * 1.0e-3, *rows)
+    return not unexplained_displacement(elapsed_ms * 1.0e-3, *rows)
 
 
 @dataclass

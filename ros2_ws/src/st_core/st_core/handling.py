@@ -23,7 +23,7 @@ def rear_slip_coefficient(car: VehicleParameters) -> float:
 def linear_system(speed: float, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of d/dt (v_y, r) = A (v_y, r) + B delta, linearised about straight driving at `speed` [m/s].
 
-    delta: road wheel angle [rad]. Below minimum_slip_speed the tyre terms use that speed, as the models do.
+    delta: road wheel angle [rad]. Below minimum_slip_speed the tyre terms use minimum_slip_speed, as in the models.
     Source: Guiggiani, ch. 6.
     """
     front, rear = car.cornering_stiffness_front, car.cornering_stiffness_rear
@@ -57,21 +57,23 @@ class Range:
                 f"{self.high:g}{unit} ({self.source})")
 
 
-_INERTIA, _TYPICAL = "NHTSA inertia measurements, SAE 1999-01-1336", "typical vehicle parameters, SAE 840561"
+_INERTIA_SOURCE = "NHTSA inertia measurements, SAE 1999-01-1336"
+_TYPICAL_SOURCE = "typical vehicle parameters, SAE 840561"
 MAX_UNDERSTEER = 8.0  # deg/g
 PLAUSIBLE = (
     Range("cg_to_front_axle", "fraction of the weight on the front axle", "1", 0.35, 0.68,
-          lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA),
+          lambda car: car.cg_to_rear_axle / car.wheelbase, _INERTIA_SOURCE),
     Range("yaw_inertia", "dynamic index k^2 / (l_f l_r)", "1", 0.6, 1.4,
-          lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA),
+          lambda car: car.yaw_inertia / (car.mass * car.cg_to_front_axle * car.cg_to_rear_axle), _INERTIA_SOURCE),
     Range("cg_height", "ratio of CG height to wheelbase", "1", 0.1, 0.33, lambda car: car.cg_height / car.wheelbase,
-          f"{_INERTIA}; racing cars from 0.1"),
+          f"{_INERTIA_SOURCE}; racing cars from 0.1"),
     Range("cornering_stiffness_front, cornering_stiffness_rear", "understeer gradient", "deg/g", -1.0,
-          MAX_UNDERSTEER, lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)), _TYPICAL),
+          MAX_UNDERSTEER, lambda car: float(np.rad2deg(stability_factor(car) * car.wheelbase * GRAVITY)),
+          _TYPICAL_SOURCE),
     Range("steering_ratio", "steering ratio", "1", 9.0, 26.0, lambda car: car.steering_ratio,
           "steering systems of passenger cars 11 to 22, vans to 25"),
     *(Range(f"cornering_stiffness_{axle}", f"ratio of cornering stiffness to load of the {axle} axle", "1/rad", 4.0,
-            30.0, value, f"{_TYPICAL}; halved by compliance, doubled by racing tyres") for axle, value in (
+            30.0, value, f"{_TYPICAL_SOURCE}; halved by compliance, doubled by racing tyres") for axle, value in (
                 ("front", lambda car: car.cornering_stiffness_front / (2.0 * car.static_tyre_load_front)),
                 ("rear", lambda car: car.cornering_stiffness_rear / (2.0 * car.static_tyre_load_rear)))),
 )
@@ -80,7 +82,7 @@ PLAUSIBLE = (
 def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    original: car of the vehicle file, which may be unusual: quantities outside their range for it too are left out.
+    original: car of the vehicle file, which may be unusual: quantities outside their range there as well are omitted.
     """
     unusual = {quantity.name for quantity in PLAUSIBLE if original and quantity.describe_violation(original)}
     texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in unusual)

@@ -1,5 +1,5 @@
 """One recorded drive, ready for evaluation and identification: INS and steering on one clock, in SI, with gaps; and its
-signals interpolated at any instants."""
+signals interpolated at any instant."""
 
 from copy import copy
 from dataclasses import dataclass, fields, replace
@@ -94,7 +94,7 @@ class DriveLog:
 
     @property
     def common_span_ns(self) -> tuple[int, int]:
-        """First and last instant [ns] at which INS and steering can both be known; (0, 0) if one of them is empty."""
+        """First and last instant [ns] at which both INS and steering are recorded; (0, 0) if one of them is empty."""
         times = self.ins_time_ns, self.steering_time_ns
         if not all(map(len, times)):
             return 0, 0
@@ -112,7 +112,7 @@ class DriveLog:
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
-        """The measurements with start_ns <= time <= end_ns, of both time bases. name: of the result; None: the same."""
+        """The measurements with start_ns <= time <= end_ns, of both time bases. name: new name, or None."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         parts: dict[str, Any] = {}
@@ -123,7 +123,7 @@ class DriveLog:
         return replace(self, name=name or self.name, **parts)
 
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":
-        """The same drive with the road wheel angle by the steering ratio and offset of `vehicle`.
+        """The same drive with the road wheel angle from the steering ratio and offset of `vehicle`.
 
             road_wheel_angle = (steering_wheel_angle - steering_wheel_offset) / steering_ratio      [rad, left +]
 
@@ -141,7 +141,7 @@ def share_memory(log: DriveLog, other: DriveLog, *names: str) -> bool:
 
 
 class LogSignals:
-    """Measurements of a DriveLog interpolated at any instants; NaN in gaps. The vectorised counterpart of
+    """Measurements of a DriveLog interpolated at any instant; NaN in gaps. The vectorised counterpart of
     `MeasurementHistory`, with identical results, but without detection of position jumps. Checked by: test_batch.py.
 
     maximum_gap [s], filter_cutoff [Hz], acceleration: as maximum_gap, cutoff, mode of `timeseries.filtered_derivative`.
@@ -164,7 +164,6 @@ class LogSignals:
         other.log = log
         return other
 
-
     def ins_at(self, times_ns: np.ndarray, *names: str) -> list[np.ndarray]:
         """The named INS signals (fields of DriveLog, or velocity_x_dot) at instants of any shape [ns]."""
         columns = [self.velocity_x_dot if name == "velocity_x_dot" else getattr(self.log, name) for name in names]
@@ -175,7 +174,7 @@ class LogSignals:
         return self.sample(self.log.steering_time_ns, self.log.road_wheel_angle, times_ns)
 
     def sample(self, time_ns: np.ndarray, values: np.ndarray, at_ns: np.ndarray) -> np.ndarray:
-        """Any signal, known at time_ns [ns, ascending], at instants `at_ns` of any shape [ns]."""
+        """Any signal, sampled at time_ns [ns, ascending], at instants `at_ns` of any shape [ns]."""
         return self._at(time_ns, [values], at_ns)[0]
 
     def states_at(self, times_ns: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:

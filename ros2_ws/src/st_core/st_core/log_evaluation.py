@@ -280,12 +280,13 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
 def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals: LogSignals, starts_ns: np.ndarray,
                     settings: EvaluationSettings, planned: Mapping[Mode, tuple[np.ndarray, ...]]) -> Block:
     step, steps = settings.prediction.step, settings.prediction.steps
-    instants, place = _share_instants(starts_ns, half_step_grid(0, steps, step))
-    times = instants[place].T
+    instants, index = _share_instants(starts_ns, half_step_grid(0, steps, step))
+    times = instants[index].T
     x, y, yaw, *others = signals.ins_at(instants, "x", "y", "yaw", "velocity_x", "yaw_rate", "velocity_x_dot")
-    measured_pose = [values[place[::2]].T for values in (x, y, yaw)]
-    speed, yaw_rate, acceleration, angle = (v[place].T for v in (*others, signals.road_wheel_angle_at(instants)))
-    measured, held = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind) for kind in ("measured", "held"))
+    measured_pose = [values[index[::2]].T for values in (x, y, yaw)]
+    speed, yaw_rate, acceleration, angle = (v[index].T for v in (*others, signals.road_wheel_angle_at(instants)))
+    measured_batch, held_batch = (LogBatch(signals, starts_ns, step * steps, step, inputs=kind)
+                                  for kind in ("measured", "held"))
     trajectories: dict[tuple[str, Mode], np.ndarray] = {}
     batches: dict[Mode, LogBatch] = {}
     for mode, columns in planned.items():
@@ -295,9 +296,9 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         batches[mode] = LogBatch(signals, starts_ns, step * steps, step, inputs=inputs)
     for model in models:
         trajectories[model.name, "hindsight"] = (
-            measured.predict(model, vehicle) if settings.inputs == "interpolate"
+            measured_batch.predict(model, vehicle) if settings.inputs == "interpolate"
             else predict_held_per_step(model, vehicle, signals, starts_ns, times[:, ::2], step))
-        trajectories[model.name, "forecast"] = held.predict(model, vehicle)
+        trajectories[model.name, "forecast"] = held_batch.predict(model, vehicle)
         trajectories |= {(model.name, mode): batch.predict(model, vehicle) for mode, batch in batches.items()}
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
@@ -314,14 +315,14 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),
         "steering_rate": np.sqrt(np.square(np.diff(angle, axis=1) / (0.5 * step)).mean(axis=1)),
-        "heading_change": yaw[place[-1]] - yaw[place[0]],
+        "heading_change": yaw[index[-1]] - yaw[index[0]],
     }
     conditions = {name: np.where(complete, values, np.nan) for name, values in conditions.items()}
     return Block(errors, trajectories, conditions, _count_reasons(incomplete))
 
 
 def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], place): instants[place[k, i]] is after_ns[k] after start i; overlapping horizons share them."""
+    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlaps share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
@@ -360,7 +361,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """The bins that are not empty. A start with unknown conditions (NaN) is in none, one in reverse in no speed bin."""
+    """The non-empty bins. Starts with unknown conditions (NaN) are in none, starts in reverse in no speed bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [

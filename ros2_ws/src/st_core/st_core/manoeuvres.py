@@ -123,24 +123,26 @@ def step(speed: float, lateral: float, hold: float = 4.0, pause: float = 3.0) ->
                      description=f"steps of steering to both sides at {speed:g} m/s")
 
 
-def ramp_to_limit(speed: float, lateral: float, up: float = 25.0, down: float = 2.0, pause: float = 4.0) -> Manoeuvre:
-    """Ramp steer within `up` [s], back within `down` [s], straight for `pause` [s]; then the same to the other side.
+def ramp_to_limit(speed: float, lateral: float, rise: float = 25.0, fall: float = 2.0, pause: float = 4.0) -> Manoeuvre:
+    """Ramp steer within `rise` [s], back within `fall` [s], straight for `pause` [s]; then the same to the other side.
 
     lateral [m/s^2]: more than the tyres can reach.
     """
-    return Manoeuvre("ramp_to_limit", speed, lateral, _both_sides((up, 0.0, 1.0), (down, 1.0, 0.0), (pause, 0.0, 0.0)),
-                     2 * (up + down + pause), description=f"steering slowly increased to the limit at {speed:g} m/s")
+    shape = _both_sides((rise, 0.0, 1.0), (fall, 1.0, 0.0), (pause, 0.0, 0.0))
+    return Manoeuvre("ramp_to_limit", speed, lateral, shape, shape.duration,
+                     description=f"steering slowly increased to the limit at {speed:g} m/s")
 
 
-def brake_in_turn(speed: float, lateral: float, cruise: float = 8.0, braking: float = 4.0, down_to: float = 3.0,
-                  acceleration: float = 2.0, driving: float = 6.0) -> Manoeuvre:
-    """Circle for `cruise` [s], `braking` [m/s^2] to `down_to` [m/s], then `acceleration` [m/s^2] for `driving` [s]."""
-    pedals = ((cruise, 0.0), ((speed - down_to) / braking, -braking), (driving, acceleration))
+def brake_in_turn(speed: float, lateral: float, cruise_time: float = 8.0, deceleration: float = 4.0,
+                  end_speed: float = 3.0, acceleration: float = 2.0, acceleration_time: float = 6.0) -> Manoeuvre:
+    """Circle at constant speed for cruise_time [s], deceleration to end_speed [m/s], then acceleration [m/s^2]."""
+    pedals = ((cruise_time, 0.0), ((speed - end_speed) / deceleration, -deceleration),
+              (acceleration_time, acceleration))
     period = sum(seconds for seconds, _ in pedals)
     constant = PiecewiseLinear(((period, 1.0, 1.0),))
     return Manoeuvre("brake_in_turn", speed, lateral, constant, period, 2, pedals, closed_loop=True,
                      description=f"R = {speed**2 / abs(lateral):.0f} m at {abs(lateral):g} m/s^2, braking at "
-                                 f"{braking:g} m/s^2 with the steering wheel held")
+                                 f"{deceleration:g} m/s^2 with the steering wheel held")
 
 
 def lane_change(speed: float, lateral: float) -> Manoeuvre:
@@ -157,15 +159,15 @@ def lane_change(speed: float, lateral: float) -> Manoeuvre:
                      description=f"double lane changes at {speed:g} m/s")
 
 
-def slalom(speed: float, lateral: float, frequency: float = 0.5, waves: int = 12) -> Manoeuvre:
-    """Sine steering at one frequency [Hz], for a number of waves."""
-    return Manoeuvre("slalom", speed, lateral, SineSweep(frequency, frequency, waves / frequency), waves / frequency,
+def slalom(speed: float, lateral: float, frequency: float = 0.5, cycles: int = 12) -> Manoeuvre:
+    """Sine steering at one frequency [Hz], for a number of cycles."""
+    return Manoeuvre("slalom", speed, lateral, SineSweep(frequency, frequency, cycles / frequency), cycles / frequency,
                      description=f"sine steering of {frequency:g} Hz to {abs(lateral):g} m/s^2 at {speed:g} m/s")
 
 
-def weave(speed: float, lateral: float, waves: float = 6.0) -> Manoeuvre:
-    """Sine steering at 0.25 Hz with a small amplitude about the centre, for a number of waves."""
-    return Manoeuvre("weave", speed, lateral, SineSweep(0.25, 0.25, 4 * waves), 4 * waves,
+def weave(speed: float, lateral: float, cycles: float = 6.0) -> Manoeuvre:
+    """Sine steering at 0.25 Hz with a small amplitude about the centre, for a number of cycles."""
+    return Manoeuvre("weave", speed, lateral, SineSweep(0.25, 0.25, 4 * cycles), 4 * cycles,
                      description=f"gentle sine steering of 0.25 Hz about the centre at {speed:g} m/s")
 
 
@@ -178,7 +180,7 @@ def circle(speed: float, lateral: float, hold: float = 10.0, ramp: float = 2.0) 
 
 
 def there_and_back(speed: float, lateral: float) -> Manoeuvre:
-    """Straights of 10 s in opposite directions, joined by U-turns to one side; a steady wind acts from both sides."""
+    """Straights of 10 s in opposite directions, so that a steady wind acts from both sides; U-turns to one side."""
     half = ((10.0, 0.0, 0.0), (1.0, 0.0, 1.0), (math.pi * speed / abs(lateral) - 1.0, 1.0, 1.0), (1.0, 1.0, 0.0))
     shape = PiecewiseLinear(half + half)
     return Manoeuvre("there_and_back", speed, lateral, shape, shape.duration, closed_loop=True,

@@ -1,6 +1,6 @@
 """Stores recent INS and steering measurements with filtered forward acceleration, and detects faults in them.
 
-Position jump, for example by loss of RTK or a new map origin: a large displacement between two samples that the
+Position jump, for example after loss of RTK or with a new map origin: a large displacement between two samples that the
 integrated velocity does not explain,
 
     d = p_k - p_{k-1} - dt (v_{k-1} + v_k) / 2,   v = R(yaw) (v_x, v_y)
@@ -44,13 +44,13 @@ INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtere
 X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
 
 
-def unexplained_step(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
+def unexplained_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
     """|d| [m] between two samples (see the module docstring); 0 within the tolerance and over gaps > MAX_EXAMINED_GAP.
 
     spacing: dt [s], > 0. before, after: rows that begin with x, y, yaw, v_x, v_y.
     """
-    unexplained, driven = _split_displacement(spacing, before, after)
-    tolerance = POSITION_TOLERANCE + DISTANCE_TOLERANCE * driven + 0.25 * MAX_ACCELERATION * spacing**2
+    unexplained, distance = _split_displacement(spacing, before, after)
+    tolerance = POSITION_TOLERANCE + DISTANCE_TOLERANCE * distance + 0.25 * MAX_ACCELERATION * spacing**2
     return unexplained if unexplained > tolerance and spacing <= MAX_EXAMINED_GAP else 0.0
 
 
@@ -75,10 +75,10 @@ class MeasurementHistory:
     """INS and steering samples of the last `span` seconds, in order of time.
 
     Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
-    refused. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
+    rejected. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. A signal is
     unknown between samples further apart than maximum_gap, that of the INS also across a position jump. jump_count:
-    position jumps since the start. last_jump: the one found last; None after a restart.
+    position jumps since the start. last_jump: the most recent one; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -104,7 +104,7 @@ class MeasurementHistory:
         return history
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add a sample at the INS point; False if it was refused."""
+        """Add a sample at the INS point; False if it was rejected."""
         for history, correct in self._corrected:
             history.add_ins(correct(sample))
         index, restarted = self.ins.add(sample.time_ns, sample[1:])
@@ -130,7 +130,7 @@ class MeasurementHistory:
         return True
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], left +, measured at time_ns; False if it was refused."""
+        """Add a road wheel angle [rad], left +, measured at time_ns; False if it was rejected."""
         for history, _ in self._corrected:
             history.add_steering(time_ns, road_wheel_angle)
         index, _ = self.steering.add(time_ns, (road_wheel_angle,))
@@ -140,7 +140,7 @@ class MeasurementHistory:
         # A sample inserted in time order changes the steps before and after it.
         for after in range(max(index, 1), min(index + 2, len(self.ins))):
             times, rows = self.ins.times[after - 1:after + 1].tolist(), self.ins.rows[after - 1:after + 1].tolist()
-            size = unexplained_step((times[1] - times[0]) * NANOSECOND, *rows)
+            size = unexplained_displacement((times[1] - times[0]) * NANOSECOND, *rows)
             was_jump = self.ins.breaks.pop(times[1], None) is not None
             is_jump = size > MAX_NOISE
             if 0.0 < size <= MAX_NOISE and after > MIN_NOISE_STEPS:  # compare with the steps before it
@@ -212,7 +212,7 @@ class FrozenSteeringDetector:
             self._low, self._high = min(self._low, self._filtered_angle), max(self._high, self._filtered_angle)
 
     @property
-    def frozen(self) -> FrozenAngle | None:
+    def frozen_angle(self) -> FrozenAngle | None:
         """The frozen angle; None while the angle changes or the yaw motion of the car is consistent with it."""
         if not self._high - self._low > FROZEN_MIN_VARIATION + FROZEN_RELATIVE_VARIATION * abs(self._angle):
             return None

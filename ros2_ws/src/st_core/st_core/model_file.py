@@ -208,9 +208,9 @@ def _check_text(where: str, value: Any) -> str:
 
 
 def _describe_differences(first: VehicleParameters, second: VehicleParameters) -> str:
-    """Differences of two cars outside their tyres, such as "mass: 1590, 1700 kg", and how many more; "" if none."""
+    """Differences between two cars except tyres, such as "mass: 1590, 1700 kg", and number of others; "" if none."""
     values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
-    listed = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
-              for key, (a, b) in values.items() if a != b]
-    more = len(listed) - MAX_LISTED_DIFFERENCES
-    return "; ".join(listed[:MAX_LISTED_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
+    differences = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
+                   for key, (a, b) in values.items() if a != b]
+    more = len(differences) - MAX_LISTED_DIFFERENCES
+    return "; ".join(differences[:MAX_LISTED_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")

@@ -62,7 +62,7 @@ class PlannedInputs:
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # Not differentiable: the shape is refused here, too few or unordered points by `find_plan_problem`.
+            # Not differentiable: wrong shapes are refused here, too few or unordered points by `find_plan_problem`.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)
         return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE])
@@ -138,8 +138,8 @@ def _check_timing(plan: PlannedInputs, start_ns: int, horizon: float) -> str:
     first, last = ((int(plan.time_ns[k]) - start_ns) * NANOSECOND for k in (0, -1))
     if first > 0.0 or last < horizon - 1.0e-6:
         return f"plan: covers {first:.2f} to {last:.2f} s after the start, not the whole horizon, 0 to {horizon:g} s"
-    widest = float(np.diff(plan.time_ns).max()) * NANOSECOND
-    return f"plan: points are up to {widest:.2f} s apart (limit {MAX_SPACING:g} s)" if widest > MAX_SPACING else ""
+    longest = float(np.diff(plan.time_ns).max()) * NANOSECOND
+    return f"plan: points are up to {longest:.2f} s apart (limit {MAX_SPACING:g} s)" if longest > MAX_SPACING else ""
 
 
 def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, inputs: ControlInput,

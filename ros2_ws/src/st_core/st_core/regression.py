@@ -43,12 +43,12 @@ def count_decimals(half_width: float) -> int:
     return min(max(1 - math.floor(math.log10(half_width) + 1e-6), 0), 6)
 
 
-def effective_degrees_of_freedom(estimated: float, total: float, degrees_of_freedom: float) -> float:
-    """Degrees of freedom of a variance `total`, the sum of a known and the `estimated` variance; inf if that is 0.
+def effective_degrees_of_freedom(estimated_variance: float, total_variance: float, degrees_of_freedom: float) -> float:
+    """Degrees of freedom of a total variance, the sum of a known and an estimated variance; inf if the latter is 0.
 
     degrees_of_freedom: those of the estimated variance. Source: Welch and Satterthwaite, JCGM 100:2008, G.4.
     """
-    return degrees_of_freedom * (total / estimated) ** 2 if estimated > 0.0 else math.inf
+    return degrees_of_freedom * (total_variance / estimated_variance) ** 2 if estimated_variance > 0.0 else math.inf
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
@@ -102,12 +102,13 @@ class Spread:
     basis: tuple[str, ...]
 
     @property
-    def deviations(self) -> np.ndarray:
+    def standard_errors(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
 
-    def interval(self, index: int, value: float, deviation: float | None = None) -> tuple[float, float]:
-        """95 % confidence interval of a value. deviation: its standard uncertainty; None: from the covariance."""
-        uncertainty = self.deviations[index] if deviation is None else deviation
+    def interval(self, index: int, value: float,
+                 standard_uncertainty: float | None = None) -> tuple[float, float]:
+        """95 % confidence interval of a value. standard_uncertainty: None: from the covariance."""
+        uncertainty = self.standard_errors[index] if standard_uncertainty is None else standard_uncertainty
         return symmetric_interval(float(value), float(uncertainty), float(self.degrees_of_freedom[index]))
 
 
@@ -194,7 +195,7 @@ def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.n
 
 
 def random_effects(values: np.ndarray, variances: np.ndarray) -> tuple[float, float, float, float]:
-    """(mean, its standard deviation, variance between runs, Cochran's Q [1]) by a random effects model.
+    """(mean, its standard error, variance between runs, Cochran's Q [1]) by a random effects model.
 
     values, variances > 0: (n,) of each run, n >= 1. Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986).
     """

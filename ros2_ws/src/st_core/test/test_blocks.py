@@ -57,5 +57,5 @@ def test_bootstrap_deviations_agree_with_least_squares():
     totals = group.sum_by_block(np.stack([np.ones(120), values], axis=1))
     bootstrap = group.bootstrap(lambda w: (w @ totals[:, 1:]) / (w @ totals[:, :1]), 4000, 0)
     _, analytic, _ = group.fit_least_squares(np.ones((120, 1)), values)
-    assert bootstrap.deviations == pytest.approx(analytic.deviations, rel=0.04)
+    assert bootstrap.standard_errors == pytest.approx(analytic.standard_errors, rel=0.04)
     assert bootstrap.degrees_of_freedom == pytest.approx(analytic.degrees_of_freedom)

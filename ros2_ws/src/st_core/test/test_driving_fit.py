@@ -27,7 +27,7 @@ def fit(logs, leaf):
 def test_fit_recovers_parameters_within_their_spread_over_runs(fit, leaf):
     true = np.array([getattr(leaf, name) for name in NAMES])
     assert fit.values == pytest.approx(true, rel=0.03)
-    assert (np.abs(fit.values - true) < 4.0 * fit.spread.deviations).all()
+    assert (np.abs(fit.values - true) < 4.0 * fit.spread.standard_errors).all()
     assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.degrees_of_freedom == 8.0).all()
     assert fit.residuals.shape == (len(fit.run_of), 2)
     assert fit.prediction_count == sum(used for used, _ in fit.windows.values())
@@ -39,7 +39,7 @@ def test_spread_equals_jackknife_of_complete_fits(logs, leaf, fit):
     car = with_stiffness(leaf, 60_000.0, 120_000.0)
     without = np.array([fit_driving(logs[:k] + logs[k + 1:], car, NAMES, "linear").values for k in range(9)])
     complete = np.sqrt(8.0 / 9.0 * np.square(without - without.mean(axis=0)).sum(axis=0))
-    assert fit.spread.deviations == pytest.approx(complete, rel=0.25)
+    assert fit.spread.standard_errors == pytest.approx(complete, rel=0.25)
 
 
 def test_students_t_does_not_apply_to_errors_of_the_single_track_model(fit, leaf):

@@ -30,8 +30,8 @@ def detect(leaf, rows, measured_angle, noise=0.003):
         time_ns = T0 + round(t * 1e9)
         detector.add_steering(time_ns, float(measured_angle(t)))
         detector.add_ins(InsSample(time_ns, 0.0, 0.0, 0.0, v_x, 0.0, rate + draw.normal(0.0, noise)))
-        if detector.frozen:
-            found.append((t, detector.frozen))
+        if detector.frozen_angle:
+            found.append((t, detector.frozen_angle))
     return found
 
 
@@ -73,4 +73,4 @@ def test_non_finite_samples_are_not_reported(leaf):
     for k in range(200):
         detector.add_steering(T0 + k * 10_000_000, 0.1)
         detector.add_ins(InsSample(T0 + k * 10_000_000, 0.0, 0.0, 0.0, math.nan, 0.0, math.nan))
-    assert detector.frozen is None
+    assert detector.frozen_angle is None

@@ -39,7 +39,7 @@ def test_circle_has_too_little_excitation_for_stiffness(identify, circle, leaf):
 
 
 def test_circle_has_no_straight_driving_for_the_offset(circle, leaf):
-    with pytest.raises(IdentificationError, match="straight driving: 0 windows of 2 s are straighter than R = 500 m"):
+    with pytest.raises(IdentificationError, match="straight driving: 0 windows of 2 s have a radius above 500 m"):
         identify_steering_offset([circle], leaf)
 
 

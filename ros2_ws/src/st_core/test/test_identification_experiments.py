@@ -129,7 +129,7 @@ def test_falling_pitch_within_a_lift_is_a_warning(leaf):
     order = [0, 1, 3, 2, 4, 5]
     columns = {key: getattr(data, key)[order] for key in ("pitch", "rear_load", "front_radius", "rear_radius")}
     message = " ".join(identify_cg_height(replace(data, **columns, lifts=data.lifts[:6]), leaf).warnings)
-    assert "it falls from 9.0 to 6.0 deg at row 4" in message
+    assert "pitch falls from 9.0 to 6.0 deg at row 4" in message
     assert identify_cg_height(data, leaf).warnings == ()
 
 

@@ -55,7 +55,7 @@ def test_verdict_states_once_that_the_interval_contains_zero():
 
 def test_coverage_counts_filled_bins():
     coverage = Coverage("speed", "m/s", np.array([0.0, 5.0, 10.0, 15.0]), np.array([100, 3, 50]), 20, 3)
-    assert (coverage.filled, coverage.sufficient) == (2, False)
+    assert (coverage.filled_bins, coverage.sufficient) == (2, False)
     assert coverage.describe() == "speed: 2 of 3 bins from 0 to 15 m/s have at least 20 samples (needed: 3)"
 
 

@@ -80,7 +80,8 @@ def test_piecewise_linear_and_sine_sweep():
 
 
 def test_braking_ends_at_the_given_speed_and_driving_restores_the_initial_one():
-    m = manoeuvres.brake_in_turn(11.0, 4.0, cruise=2.0, braking=4.0, down_to=3.0, acceleration=2.0, driving=6.0)
+    m = manoeuvres.brake_in_turn(11.0, 4.0, cruise_time=2.0, deceleration=4.0, end_speed=3.0, acceleration=2.0,
+                                 acceleration_time=6.0)
     assert m.period == 10.0
     np.testing.assert_allclose(m.speed_at(np.array([0.0, 2.0, 3.0, 4.0, 5.0, 8.0, 9.9])), [11, 11, 7, 3, 5, 11, 11])
     np.testing.assert_allclose(m.acceleration_at(np.array([1.0, 2.1, 3.9, 4.1, 7.9, 8.1])), [0, -4, -4, 2, 2, 0],

@@ -119,7 +119,7 @@ class Regression:
 
         spread = self._blocks.bootstrap(solve, DRAWS, SEED)
         estimates = {}
-        for name, deviation, freedom in zip(names, spread.deviations.tolist(), spread.degrees_of_freedom.tolist(),
+        for name, deviation, freedom in zip(names, spread.standard_errors.tolist(), spread.degrees_of_freedom.tolist(),
                                             strict=True):
             _, half_width = symmetric_interval(0.0, deviation, max(freedom, MIN_DEGREES_OF_FREEDOM))
             estimates[name] = Estimate(theta[name], deviation, half_width)

@@ -9,7 +9,7 @@ velocity at each axle. An intercept absorbs offsets of steering and INS. Slow an
 4 m/s^2 and slip angles above 2 deg are left out.
 
 The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
-if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
+if the slip angle is noisy. `AxleRegression.model_error` is the model_a_y standard uncertainty of the stiffness at zero
 slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
 paper, section on parameter identification.
 
@@ -100,7 +100,7 @@ class AxleSamples:
 
 @dataclass(frozen=True, eq=False)
 class AxleRegression:
-    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if it failed."""
+    """Result of the regression of one axle. stiffness, standard_error, interval95 [N/rad]: NaN if the fit failed."""
 
     axle: str
     stiffness: float
@@ -121,7 +121,7 @@ class AxleRegression:
         return float(np.hypot(self.standard_error, np.nan_to_num(self.model_error)))
 
     def estimate(self, runs: tuple[str, ...]) -> ParameterEstimate:
-        """Estimate of the stiffness at zero slip, with the Student quantile of interval95."""
+        """Estimate of the stiffness at zero slip; its interval uses the Student quantile of interval95."""
         half = 0.5 * (self.interval95[1] - self.interval95[0]) * self.uncertainty / max(self.standard_error, 1e-300)
         status: Status = "identified" if self.uncertainty < MAX_RELATIVE_UNCERTAINTY * self.stiffness else "doubtful"
         if self.reasons:
@@ -157,7 +157,7 @@ def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -
     """Regressions of the (front, rear) axle on drives with measured sideslip.
 
     vehicle: its mass, inertia, lengths, lever arm and steering are used and must be correct; its stiffnesses are not
-    used. Raises IdentificationError for no drive, a repeated name, or a drive that is too short.
+    used. Raises IdentificationError without drives, for a repeated name, or for a drive that is too short.
     """
     drives, _ = prepare_drives(logs, vehicle)
     return _fit_regressions([sample_run(log, vehicle) for log in drives], vehicle)[0]
@@ -170,10 +170,10 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
     for run in runs:
         slow = np.abs(run.velocity_x) < MIN_SPEED
         straight = ~slow & (np.abs(run.yaw_rate) * MAX_RADIUS < np.abs(run.velocity_x))
-        hard = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
-        masks.append(~(slow | straight | hard))
+        high_acceleration = ~slow & ~straight & (np.abs(run.lateral_acceleration) > MAX_ACCELERATION)
+        masks.append(~(slow | straight | high_acceleration))
         reasons = {f"slower than {MIN_SPEED:g} m/s": slow, f"straighter than R = {MAX_RADIUS:g} m": straight,
-                   f"beyond {MAX_ACCELERATION:g} m/s^2": hard}
+                   f"above {MAX_ACCELERATION:g} m/s^2": high_acceleration}
         rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
                      for reason, mask in reasons.items() if mask.any()]
     covered = (
@@ -216,8 +216,8 @@ def _estimate_model_error(samples: AxleSamples, slope: Slope) -> float:
     """Standard uncertainty of the secant as an estimate of the stiffness at zero slip [N/rad]; NaN if unknown."""
     size = np.abs(samples.slip - samples.find_zero_force_slip())
     low = replace(samples, used=samples.used & (size <= 0.5 * np.quantile(size[samples.used], SLIP_QUANTILE)))
-    mean, mean_low = (float(np.average(used, weights=used**2)) if used.any() else np.inf
-                      for used in (size[samples.used], size[low.used]))
+    mean, mean_low = (float(np.average(sizes, weights=sizes**2)) if sizes.any() else np.inf
+                      for sizes in (size[samples.used], size[low.used]))
     if low.used.sum() < MIN_AXLE_SAMPLES or mean_low > MAX_RANGE_RATIO * mean:
         return float("nan")
     low_slope = _fit_slope(low)
@@ -235,7 +235,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
     if slope is None:
         return AxleRegression(*failed, tuple(reasons), f"{count} samples")
     value, spread = slope.stiffness, slope.spread
-    error = float(spread.deviations[0])
+    error = float(spread.standard_errors[0])
     basis = f"{count} samples, {spread.basis[0]}"
     interval = spread.interval(0, value)
     if not interval[0] > 0.0:
@@ -248,7 +248,7 @@ def _make_regression(samples: AxleSamples, slope: Slope | None, reasons: Sequenc
 
 
 def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Both stiffnesses by regression, with a covariance from the variation between runs, or between blocks of few runs.
+    """Both stiffnesses by regression, with a covariance from the variation between runs, or blocks if runs are few.
 
     A stiffness whose interval is not above 0 is NaN and unidentifiable. Raises IdentificationError.
     """
@@ -270,7 +270,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
 
 EVALUATION_SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
-MAX_SECANT_STEPS = 6  # for the lateral acceleration; error of the force below 0.1 % at the bounds of roll steer
+MAX_SECANT_STEPS = 6  # for the lateral acceleration; the force error is below 0.1 % even at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
 
 
@@ -278,7 +278,7 @@ BAND = (0.05, 0.95)  # quantiles of the draws
 class ForceCurve:
     """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
     low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive
-    against the slip [N]. density: fraction of the driving between neighbouring values of slip."""
+    against the slip [N]. density: fraction of the samples between neighbouring values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -316,17 +316,17 @@ def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
         rates = model.rhs(model.start_state((zero, zero, zero + EVALUATION_SPEED, v_y, zero, r), w, p), w, p)
         return rates[3] + EVALUATION_SPEED * r, rates[5], angle
 
-    a_y, (resulting, yaw_acceleration, angle) = zero, compute_accelerations(zero)
+    a_y, (model_a_y, yaw_acceleration, angle) = zero, compute_accelerations(zero)
     slope = zero
     for _ in range(MAX_SECANT_STEPS):
-        last_a_y, last_resulting = a_y, resulting
-        a_y = a_y + (resulting - a_y) / (1.0 - slope)
-        resulting, yaw_acceleration, angle = compute_accelerations(a_y)
+        last_a_y, last_model_a_y = a_y, model_a_y
+        a_y = a_y + (model_a_y - a_y) / (1.0 - slope)
+        model_a_y, yaw_acceleration, angle = compute_accelerations(a_y)
         change = a_y - last_a_y
-        slope = np.divide(resulting - last_resulting, change, out=zero.copy(), where=np.abs(change) > 1e-9)
-        if np.abs(resulting - a_y).max() < 1e-6:
+        slope = np.divide(model_a_y - last_model_a_y, change, out=zero.copy(), where=np.abs(change) > 1e-9)
+        if np.abs(model_a_y - a_y).max() < 1e-6:
             break
-    force, moment = car.mass * resulting, car.yaw_inertia * yaw_acceleration
+    force, moment = car.mass * model_a_y, car.yaw_inertia * yaw_acceleration
     front = ((car.cg_to_rear_axle * force + moment) / (car.wheelbase * np.cos(angle))).reshape(2, -1)
     rear = ((car.cg_to_front_axle * force - moment) / car.wheelbase).reshape(2, -1)
     return 0.5 * (front[0] - front[1]), 0.5 * (rear[0] - rear[1])
@@ -343,9 +343,9 @@ def make_axle_curve(model: str | Model, vehicle: VehicleParameters, axle: str, m
     """The force curve of one axle with its band, at 41 slip angles up to the largest slip of the drives.
 
     measured_slip: (n,) slip angles of the axle [rad], either sign. draws: models from `draw_models`; the band is their
-    central 90 % at each slip, extended to the curve and those of `alternatives`, other models that explain the drives.
-    original: model at the start of the search, for `ForceCurve.file`. Raises StCoreError for fewer than two measured
-    slip angles, or only zeros.
+    central 90 % at each slip, extended to include the curve and those of `alternatives`, other models consistent with
+    the drives. original: model at the start of the search, for `ForceCurve.file`. Raises StCoreError for fewer than two
+    measured slip angles, or only zeros.
     """
     abs_slip = np.abs(np.asarray(measured_slip, float))
     abs_slip = abs_slip[np.isfinite(abs_slip)]
@@ -366,8 +366,8 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
                 count: int) -> list[AugmentedModel]:
     """Models with values drawn from a normal distribution about those of `model`, within the bounds of each parameter.
 
-    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: of `count` draws, those that change
-    it beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
+    covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws that take its
+    values beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
     low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
@@ -393,7 +393,7 @@ def compute_force_error(model: str | Model, vehicle: VehicleParameters, samples:
 
         sqrt(mean over bins of (F_model(alpha) - mean F)^2) / max (mean F),    mean F: mean measured force of a bin
 
-    The bins of `AxleSamples.bin_forces` divide the measured |slip| evenly, so that straights do not outweigh bends.
+    The bins of `AxleSamples.bin_forces` are equally wide in |slip|, so that straights do not outweigh bends.
     """
     slip, force = samples.bin_forces()
     return float(np.sqrt(np.mean((compute_axle_force(model, vehicle, samples.axle, slip) - force) ** 2)) / force.max())

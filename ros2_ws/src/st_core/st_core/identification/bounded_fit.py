@@ -1,7 +1,7 @@
 """Nonlinear least squares within bounds, and a profile-likelihood interval for each parameter.
 
     S(p) = sum r(p)^2,   s^2 = S_min / (n - k),   covariance = s^2 (J^T J)^-1 of the parameters inside their bounds
-    ends of the 95 % interval:    min over the others of S = S_min + s^2 F_0.95(1, n - k)
+    ends of the 95 % interval:    min over the other parameters of S = S_min + s^2 F_0.95(1, n - k)
 
 An end is open if the bound of the parameter is reached first. Source: Bates and Watts, Nonlinear Regression Analysis,
 ch. 6. Checked by: test_identification_result.py.
@@ -30,7 +30,7 @@ class BoundedFit:
     values: np.ndarray  # (k,)
     covariance: np.ndarray  # (k, k), zero for parameters at a bound
     residuals: np.ndarray  # (n,)
-    residual_deviation: float  # standard deviation s
+    residual_deviation: float  # residual standard deviation s
     degrees_of_freedom: int  # n - k
     lower: np.ndarray  # bounds (k,)
     upper: np.ndarray

@@ -41,7 +41,7 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # smallest curvature of the loss / Gauss-Newton approximation; 0.7 for Student's errors
+MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's distribution
 Values = Mapping[str, float]
 
 
@@ -114,10 +114,10 @@ class _LimitedWindows(Windows):
                          & (np.abs(speed * rate) <= settings.maximum_acceleration)).all(axis=1)
             weight = np.square(speed * rate)[self.used]
             curvature = np.square(rate / speed)[self.used]
-        driven = weight.sum() > 0.0
-        self.mean_squared_curvature = float(np.average(curvature, weights=weight)) if driven else 0.0
+        has_turns = weight.sum() > 0.0
+        self.mean_squared_curvature = float(np.average(curvature, weights=weight)) if has_turns else 0.0
         self.peak_accelerations = np.sqrt(weight.max(axis=1))
-        self.acceleration = float(np.average(np.sqrt(weight), weights=weight)) if driven else 0.0
+        self.mean_acceleration = float(np.average(np.sqrt(weight), weights=weight)) if has_turns else 0.0
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -138,7 +138,7 @@ class DrivingFit:
     time: np.ndarray  # (n,) time of each residual [s]
     windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
     mean_squared_curvature: float  # of the path [1/m^2]
-    acceleration: float  # mean |v_x r| [m/s^2]
+    mean_acceleration: float  # of |v_x r| [m/s^2]
     peak_accelerations: np.ndarray  # largest |v_x r| of each used window [m/s^2]
 
     @property
@@ -178,11 +178,11 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     problem = Problem(loss, space.null, windows.block)
     vector, indices = problem.start.copy(), problem.free_indices(effects)
     for _ in range(MAX_ITERATIONS):  # values and error scale are estimated in turn
-        before = loss.scale.copy()
+        previous_scale = loss.scale.copy()
         slopes = Sensitivities(vector, indices, loss.sensitivities(vector, indices))
         vector = problem.fit(effects, slopes, vector=vector, fresh=effects, iterations=12).vector
         loss.rescale(vector)
-        if np.abs(loss.scale / before - 1.0).max() < SCALE_TOLERANCE:
+        if np.abs(loss.scale / previous_scale - 1.0).max() < SCALE_TOLERANCE:
             break
     return _make_fit(problem, windows, vector, effects, names, counts)
 
@@ -199,8 +199,8 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     total = hessian.sum(axis=0)
     size = np.sqrt(np.diag(total).clip(1e-300))
     if np.linalg.cond(total / np.outer(size, size)) > MAX_CONDITION:
-        raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive more different "
-                                  "speeds and bends, or fit fewer parameters")
+        raise IdentificationError(f"the drives do not determine {', '.join(names)} together: drive at more "
+                                  "speeds and curvatures, or fit fewer parameters")
     # Ratio of the curvature of the loss to its Gauss-Newton approximation, which is too large.
     ratio = np.clip((np.diag(problem.loss.curvature(rows, slopes)) / np.diag(total)).mean(), MIN_CURVATURE_RATIO, 1.0)
     influence = group.compute_influence(ratio * hessian, gradient)
@@ -222,4 +222,4 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
         tuple(name for name in names if QUANTITIES[name].effect in effects_at_bound),
         change @ np.linalg.inv(total) @ change.T, residuals, np.repeat(windows.run[used], points),
         np.repeat(windows.seconds[used], points), counts,
-        windows.mean_squared_curvature, windows.acceleration, windows.peak_accelerations)
+        windows.mean_squared_curvature, windows.mean_acceleration, windows.peak_accelerations)

@@ -3,14 +3,14 @@
 Steering offset and INS misalignment are fitted too, since their errors resemble errors of the tyres.
 Stiffness: the nonlinear model yields the slope at zero slip and static load, given the tyre curve of the vehicle file,
 and the linear model the secant that predicts best in the slip range of the drives. If the true curve differs, the value
-depends on the slip range, which the interval includes (`estimate_slip_range_uncertainty`).
+depends on the slip range; the interval allows for this (`estimate_slip_range_uncertainty`).
 
 Steering ratio, if no turntables are available:
 
     L kappa + K v^2 kappa = delta,    delta = (delta_h - o) / i
 
 Slow bends determine the ratio i, fast bends the understeer K, straights the offset o. Dead time and relaxation are
-fitted too, since a lag would be mistaken for another ratio. A wheelbase too large by 1 % makes i too small by 1 %.
+fitted too, since a lag would be mistaken for a different ratio. A wheelbase too large by 1 % makes i too small by 1 %.
 
 Yaw inertia, from transients:
 
@@ -92,7 +92,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
     result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), systematic)
     kind = ("Secant" if get_model(base).name.startswith("linear") else
-            "Slope at zero slip of the file's tyre curve, fitted")
+            "Slope at zero slip, with the tyre curve of the vehicle file,")
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
         relative_error = systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
@@ -119,11 +119,12 @@ def estimate_slip_range_uncertainty(logs: Sequence[DriveLog], vehicle: VehiclePa
         low = fit_driving(logs, vehicle, fit.names, base, narrower)
     except IdentificationError:
         return {}
-    if low.acceleration > MAX_RANGE_RATIO * fit.acceleration:
+    if low.mean_acceleration > MAX_RANGE_RATIO * fit.mean_acceleration:
         return {}
     indices = {name: fit.names.index(name) for name in STIFFNESSES}
     return {name: extrapolation_uncertainty(*(
-        (float(result.values[k]), float(result.spread.covariance[k, k]), result.acceleration) for result in (fit, low)))
+        (float(result.values[k]), float(result.spread.covariance[k, k]), result.mean_acceleration)
+        for result in (fit, low)))
             for name, k in indices.items()}
 
 
@@ -198,23 +199,23 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
                          reported: Sequence[str], systematic: Mapping[str, float],
                          known: Mapping[str, float] = MappingProxyType({})) -> Identification:
     """Result of an experiment from a fit. reported: parameters that become estimates. systematic: standard uncertainty
-    by parameter, estimated from the same drives; known: without statistics, as that of a sampling interval. Both are
-    added in quadrature to that from the variation between drives."""
+    by parameter, estimated from the same drives; known: the same, not estimated from drives but, for example, from a
+    sampling interval. Both are added in quadrature to that from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
     relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
-    added = [math.hypot(systematic.get(n, 0.0), known.get(n, 0.0),
+    added_uncertainty = [math.hypot(systematic.get(n, 0.0), known.get(n, 0.0),
                         offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
-    covariance = spread.covariance + np.diag(np.square(added))
+    covariance = spread.covariance + np.diag(np.square(added_uncertainty))
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
-    # Student's t applies to what was estimated from these few drives, not to known errors, as of the model.
-    estimated = np.diag(spread.covariance) + np.square([systematic.get(n, 0.0) for n in fit.names])
-    degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated.tolist(), np.diag(covariance).tolist(),
-                                  spread.degrees_of_freedom.tolist()))
+    # Student's t applies to variances estimated from these few drives, not to known ones, such as that of the model.
+    estimated_variance = np.diag(spread.covariance) + np.square([systematic.get(n, 0.0) for n in fit.names])
+    degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated_variance.tolist(),
+                                  np.diag(covariance).tolist(), spread.degrees_of_freedom.tolist()))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)
     estimates = tuple(
         ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),

@@ -65,8 +65,8 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
         _make_estimate(MISALIGNMENT, misalignment, spread, 0, 1.0, used,
                        f"{np.rad2deg(misalignment):+.2f} deg, reported heading minus the car's heading", 0.005)]
     correlation = correlation_matrix(spread.covariance[np.ix_([1, 0], [1, 0])] * np.array([[1, -1], [-1, 1]]))
-    with_slip = correlation_matrix(spread.covariance)[1:3, 1:3]
-    warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], with_slip),
+    slip_correlation = correlation_matrix(spread.covariance)[1:3, 1:3]
+    warnings = [*notes, *describe_correlations(["lever arm", "rear slip"], slip_correlation),
                 _compare_rear_slip(slip, spread.covariance[2, 2], vehicle)]
     lateral_position = _estimate_lateral_position(speed, rate, angle, group, vehicle, used)
     if isinstance(lateral_position, str):
@@ -78,7 +78,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
               "slope": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
-                      f"{MAXIMUM_SPEED:g} m/s or beyond {MAXIMUM_ACCELERATION:g} m/s^2")
+                      f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in pairs if not mask.all())
     return Identification("ins", tuple(estimates), used, rejected, correlation, covered,
                           tuple(w for w in warnings if w), figure)
@@ -121,7 +121,7 @@ def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.nd
 def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: float,
                    used: tuple[str, ...], description: str, max_uncertainty: float) -> ParameterEstimate:
     """Estimate with the standard uncertainty |factor| times that of regression coefficient `index`."""
-    uncertainty = float(abs(factor) * spread.deviations[index])
+    uncertainty = float(abs(factor) * spread.standard_errors[index])
     unit = "rad" if name == MISALIGNMENT else "m"
     text = f"{np.rad2deg(uncertainty):.2g} deg" if name == MISALIGNMENT else f"{uncertainty:.2g} m"
     status: Status = "identified" if uncertainty < max_uncertainty else (
@@ -134,7 +134,7 @@ def _make_estimate(name: str, value: float, spread: Spread, index: int, factor: 
 
 
 def _compare_rear_slip(slip: float, variance: float, vehicle: VehicleParameters) -> str:
-    """Sentence on a slip s that differs by 2 standard deviations from the vehicle file; else, or if uncertain, ""."""
+    """Warning if s differs from the vehicle file by 2 or more standard errors; "" otherwise, or if s is uncertain."""
     expected = rear_slip_coefficient(vehicle)
     uncertainty = float(np.sqrt(variance))
     if uncertainty > 0.5 * expected or abs(slip - expected) < 2.0 * uncertainty:

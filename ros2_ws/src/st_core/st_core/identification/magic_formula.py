@@ -67,9 +67,9 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
                                   f"{MIN_POINTS} rows with loads above 0 are needed; are load and lateral force "
                                   "exchanged?")
     order = np.argsort(data.load)
-    rising = data.load[order]
-    steps = np.diff(rising) > LEVEL_GAP * rising[:-1]
-    level = np.empty(len(rising), int)
+    sorted_loads = data.load[order]
+    steps = np.diff(sorted_loads) > LEVEL_GAP * sorted_loads[:-1]
+    level = np.empty(len(sorted_loads), int)
     level[order] = np.concatenate([[0], np.cumsum(steps)])
     return np.array([data.load[level == k].mean() for k in range(level.max() + 1)]), level
 
@@ -106,22 +106,22 @@ def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_
                                   f"the nearest is {levels[nominal]:.0f} N: test at that load, or change nominal_load "
                                   "in the file")
     rows = level == nominal
-    distinct = len(np.unique(np.round(np.degrees(data.slip[rows]), 2)))
-    if distinct < MIN_POINTS:
-        raise IdentificationError(f"{data.tyre}: {distinct} different slip angles at {levels[nominal]:.0f} N, at least "
-                                  f"{MIN_POINTS} are needed")
+    angle_count = len(np.unique(np.round(np.degrees(data.slip[rows]), 2)))
+    if angle_count < MIN_POINTS:
+        raise IdentificationError(f"{data.tyre}: {angle_count} different slip angles at {levels[nominal]:.0f} N, at "
+                                  f"least {MIN_POINTS} are needed")
     coverage = measure_slip_coverage(data, levels, level)[nominal]
     if not coverage.sufficient:
         raise IdentificationError(f"{data.tyre}: {coverage.describe()}")
-    trend = float(data.slip @ data.force) / math.sqrt(float(data.slip @ data.slip) * float(data.force @ data.force))
-    if abs(trend) < 0.5:
-        raise IdentificationError(f"{data.tyre}: the correlation of lateral force and slip angle is only {trend:+.2f}: "
-                                  "are two columns exchanged, or is a sign missing?")
-    return (replace(data, slip=-data.slip), True) if trend > 0.0 else (data, False)
+    correlation = float(data.slip @ data.force / np.sqrt((data.slip @ data.slip) * (data.force @ data.force)))
+    if abs(correlation) < 0.5:
+        raise IdentificationError(f"{data.tyre}: the correlation of lateral force and slip angle is only "
+                                  f"{correlation:+.2f}: are two columns exchanged, or is a sign missing?")
+    return (replace(data, slip=-data.slip), True) if correlation > 0.0 else (data, False)
 
 
 def measure_slip_coverage(data: FlatPlank, levels: np.ndarray, level: np.ndarray) -> tuple[Coverage, ...]:
-    """Coverage of the slip angle's magnitude, one entry per load."""
+    """Coverage of |slip angle|, one entry per load."""
     magnitude = np.abs(data.slip)
     return tuple(Coverage(f"slip angle at {load:.0f} N", "deg", np.degrees(SLIP_BINS),
                           np.histogram(magnitude[level == k], SLIP_BINS)[0], 1, MIN_FILLED_BINS)
@@ -146,7 +146,7 @@ class TyreFit:
     tyre: MagicFormula  # its fitted Magic Formula
     names: tuple[str, ...]  # fitted parameters, SHIFT last
     fit: BoundedFit  # simultaneous fit, with the parameters in this order
-    staged: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
+    two_stage_tyre: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
     flipped: bool  # whether the sign of the slip angle was changed
@@ -174,16 +174,17 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
     at_nominal = {key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}
     first = _fit_nominal_load(replace(data, **at_nominal), base)
-    staged = first
+    two_stage_tyre = first
     names: tuple[str, ...] = (*NOMINAL_PARAMETERS, "p_ky1", SHIFT)
     if len(levels) > 1:
         free = ("p_dy2", "p_ey2", "p_ky2") + (("p_ky4",) if len(levels) > 2 else ())
-        staged = _fit_load_dependency(data, first, free)
+        two_stage_tyre = _fit_load_dependency(data, first, free)
         names = (*(name for name in FITTED_PARAMETERS if name in (*NOMINAL_PARAMETERS, "p_ky1", *free)), SHIFT)
     # Shape and curvature are confounded, and the stages may end in a local minimum.
-    others = [staged._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
-    fit = _fit(data, (staged, *others), names)
-    return TyreFit(_with_values(staged, names, fit.values.tolist()), names, fit, staged, levels, level, flipped)
+    others = [two_stage_tyre._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
+    fit = _fit(data, (two_stage_tyre, *others), names)
+    tyre = _with_values(two_stage_tyre, names, fit.values.tolist())
+    return TyreFit(tyre, names, fit, two_stage_tyre, levels, level, flipped)
 
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
@@ -192,7 +193,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     fit, tyre = tyre_fit.fit, tyre_fit.tyre
     levels, level = tyre_fit.levels, tyre_fit.level
     data = replace(data, slip=-data.slip) if tyre_fit.flipped else data
-    function = _make_residuals(data, tyre_fit.staged, tyre_fit.names)
+    function = _make_residuals(data, tyre_fit.two_stage_tyre, tyre_fit.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
               f"then all loads simultaneously, profile likelihood; residual {100 * fit.residual_deviation / peak:.2f} "
@@ -201,7 +202,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     for k, name in enumerate(tyre_fit.names[:-1]):
         (low, low_open), (high, high_open) = (find_interval_end(function, fit, k, side) for side in (-1.0, 1.0))
         key = f"{data.tyre}.{name}"
-        # The profile interval of a normal distribution is 3.92 deviations wide; the covariance ignores bounds.
+        # For a normal distribution the interval is 3.92 standard errors wide; the covariance ignores bounds.
         value, uncertainty = float(fit.values[k]), (high - low) / 3.92
         open_ends = low_open + high_open
         verdict = [f"{FITTED_PARAMETERS[name]}."]
@@ -262,8 +263,8 @@ def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[st
 
 def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> BoundedFit:
     low, high = _get_bounds(names)
-    first = [[0.0 if name == SHIFT else getattr(start, name) for name in names] for start in starts]
-    return fit_within_bounds(_make_residuals(data, starts[0], names), first, low, high)
+    start_vectors = [[0.0 if name == SHIFT else getattr(start, name) for name in names] for start in starts]
+    return fit_within_bounds(_make_residuals(data, starts[0], names), start_vectors, low, high)
 
 
 def _make_residuals(data: FlatPlank, start: MagicFormula, names: Sequence[str]) -> Residuals:
@@ -298,8 +299,8 @@ def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]
         sentences.append(f"The curves are shifted by {math.degrees(shift):+.2f} deg of slip angle (conicity, "
                          "plysteer, or a wrong zero of the wheel angle); the models' tyre is symmetric.")
     grid = np.linspace(data.slip.min(), data.slip.max(), 61)
-    largest = max(float(np.abs(tyre_force(grid, load, tyre_fit.staged) - tyre_force(grid, load, tyre_fit.tyre)).max())
-                  for load in tyre_fit.levels)
+    largest = max(float(np.abs(tyre_force(grid, load, tyre_fit.two_stage_tyre)
+                               - tyre_force(grid, load, tyre_fit.tyre)).max()) for load in tyre_fit.levels)
     if largest > 0.01 * peak:
         sentences.append(f"The two-stage and the simultaneous fit differ by up to {largest:.0f} N, "
                          f"{100 * largest / peak:.1f} % of the largest force: the load dependence of the formula does "

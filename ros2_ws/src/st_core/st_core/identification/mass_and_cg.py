@@ -62,9 +62,9 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     readings = _check_readings(weighings)
     load = max(weighings.loads, key=weighings.loads.count)
     is_used = np.array([other == load for other in weighings.loads])
-    named = list(zip(weighings.names, weighings.loads, strict=True))
-    used = tuple(name for name, other in named if other == load)
-    rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in named if other != load)
+    loadings = list(zip(weighings.names, weighings.loads, strict=True))
+    used = tuple(name for name, other in loadings if other == load)
+    rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in loadings if other != load)
     chosen, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[is_used], all_distances[is_used]
@@ -118,8 +118,8 @@ def _check_readings(weighings: Weighings) -> np.ndarray:
     return readings
 
 
-def _check_scales(readings: np.ndarray, rejected: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
-    """Warnings on the weighings used. readings: (n, 4). rejected: number of others. front: cg_to_front_axle [m]."""
+def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehicle: VehicleParameters) -> Iterator[str]:
+    """Warnings on the weighings used. readings: (n, 4). rejected_count: of others. front: cg_to_front_axle [m]."""
     mean = readings.mean(axis=0)
     cross_weight = (mean[0] + mean[3]) / mean.sum()
     if abs(cross_weight - 0.5) > 0.02:
@@ -129,8 +129,8 @@ def _check_scales(readings: np.ndarray, rejected: int, front: float, vehicle: Ve
     if len(readings) == 1:
         yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
                "on, and weigh it at least three times.")
-    if rejected:
-        yield f"{rejected} of {len(readings) + rejected} weighings have another loading and were left out."
+    if rejected_count:
+        yield f"{rejected_count} of {len(readings) + rejected_count} weighings have another loading and were left out."
     wheelbase, expected = vehicle.wheelbase, vehicle.cg_to_front_axle
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
@@ -281,9 +281,9 @@ def _check_lifts(data: LiftRows, mass: float, rear_share: float) -> list[str]:
         falling = np.flatnonzero(np.diff(pitch) < -0.05)
         if len(falling):
             k = int(falling[0])
-            sentences.append(f"Lift {name}: pitch does not rise row by row, it falls from {pitch[k]:.1f} to "
-                             f"{pitch[k + 1]:.1f} deg at row {k + 2}. The order does not affect the fit, but friction "
-                             "changes the load on the way down: enter such rows as a separate lift.")
+            sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2}. "
+                             "The order does not affect the fit, but friction changes the load on the way down: enter "
+                             "such rows as a separate lift.")
     measured, expected = float(data.rear_load[data.level].mean()), mass * rear_share
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
         sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "

@@ -2,7 +2,7 @@
 
 After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS misalignment, dead time of the steering
 and relaxation length of the tyres are fitted together to the last BUFFER_DURATION seconds. The standard deviation is
-the sum in quadrature of the variation between blocks of driving, converted to a normal distribution with the same 95 %
+the quadrature sum of the variation between blocks of driving, converted to a normal distribution with the same 95 %
 interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
 estimated if its deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car, at a bound of the
 fit, or if the model's residual is too large. Valid for |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
@@ -29,13 +29,13 @@ from .run_samples import prepare_drives
 OnlineStatus = Literal["unestimated", "estimated", "invalid"]
 NAMES = ("steering_wheel_offset", "steering_ratio", "stiffness_scale")
 UNITS = ("rad", "1", "1")
-FITTED = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
-SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
+FITTED_PARAMETERS = ("steering_wheel_offset", "steering_ratio", *STIFFNESSES, MISALIGNMENT, DELAY, RELAXATION)
+FIT_SETTINGS = DrivingFitSettings(interval=1.0, min_windows=20)
 BUFFER_DURATION, SPACING_NS = 400.0, 19_000_000  # s of driving stored; ns between stored samples: 20 ms minus jitter
 FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
-UNKNOWN_DEVIATIONS = (math.radians(30.0), 0.2, 0.5)  # standard deviations without a fit, units as SYSTEMATIC_ERRORS
+DEVIATIONS_WITHOUT_FIT = (math.radians(30.0), 0.2, 0.5)  # standard deviations, units as SYSTEMATIC_ERRORS
 MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)  # of the steering wheel
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
@@ -62,7 +62,7 @@ class OnlineEstimate:
 class DrivingTime:
     """Duration of the driving so far [s], by kind."""
 
-    used: float = 0.0  # within the limits of SETTINGS for speed and lateral acceleration
+    used: float = 0.0  # within the limits of FIT_SETTINGS for speed and lateral acceleration
     straight: float = 0.0  # |L r / v| below a quarter of MIN_BEND_ANGLE
     left: float = 0.0  # L r / v above MIN_BEND_ANGLE
     right: float = 0.0  # L r / v below -MIN_BEND_ANGLE
@@ -87,17 +87,17 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
     """Fit a snapshot of recent driving; never raises for its content. May run in another thread."""
     try:
         logs, _ = prepare_drives([log], vehicle)
-        fit = fit_driving(logs, vehicle, FITTED, "nonlinear", SETTINGS)
+        fit = fit_driving(logs, vehicle, FITTED_PARAMETERS, "nonlinear", FIT_SETTINGS)
     except (StCoreError, np.linalg.LinAlgError) as error:
         return _make_failed_fit(vehicle, str(error))
     # Offset, ratio, and stiffness scale: mean over both axles of stiffness / stiffness in the vehicle file.
-    rows = np.zeros((3, len(FITTED)))
+    rows = np.zeros((3, len(FITTED_PARAMETERS)))
     rows[0, 0] = rows[1, 1] = 1.0
     rows[2, 2:4] = [0.5 / getattr(vehicle, name) for name in STIFFNESSES]
     values = rows @ fit.values
-    # Deviation of a normal distribution with the same 95 % interval, divided by that of Student's distribution.
-    half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED))])
-    widening = half_widths / Z95 / np.maximum(fit.spread.deviations, 1e-300)
+    # Standard deviation of a normal distribution with the same 95 % interval, divided by the standard error.
+    half_widths = np.array([fit.spread.interval(k, 0.0)[1] for k in range(len(FITTED_PARAMETERS))])
+    widening = half_widths / Z95 / np.maximum(fit.spread.standard_errors, 1e-300)
     covariance = rows @ (fit.spread.covariance * np.outer(widening, widening)) @ rows.T
     systematic = np.array([SYSTEMATIC_ERRORS[0], SYSTEMATIC_ERRORS[1] * values[1], SYSTEMATIC_ERRORS[2] * values[2]])
     deviations = np.sqrt(np.diag(covariance) + systematic**2)
@@ -108,12 +108,13 @@ def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
 
 def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
     ratio = vehicle.steering_ratio
+    offset_deviation, ratio_deviation, scale_deviation = DEVIATIONS_WITHOUT_FIT
     return OnlineFit((vehicle.steering_wheel_offset, ratio, 1.0),
-                     (UNKNOWN_DEVIATIONS[0], UNKNOWN_DEVIATIONS[1] * ratio, UNKNOWN_DEVIATIONS[2]), problem=problem)
+                     (offset_deviation, ratio_deviation * ratio, scale_deviation), problem=problem)
 
 
 class OnlineIdentifier:
-    """Estimates from samples in order of time. The caller sets `fit` to the result of `fit_recent` for a snapshot."""
+    """Estimates from chronological samples. The caller sets `fit` to the result of `fit_recent` for a snapshot."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -125,7 +126,7 @@ class OnlineIdentifier:
         capacity = round(BUFFER_DURATION / NANOSECOND / SPACING_NS)
         self._ins: deque[InsSample] = deque(maxlen=capacity)
         self._steering: deque[tuple[int, float]] = deque(maxlen=capacity)
-        self._newest_ns, self._fitted_at = 0, 0.0
+        self._newest_ns, self._driving_time_at_fit = 0, 0.0
         self.fit = _make_failed_fit(vehicle, "no fit yet")
 
     def add_ins(self, sample: InsSample) -> bool:
@@ -154,11 +155,11 @@ class OnlineIdentifier:
     @property
     def is_fit_due(self) -> bool:
         """Whether there is enough new driving for another fit."""
-        return self.driving_time.used - self._fitted_at >= FIT_INTERVAL and len(self._steering) > 1
+        return self.driving_time.used - self._driving_time_at_fit >= FIT_INTERVAL and len(self._steering) > 1
 
     def take_snapshot(self) -> tuple[DriveLog, VehicleParameters]:
         """Stored driving and vehicle, for `fit_recent`. The next fit is due after FIT_INTERVAL of further driving."""
-        self._fitted_at = self.driving_time.used
+        self._driving_time_at_fit = self.driving_time.used
         times = np.array([sample.time_ns for sample in self._ins], np.int64)
         steering_times = np.array([time for time, _ in self._steering], np.int64)
         angle = np.array([value for _, value in self._steering])
@@ -182,20 +183,20 @@ class OnlineIdentifier:
         return tuple(estimates)
 
     def _add_driving_time(self, sample: InsSample, time: float) -> None:
-        speed, rate, driven = sample.velocity_x, sample.yaw_rate, self.driving_time
-        rejected = "too slow" if speed < SETTINGS.minimum_speed else (
-            "lateral acceleration too high" if abs(speed * rate) > SETTINGS.maximum_acceleration else "")
+        speed, rate, total = sample.velocity_x, sample.yaw_rate, self.driving_time
+        rejected = "too slow" if speed < FIT_SETTINGS.minimum_speed else (
+            "lateral acceleration too high" if abs(speed * rate) > FIT_SETTINGS.maximum_acceleration else "")
         if rejected:
-            driven.rejected[rejected] = driven.rejected.get(rejected, 0.0) + time
+            total.rejected[rejected] = total.rejected.get(rejected, 0.0) + time
             return
         bend, acceleration = self.vehicle.wheelbase * rate / speed, speed * rate
-        driven.used += time
-        driven.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
-        driven.left += time * (bend > MIN_BEND_ANGLE)
-        driven.right += time * (bend < -MIN_BEND_ANGLE)
-        driven.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
-        driven.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
-        driven.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
+        total.used += time
+        total.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
+        total.left += time * (bend > MIN_BEND_ANGLE)
+        total.right += time * (bend < -MIN_BEND_ANGLE)
+        total.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
+        total.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
+        total.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _describe_missing_driving(self) -> Mapping[str, str]:
         """Text on the driving that is still missing, by parameter; "" if there is enough."""

@@ -46,20 +46,21 @@ class Coverage:
     unit: str
     edges: np.ndarray  # of the bins, (n + 1,)
     counts: np.ndarray  # number of samples, (n,)
-    needed: int = 1  # minimum number of samples in a filled bin
-    bins_needed: int = 1  # minimum number of filled bins
+    min_samples: int = 1  # minimum number of samples in a filled bin
+    min_filled_bins: int = 1  # minimum number of filled bins
 
     @property
-    def filled(self) -> int:
-        return int(np.count_nonzero(np.asarray(self.counts) >= self.needed))
+    def filled_bins(self) -> int:
+        return int(np.count_nonzero(np.asarray(self.counts) >= self.min_samples))
 
     @property
     def sufficient(self) -> bool:
-        return self.filled >= self.bins_needed
+        return self.filled_bins >= self.min_filled_bins
 
     def describe(self) -> str:
-        return (f"{self.signal}: {self.filled} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
-                f"{self.edges[-1]:.4g} {self.unit} have at least {self.needed} samples (needed: {self.bins_needed})")
+        return (f"{self.signal}: {self.filled_bins} of {len(self.counts)} bins from {self.edges[0]:.4g} to "
+                f"{self.edges[-1]:.4g} {self.unit} have at least {self.min_samples} samples "
+                f"(needed: {self.min_filled_bins})")
 
 
 @dataclass(frozen=True)
@@ -74,10 +75,10 @@ class Identification:
     estimates: tuple[ParameterEstimate, ...]
     used: tuple[str, ...]  # names of the data
     rejected: tuple[tuple[str, str], ...] = ()  # (data, reason)
-    correlation: np.ndarray | None = None  # matrix of the estimates, in their order
+    correlation: np.ndarray | None = None  # matrix, in the order of the estimates
     coverage: tuple[Coverage, ...] = ()  # excitation by signal
     warnings: tuple[str, ...] = ()  # sentences
-    figure: Mapping[str, Any] = field(default_factory=dict)  # content of the figure
+    figure: Mapping[str, Any] = field(default_factory=dict)  # data of the figure
     findings: "Mapping[str, tuple[Finding, ...]]" = field(default_factory=dict)  # by drive, used or rejected
 
     def __post_init__(self) -> None:
@@ -125,7 +126,7 @@ def describe_contradiction(estimate: ParameterEstimate, value: float, standard_u
 
 
 def describe_correlations(names: Sequence[str], correlation: np.ndarray, limit: float = 0.95) -> tuple[str, ...]:
-    """A sentence for each pair of parameters with |correlation| above a limit, which the data hardly separate."""
+    """A sentence for each pair of parameters that the data barely separate: |correlation| above a limit."""
     return tuple(f"The correlation of {names[i]} and {names[j]} is {correlation[i, j]:+.3f}: the data determine a "
                  "combination of the two better than each of them."
                  for i in range(len(names)) for j in range(i + 1, len(names)) if abs(correlation[i, j]) > limit)
@@ -135,15 +136,16 @@ def _finite_or_none(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
 
-def apply_to_vehicle(vehicle: VehicleParameters, outcomes: Iterable[Identification], date: str) -> VehicleParameters:
-    """The vehicle with all identified and doubtful values of its keys, derived lambda_ky recomputed. date: YYYY-MM-DD.
+def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Identification],
+                     date: str) -> VehicleParameters:
+    """The vehicle with all identified and doubtful values, and derived lambda_ky recomputed. date: YYYY-MM-DD.
 
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
     """
     values: dict[str, float] = {}
     sources: dict[str, str] = {}
     provenance: dict[str, Provenance] = {}
-    for identification in outcomes:
+    for identification in identifications:
         for estimate in identification.estimates:
             if find_quantity(estimate.parameter) is None or estimate.status == "unidentifiable":
                 continue
@@ -157,9 +159,9 @@ def apply_to_vehicle(vehicle: VehicleParameters, outcomes: Iterable[Identificati
     return replace(changed, sources={**changed.sources, **sources}, provenance={**vehicle.provenance, **provenance})
 
 
-def describe_stale_scales(vehicle: VehicleParameters, outcomes: Iterable[Identification]) -> tuple[str, ...]:
+def describe_stale_scales(vehicle: VehicleParameters, identifications: Iterable[Identification]) -> tuple[str, ...]:
     """A sentence for each tyre with a lambda_ky set in the vehicle file that depends on a changed value."""
-    changed = {estimate.parameter for identification in outcomes for estimate in identification.estimates
+    changed = {estimate.parameter for identification in identifications for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []
     for tyre in TYRES:

@@ -12,7 +12,7 @@ from ..types import ins_to_cg_acceleration
 from ..vehicle import VehicleParameters
 from .result import Coverage, IdentificationError
 
-FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each gap-free stretch
+FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each interval without gaps
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
 MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # of a usable drive: s of INS and steering, number of INS samples
 MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; acts like 0.1 deg at the steering wheel at 15 m/s
@@ -42,7 +42,7 @@ class RunSamples:
 def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -> RunSamples:
     """Samples of a drive at the INS sample times at which all signals are available.
 
-    Velocity, yaw rate and steering pass the same zero-phase Butterworth filter of first order with `cutoff` [Hz]
+    Velocity, yaw rate and steering pass the same first-order zero-phase Butterworth filter with `cutoff` [Hz]
     (`timeseries.filtered_derivative`), so both sides of each equation are attenuated equally. The lateral acceleration
     is v_y_dot + v_x r, transformed to the CG. Raises IdentificationError if INS and steering overlap by at most 0.4 s.
     """
@@ -61,22 +61,22 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
     angle = LogSignals(log, MAXIMUM_GAP, cutoff).sample(log.steering_time_ns, angle, time_ns)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
     begins, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
-    stretch = np.searchsorted(begins, time_ns, side="right") - 1
-    is_settled = np.minimum(time_ns - begins[stretch], ends[stretch] - time_ns) >= round(
+    segment = np.searchsorted(begins, time_ns, side="right") - 1
+    is_settled = np.minimum(time_ns - begins[segment], ends[segment] - time_ns) >= round(
         FILTER_SETTLING_TIME / NANOSECOND)
-    known = np.isfinite(angle) & is_settled & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
+    is_valid = np.isfinite(angle) & is_settled & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, velocity_y - yaw_rate * d_x, log.yaw,
                yaw_rate, yaw_acceleration, a_y, angle, vehicle.steering_wheel_angle(angle))
-    return RunSamples(log.name, *(column[known] for column in columns))
+    return RunSamples(log.name, *(column[is_valid] for column in columns))
 
 
 def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
-                   *needed: str) -> tuple[list[DriveLog], tuple[str, ...]]:
+                   *required: str) -> tuple[list[DriveLog], tuple[str, ...]]:
     """(drives prepared for an estimator, warnings).
 
     If the steering wheel angle was recorded, the road wheel angle is computed with this vehicle's ratio and offset. The
-    yaw rate bias of each drive is removed, since it would appear as an offset of the steering. needed: channels that
-    each drive must have. Raises IdentificationError for no drive, a duplicate name, and unusable drives.
+    yaw rate bias of each drive is removed, since it would appear as an offset of the steering. required: channels that
+    each drive must have. Raises IdentificationError without drives, and for a duplicate name or an unusable drive.
     """
     names = [log.name for log in logs]
     if not names:
@@ -84,10 +84,10 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     if len(set(names)) != len(names):
         raise IdentificationError(f"drives {', '.join(names)}: duplicate name; give each drive once")
     for log in logs:
-        for name in needed:
+        for name in required:
             if not CHANNELS[name].is_measured_in(log):
-                raise IdentificationError(f"{log.name}: {name} is missing or 0 throughout, and this identification "
-                                          "needs it: record it with a dual-antenna INS, or leave the drive out")
+                raise IdentificationError(f"{log.name}: {name} is missing or 0 throughout, but required "
+                                          "here: record it with a dual-antenna INS, or leave the drive out")
     prepared = [log if log.steering_wheel_angle is None else log.with_steering(vehicle) for log in logs]
     biases = []
     for k, log in enumerate(prepared):
@@ -106,18 +106,18 @@ def prepare_drives(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 def estimate_yaw_rate_bias(log: DriveLog) -> float:
     """Mean of the yaw rate minus the rate of change of yaw, outside gaps [rad/s]."""
     spacing = np.diff(log.ins_time_ns) * NANOSECOND
-    known = spacing <= MAXIMUM_GAP
-    difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[known]
-    return float(difference.sum() / max(spacing[known].sum(), NANOSECOND))
+    without_gap = spacing <= MAXIMUM_GAP
+    difference = (0.5 * (log.yaw_rate[1:] + log.yaw_rate[:-1]) * spacing - np.diff(log.yaw))[without_gap]
+    return float(difference.sum() / max(spacing[without_gap].sum(), NANOSECOND))
 
 
 def measure_coverage(signal: str, unit: str, edges: np.ndarray, values: Sequence[np.ndarray],
-                     times: Sequence[np.ndarray], seconds_needed: float, bins_needed: int) -> Coverage:
+                     times: Sequence[np.ndarray], min_seconds: float, min_filled_bins: int) -> Coverage:
     """Coverage of a signal by all drives. values: (n,) of each drive. times: times of all samples of each drive [s].
-    seconds_needed: minimum time in a filled bin."""
+    min_seconds: minimum time in a filled bin."""
     interval = float(np.median(np.concatenate([np.diff(time) for time in times])))
     return Coverage(signal, unit, edges, np.histogram(np.concatenate(values), edges)[0],
-                    max(1, round(seconds_needed / interval)), bins_needed)
+                    max(1, round(min_seconds / interval)), min_filled_bins)
 
 
 def measure_driving_coverage(logs: Sequence[DriveLog], vehicle: VehicleParameters, minimum_speed: float,

@@ -38,7 +38,7 @@ from .driving_fit import DrivingFitSettings, fit_driving
 from .result import Coverage, Identification, IdentificationError, ParameterEstimate, describe_contradiction
 from .run_samples import MAXIMUM_GAP, RunSamples, prepare_drives, sample_run
 
-MIN_VARIATION = 1e-6  # minimum RMS of x about its means in the groups, as a fraction of its RMS
+MIN_VARIATION = 1e-6  # minimum RMS of x about its group means, as a fraction of its RMS
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ def fit_cubic(x: np.ndarray, line: Line, groups: Sequence[str]) -> tuple[tuple[f
     design = np.column_stack([x, x**3, *_group_columns(groups).values()])
     coefficients, *_ = np.linalg.lstsq(design, line.residuals, rcond=None)
     unexplained = line.residuals - design @ coefficients
-    linear, cubic = float(line.residuals @ line.residuals), float(unexplained @ unexplained)
+    linear_sum, cubic_sum = float(line.residuals @ line.residuals), float(unexplained @ unexplained)
     degrees_of_freedom = line.degrees_of_freedom - 1
-    if degrees_of_freedom < 1 or linear <= 1e-20:
+    if degrees_of_freedom < 1 or linear_sum <= 1e-20:
         return (0.0, 0.0), False
-    ratio = (linear - cubic) / max(cubic / degrees_of_freedom, 1e-20)
-    significant = bool(fisher.sf(ratio, 1, degrees_of_freedom) < 0.01)
+    f_ratio = (linear_sum - cubic_sum) / max(cubic_sum / degrees_of_freedom, 1e-20)
+    significant = bool(fisher.sf(f_ratio, 1, degrees_of_freedom) < 0.01)
     return (float(coefficients[0]), float(coefficients[1])), significant
 
 
@@ -127,9 +127,9 @@ def identify_steering_ratio(data: Turntable) -> Identification:
     largest = math.degrees(float(np.abs(line.residuals).max()))
     verdict = (f"The steering wheel turns {ratio:.2f} times as far as the mean of the front wheels; the straight line "
                f"deviates by at most {largest:.2f} deg at the road wheel.")
-    centre = 1.0 / (line.slope + cubic[0]) if significant else ratio
+    on_centre_ratio = 1.0 / (line.slope + cubic[0]) if significant else ratio
     if significant:
-        verdict += f" The ratio is not constant: {centre:.2f} on centre."
+        verdict += f" The ratio is not constant: {on_centre_ratio:.2f} on centre."
     estimate = ParameterEstimate("steering_ratio", ratio, "1", ratio**2 * line.uncertainty, (1.0 / high, 1.0 / low),
                                  method, used, verdict)
     first, last = data.steering.min() / ANGLE_BIN_WIDTH, data.steering.max() / ANGLE_BIN_WIDTH
@@ -166,15 +166,15 @@ def _check_rows(data: Turntable) -> None:
 def _make_warnings(data: Turntable, line: Line) -> list[str]:
     sentences = []
     left_turn, right_turn = data.steering > ANGLE_BIN_WIDTH, data.steering < -ANGLE_BIN_WIDTH
-    split = data.left - data.right - np.median(data.left - data.right)
-    inner = np.concatenate([split[left_turn], split[right_turn]])
+    difference = data.left - data.right - np.median(data.left - data.right)
+    inner = np.concatenate([difference[left_turn], difference[right_turn]])
     if left_turn.any() and right_turn.any() and inner.mean() < -math.radians(0.3):
         sentences.append(f"The outer wheel turns further than the inner one by {math.degrees(-inner.mean()):.1f} deg "
                          "on average: left and right columns may be exchanged. Their mean, and with it the ratio, "
                          "is not affected.")
     if len(line.intercepts) > 1:
-        difference = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
-        sentences.append(f"The sweeps differ by up to {difference:.2f} deg at the road wheel. Possible causes are "
+        spread = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
+        sentences.append(f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are "
                          "play, friction, and turntables that were zeroed in between.")
     return sentences
 
@@ -200,29 +200,29 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     values = np.concatenate([w[:, 1] for w in windows])
     if len(values) < MIN_WINDOWS:
         raise IdentificationError(
-            f"too little straight driving: {len(values)} windows of {WINDOW:g} s are straighter than R = "
-            f"{min_radius:.3g} m and faster than {settings.minimum_speed:.3g} m/s, with constant steering; "
+            f"too little straight driving: {len(values)} windows of {WINDOW:g} s have a radius above "
+            f"{min_radius:.3g} m, a speed above {settings.minimum_speed:.3g} m/s, and constant steering; "
             f"{MIN_WINDOWS} are needed")
     # Without smoothing, road noise would still cause 0.02 deg of error at the steering wheel after four minutes.
     smoothed = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
                                                     "zero_phase")[0]) for log in logs]
     fit = fit_driving(smoothed, vehicle, (PAPER_NAME,), "linear", settings)
-    predicted = tuple(name for name, (count, _) in fit.windows.items() if count)
+    predicted_runs = tuple(name for name, (count, _) in fit.windows.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
-                           predicted, f"{fit.prediction_count} predictions on straights")
+                           predicted_runs, f"{fit.prediction_count} predictions on straights")
 
     run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
     _, spread, _ = make_blocks(run_of, times).fit_least_squares(np.ones((len(values), 1)), values)
-    averaged = tuple(run.name for run, w in zip(runs, windows, strict=True) if len(w))
-    direct = _make_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights", averaged,
-                            f"{len(values)} windows of {WINDOW:g} s")
+    averaged_runs = tuple(run.name for run, w in zip(runs, windows, strict=True) if len(w))
+    direct = _make_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights",
+                            averaged_runs, f"{len(values)} windows of {WINDOW:g} s")
     conflict = describe_contradiction(paper, direct.value, direct.standard_uncertainty,
                                       "the mean reading on steady straights")
     if conflict:
         paper = replace(paper, status="doubtful", verdict=f"{paper.verdict} {conflict}")
     names = tuple(run.name for run in runs)
-    used = tuple(name for name in names if name in predicted or name in averaged)
+    used = tuple(name for name in names if name in predicted_runs or name in averaged_runs)
     rejected = tuple((name, "no straight driving") for name in names if name not in used)
     figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0]}
     return Identification("steering-offset", (paper, direct), used, rejected, None, (),
@@ -250,9 +250,9 @@ def _find_straight_windows(run: RunSamples, vehicle: VehicleParameters, min_spee
 
 def _make_estimate(name: str, value: float, spread: Spread, method: str, runs: tuple[str, ...],
                    basis: str) -> ParameterEstimate:
-    uncertainty = float(spread.deviations[0])
-    degrees, deviation = np.rad2deg(value), np.rad2deg(uncertainty)
+    uncertainty = float(spread.standard_errors[0])
+    degrees, uncertainty_degrees = np.rad2deg(value), np.rad2deg(uncertainty)
     verdict = (f"The steering wheel reads {degrees:.2f} deg when driving straight, standard uncertainty "
-               f"{deviation:.2f} deg, from {basis} in {spread.basis[0]}.")
+               f"{uncertainty_degrees:.2f} deg, from {basis} in {spread.basis[0]}.")
     return ParameterEstimate(name, float(value), "rad", uncertainty, spread.interval(0, value), method, runs, verdict,
-                             "identified" if deviation < 0.5 else "doubtful")
+                             "identified" if uncertainty_degrees < 0.5 else "doubtful")

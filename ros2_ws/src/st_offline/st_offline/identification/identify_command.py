@@ -137,7 +137,7 @@ def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
         "warnings": list(outcome.warnings),
         "findings": {name: findings_as_json(findings) for name, findings in outcome.findings.items()},
         "coverage": [{"signal": c.signal, "unit": c.unit, "edges": [float(x) for x in c.edges],
-                      "counts": [int(x) for x in c.counts], "needed": c.needed, "bins_needed": c.bins_needed}
+                      "counts": [int(x) for x in c.counts], "needed": c.min_samples, "bins_needed": c.min_filled_bins}
                      for c in outcome.coverage],
     }
 

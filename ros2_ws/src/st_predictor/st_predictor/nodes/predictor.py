@@ -267,7 +267,7 @@ class PredictorNode(Node):
         return Check("position", diagnostics.OK, f"last {text}", values | {"age [s]": age})
 
     def _make_steering_check(self) -> Check:
-        frozen = self._core.frozen_steering.frozen
+        frozen = self._core.frozen_steering.frozen_angle
         if frozen is None:
             return Check("steering", diagnostics.OK, "no frozen angle detected")
         text = (f"angle constant at {frozen.angle:.4f} rad for {frozen.duration:.1f} s, but the yaw rate corresponds "
