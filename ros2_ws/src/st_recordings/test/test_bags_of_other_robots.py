@@ -88,6 +88,7 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
         "/odom_over_ground": lambda k: odometry(k, twist(k, yaw=log.yaw[k])),
         "/wheel": lambda k: store.types["own_msgs/msg/Wheel"](
             stamp=stamped(k).stamp, steering_wheel_angle_deg=float(np.degrees(wheel[k]))),
+        "/clock": lambda k: make("rosgraph_msgs/msg/Clock", clock=stamped(k).stamp),
         "/steer": lambda k: make("std_msgs/msg/Float64", data=float(wheel[k])),
         **dict.fromkeys(("/vehicle/status/steering_status", "/second/steering_status"), lambda k: store.types[
             "autoware_vehicle_msgs/msg/SteeringReport"](
@@ -97,10 +98,10 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
             lateral_velocity=float(log.velocity_y[k]), heading_rate=float(log.yaw_rate[k]))}
 
 
-def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, rows: slice = slice(None),
+def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, rows: slice = slice(None), pace: int = 1,
           change: Mapping[str, Callable[[Any, int], Any]] | None = None) -> Path:
-    """stamp_offset_ns: stamps minus times of reception. rows: of the log. change: topic -> function that changes the
-    message of a row."""
+    """stamp_offset_ns: stamps minus times of reception. rows: of the log. pace: real time in a second of the log [s].
+    change: topic -> function that changes the message of a row."""
     store = make_store(Stores.ROS2_JAZZY, DEFINITIONS)
     messages = make_messages(log, store, stamp_offset_ns)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -109,7 +110,8 @@ def write(folder: Path, log: DriveLog, *topics: str, stamp_offset_ns: int = 0, r
             connection = writer.add_connection(topic, kind, typestore=store)
             for k, time_ns in [*enumerate(log.ins_time_ns.tolist())][rows]:
                 message = (change or {}).get(topic, lambda message, k: message)(messages[topic](k), k)
-                writer.write(connection, time_ns, store.serialize_cdr(message, kind))
+                received_ns = int(log.ins_time_ns[0]) + pace * (time_ns - int(log.ins_time_ns[0]))
+                writer.write(connection, received_ns, store.serialize_cdr(message, kind))
     return folder
 
 
@@ -212,6 +214,28 @@ def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_
     run = read(find_runs([folder])[0], CAR, STEER)
     assert_same(run.log, drive_log, max_lost=0)
     assert_warned(run.warnings, "the stamps of its topics do not overlap in time; the times of reception are used")
+
+
+@pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/pose", "/twist", "/steer")])
+def test_steering_without_stamps_is_moved_to_the_clock_of_the_ins(tmp_path: Path, drive_log: DriveLog, topics) -> None:
+    """The INS stamps with GPS time, the recorder with UTC."""
+    folder = write(tmp_path / "drive", drive_log, *topics, stamp_offset_ns=18 * 10**9)
+    run = read(find_runs([folder])[0], CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0)
+    assert run.log.ins_time_ns[0] == drive_log.ins_time_ns[0] + 18 * 10**9
+    assert_warned(run.warnings, f"the clock of {topics[0]} is 18.000 s ahead of that of /steer; all stamps were moved")
+
+
+@pytest.mark.parametrize("topics", [("/odom", "/steer", "/clock"), ("/pose", "/twist", "/steer", "/clock")])
+def test_simulation_at_half_speed_is_read_by_its_clock(tmp_path: Path, drive_log: DriveLog, topics) -> None:
+    """Stamps begin at 0; the steering has none, and is received once in two times of its interval."""
+    start = int(drive_log.ins_time_ns[0])
+    folder = write(tmp_path / "drive", drive_log, *topics, stamp_offset_ns=-start, pace=2)
+    run = read(find_runs([folder])[0], CAR, STEER)
+    assert run.log.ins_time_ns[-1] == drive_log.ins_time_ns[-1] - start
+    assert len(run.log.x) == len(drive_log.x) - 1  # a stamp of 0 means that there is none
+    np.testing.assert_allclose(run.log.road_wheel_angle, np.interp(
+        run.log.steering_time_ns, drive_log.steering_time_ns - start, drive_log.road_wheel_angle), atol=1e-5)
 
 
 @pytest.mark.parametrize(("topics", "settings", "error"), [

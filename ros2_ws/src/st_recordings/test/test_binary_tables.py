@@ -58,6 +58,22 @@ def save_control_desk(file: Path, columns: Columns) -> None:
     savemat(file, {"rec1_001": {"X": {"Name": "", "Data": columns["t"]}, "Y": signals}})
 
 
+def save_control_desk_rasters(file: Path, columns: Columns) -> None:
+    """dSPACE ControlDesk with two rasters: XIndex of a signal is the number of its time vector."""
+    fast, slow = (make_struct_array(["Name", "Data", "Unit", "XIndex"], [
+        (name, columns[name][::step], "", number) for name in names]) for number, (step, names) in enumerate(
+            ((1, [name for name in columns if name not in ("t", *STEERING)]), (2, STEERING)), 1))
+    times = make_struct_array(["Name", "Data"], [("", columns["t"]), ("", columns["t"][::2])])
+    savemat(file, {"rec1_001": {"X": times, "Y": np.concatenate([fast, slow])}})
+
+
+def save_time_series_structs(file: Path, columns: Columns) -> None:
+    """A struct for each timeseries, with its times and Units."""
+    savemat(file, {"log": {name: {"Time": columns["t"], "Data": np.degrees(values) if name == "yaw_rate" else values,
+                                  "Units": "deg/s" if name == "yaw_rate" else ""}
+                           for name, values in columns.items() if name != "t"}})
+
+
 def save_signal_structs(file: Path, columns: Columns) -> None:
     """Each signal is a struct with its samples and unit, as IPG CarMaker exports them."""
     degrees = {"yaw_rate", "road_wheel_angle"}
@@ -84,6 +100,11 @@ def save_parquet_with_index(file: Path, columns: Columns) -> None:
     pd.DataFrame(columns).set_index("t").to_parquet(file)
 
 
+def save_parquet_with_date_index(file: Path, columns: Columns) -> None:
+    index = pd.to_datetime(np.round(columns["t"] * 1e9).astype(np.int64))
+    pd.DataFrame({name: columns[name] for name in columns if name != "t"}).set_index(index).to_parquet(file)
+
+
 def load(file: Path) -> DriveLog:
     (source,) = find_runs([file])
     if source.problem:
@@ -94,7 +115,8 @@ def load(file: Path) -> DriveLog:
 @pytest.mark.parametrize(("save", "extension"), [
     (save_flat, ".mat"), (save_nested, ".mat"), (save_milliseconds, ".mat"), (save_simulink, ".mat"),
     (save_control_desk, ".mat"), (save_signal_structs, ".mat"), (save_two_rates, ".mat"),
-    (save_ros_stamps, ".mat"),
+    (save_ros_stamps, ".mat"), (save_control_desk_rasters, ".mat"), (save_time_series_structs, ".mat"),
+    (save_parquet_with_date_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather")])
 def test_drive_equals_the_one_of_the_csv_file(columns: Columns, tmp_path: Path,

@@ -127,7 +127,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.reconstruct_steering()
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED
-    notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns)]
+    notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns, bool(steering))]
     log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
@@ -158,12 +158,12 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
-                                columns: dict[str, dict[str, np.ndarray]]) -> list[str]:
+                                columns: dict[str, dict[str, np.ndarray]], is_foreign: bool = False) -> list[str]:
     """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
     A driver or simulator may leave header.stamp at a constant value such as 0, write whole seconds, or stamp two topics
     with unrelated clocks. The times of reception are correct nevertheless. Messages that are sent several times with
-    the same values and stamp have correct stamps.
+    the same values and stamp have correct stamps. is_foreign: whether another system stamped the steering.
     """
     notes = []
     for kind, topic in topics.items():
@@ -186,6 +186,11 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                     columns[kind]["header.stamp"] = times
                 notes.append(f"the stamps of {' and '.join(topics.values())} do not overlap in time; the times of "
                              "reception are used for both")
+        elif is_foreign:
+            aligned, clock_notes = storage.align_stamps({topics[kind]: stamps for kind, stamps in by_kind.items()})
+            for kind, stamps in zip(topics, aligned, strict=True):
+                columns[kind]["header.stamp"] = stamps
+            notes += clock_notes
     return notes
 
 

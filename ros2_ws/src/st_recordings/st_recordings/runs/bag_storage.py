@@ -32,6 +32,7 @@ from .errors import RunError, check_readable, format_share, shorten
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
+MAX_DELAY_NS = 500_000_000  # from stamp to reception; if those of two topics differ by more, their clocks do
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
@@ -114,9 +115,34 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Times of reception of the messages [ns]; their header stamps if the number of messages differs."""
+        """Times of reception of the messages [ns], of a simulation if the bag contains its clock; their header stamps
+        if the number of messages differs."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
-        return times if len(times) == len(stamps) else stamps
+        if len(times) != len(stamps):
+            return stamps
+        clock = next((t for t in self.topics if t.type_name == "rosgraph_msgs/msg/Clock" and t.count > 1), None)
+        if clock is None:
+            return times
+        ticks = [(log_ns, tick.clock.sec * 1_000_000_000 + tick.clock.nanosec) for log_ns, tick in
+                 self.deserialise(clock)]
+        received, simulated = (np.array(sorted(ticks)) - ticks[0]).T
+        return ticks[0][1] + np.round(np.interp(times - ticks[0][0], received, simulated)).astype(np.int64)
+
+    def align_stamps(self, stamps: Mapping[str, np.ndarray]) -> tuple[list[np.ndarray], list[str]]:
+        """(stamps of each topic [ns], note): moved by a constant to the clock of the first if the clocks differ.
+
+        An INS may stamp with GPS time, 18 s ahead of UTC. If the delay varies, the times of reception are not those of
+        the drive, as of topics that were computed later, and the stamps are not changed.
+        """
+        delays = [self.read_log_times(topic, given) - given for topic, given in stamps.items()]
+        shifts = [int(np.median(delay)) for delay in delays]
+        varies = any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
+        if varies or max(shifts) - min(shifts) <= MAX_DELAY_NS:
+            return [*stamps.values()], []
+        ahead, behind = ([*stamps][shifts.index(shift)] for shift in (min(shifts), max(shifts)))
+        return [given + shift - shifts[0] for given, shift in zip(stamps.values(), shifts, strict=True)], [
+            f"compared with the times of reception, the clock of {ahead} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
+            f"ahead of that of {behind}; all stamps were moved to the clock of {next(iter(stamps))}"]
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:

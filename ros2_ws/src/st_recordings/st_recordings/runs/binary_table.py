@@ -26,7 +26,7 @@ MAX_MATRIX_COLUMNS = 32
 """A matrix with more columns and rows is an image or a map; columns or rows of others become signals NAME_1, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
-NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit")
+NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit", "Units")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """Name of a channel of raw frames after a block head, which ends with 0; comments of decoded files may contain it."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
@@ -62,7 +62,9 @@ def _read_arrow(file: Path) -> Any:
                        ) from None
     except Exception as error:  # any, from pyarrow
         raise RunError(file, f"pyarrow cannot read the file ({shorten(error)})", "copy or export it again") from None
-    return frame if isinstance(frame.index, pd.RangeIndex) else frame.reset_index()
+    if isinstance(frame.index, pd.RangeIndex):
+        return frame
+    return frame.reset_index(names="time" if frame.index.name is None and frame.index.dtype.kind in "mM" else None)
 
 
 def _read_matlab(file: Path) -> Any:
@@ -127,8 +129,11 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         if source and stamp and source.column == stamp[0]:  # sec and nanosec of a ROS stamp
             seconds, nanoseconds = (value[vectors[column]] for column in stamp)
             own = [("t [s]", seconds + 1e-9 * nanoseconds)] if len(seconds) == len(nanoseconds) else []
-        if isinstance(axis := value.get("X"), dict) and _is_vector(axis.get("Data")):
-            own.append(("time", axis["Data"]))  # dSPACE ControlDesk
+        axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
+        axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
+                if isinstance(axis, dict) and _is_vector(axis.get("Data"))]
+        if axes and len(set(map(len, axes))) == len(axes):
+            own += [("time", axis) for axis in axes]
             value = {name: entry for name, entry in value.items() if name != "X"}
         unit = next((value[name] for name in UNIT_FIELDS if isinstance(value.get(name), str)), "")
         for name, entry in value.items():

@@ -263,10 +263,13 @@ def get_stamp(message: Any, log_ns: int) -> int:
 def read_steering_columns(storage: Storage, topic: Topic, steering: SteeringField) -> dict[str, np.ndarray]:
     """Columns of st_msgs/Steering, read from a topic of another type. Raises RunError."""
     # For a steering wheel angle, the road wheel angle is a placeholder that DriveLog.with_steering replaces.
-    stamps, angles = [], []
-    for log_ns, message in storage.deserialise(topic):
-        stamps.append(get_stamp(message, log_ns))
+    stamp_list, angles = [], []
+    for _, message in storage.deserialise(topic):
+        stamp_list.append(get_stamp(message, 0))
         angles.append(extract_steering_angle(storage.path, message, steering))
+    stamps = np.array(stamp_list, np.int64)
+    if not stamps.any():
+        stamps = storage.read_log_times(topic.name, stamps)
     values, missing = np.array(angles), np.full(len(angles), math.nan)
-    return {"header.stamp": np.array(stamps, np.int64), "road_wheel_angle": values,
+    return {"header.stamp": stamps, "road_wheel_angle": values,
             "steering_wheel_angle": values if steering.quantity == "wheel" else missing, "valid": np.isfinite(values)}
