@@ -22,7 +22,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps in a horizon; both [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
+    """Number of steps [s] in a horizon [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -94,8 +94,8 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
                 raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of "
                                   f"{steps} steps")
         if substeps > 1:
-            finer = np.arange(2 * steps * substeps + 1) / substeps
-            sampled = [np.interp(finer, np.arange(2 * steps + 1), values) for values in sampled]
+            fine_grid = np.arange(2 * steps * substeps + 1) / substeps
+            sampled = [np.interp(fine_grid, np.arange(2 * steps + 1), values) for values in sampled]
         angle, acceleration, *others = sampled
         with np.errstate(all="ignore"):
             fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
@@ -167,12 +167,12 @@ class Predictor:
         return select_inputs(self._views[model].model, planned)
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add an INS sample; False if it was refused (see MeasurementHistory)."""
+        """Add an INS sample; False if it was rejected (see MeasurementHistory)."""
         self.frozen_steering.add_ins(sample)
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], left +; False if it was refused."""
+        """Add a road wheel angle [rad], left +; False if it was rejected."""
         self.frozen_steering.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
@@ -205,8 +205,8 @@ class Predictor:
             previous_ns, time_ns = time_ns, self.history.ins.known_until(time_ns)
             time_ns = None if time_ns is None else self.history.steering.known_until(time_ns)
         if time_ns is None or (now_ns - time_ns) * NANOSECOND > limit:
-            old = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
-            reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{old}"
+            age_text = "" if time_ns is None else f", last known {(now_ns - time_ns) * NANOSECOND:.2f} s ago"
+            reasons = [f"{name}: {series.describe_unknown(newest)} at the newest common instant{age_text}"
                        for name, series in self._series.items() if series.known_until(newest) != newest]
             return Skip("stale", reasons[0] if reasons else "INS and steering: no common instant")
         jump = self.history.last_jump
@@ -250,7 +250,7 @@ class Predictor:
 
 TOLERANCE = 1.0e-9  # largest difference from the interpreted model, relative to max(1, |value|)
 # States and inputs of the comparison with the interpreted model, (v_x [m/s], v_y [m/s], yaw rate [rad/s],
-# road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway speed, left and right, driven and braked.
+# road wheel angle [rad], acceleration [m/s^2]): walking pace to motorway speed, left and right, drive and brake.
 _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0.2, 0.2, 0.04, -1.0),
             (30.0, 0.0, -0.02, -0.005, 0.5))
 
@@ -329,7 +329,7 @@ def compile_model(model: Model, vehicle: VehicleParameters, settings: Prediction
 
 def compile_models(models: Sequence[Model], vehicle: VehicleParameters,
                    settings: PredictionSettings) -> tuple[dict[str, CompiledModel], str]:
-    """(compiled models by name, one line for the log: their names, and why the others are not compiled)."""
+    """(compiled models by name, line for the log: their names, and why the others are not compiled)."""
     compiled: dict[str, CompiledModel] = {}
     reasons: dict[str, str] = {}
     for model in models:

@@ -26,7 +26,7 @@ MEMORY_NS = round(MEMORY_TIME / NANOSECOND)
 
 
 def correct_sample(model: Model, sample: InsSample) -> InsSample:
-    """The sample of an ideal INS; NaN where the correction needs an acceleration (`find_missing_reading`)."""
+    """The sample as measured by an ideal INS; NaN where a correction needs an acceleration (`find_missing_reading`)."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
     true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
@@ -41,8 +41,8 @@ def find_missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str
     for effect in model.active:
         for reading in unknown if effect.correct else ():
             example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
-            alone = model.select_effects(e for e in model.effects if e.converts or e is effect)
-            if np.isnan(alone.correct(example)[:6]).any():
+            reduced = model.select_effects(e for e in model.effects if e.converts or e is effect)
+            if np.isnan(reduced.correct(example)[:6]).any():
                 return effect.name, reading
     return None
 
@@ -81,11 +81,13 @@ def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, g
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
     # The samples are at most half of maximum_gap apart, because the effects restart after a gap.
     parts = max(1, -(-2 * spacing // gap_ns))
-    finer, whole = np.arange(parts * (len(future) - 1) + 1) / parts, np.arange(len(future))
-    after = grid_ns[0] + np.round(np.interp(finer, whole, grid_ns - grid_ns[0])).astype(np.int64)
-    beyond = after[-1] + (spacing // parts) * np.arange(1, 2 + parts * required_lookahead_ns(model) // spacing)
-    steering_ns = np.concatenate((time_ns[before], after, beyond))
-    steering = np.concatenate((angle[before], np.interp(finer, whole, future), np.full(len(beyond), future[-1])))
+    fine_grid, coarse_grid = np.arange(parts * (len(future) - 1) + 1) / parts, np.arange(len(future))
+    future_ns = grid_ns[0] + np.round(np.interp(fine_grid, coarse_grid, grid_ns - grid_ns[0])).astype(np.int64)
+    extension_ns = future_ns[-1] + (spacing // parts) * np.arange(
+        1, 2 + parts * required_lookahead_ns(model) // spacing)
+    steering_ns = np.concatenate((time_ns[before], future_ns, extension_ns))
+    steering = np.concatenate((angle[before], np.interp(fine_grid, coarse_grid, future),
+                               np.full(len(extension_ns), future[-1])))
     return interpolate(*correct_steering(model, steering_ns, steering, maximum_gap), grid_ns, gap_ns)
 
 

@@ -40,10 +40,10 @@ def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     fast = log.velocity_x > MIN_SPEED
     if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not fast.any():
         return log
-    steady = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
-    angle = np.arctan2(steady_velocity_y(steady, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
+    smoothed_log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
+    angle = np.arctan2(steady_velocity_y(smoothed_log, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
     angle = np.interp(log.ins_time_ns, log.ins_time_ns[fast], angle[fast])
-    if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, steady.yaw_rate, fast):
+    if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, smoothed_log.yaw_rate, fast):
         return log
     speed, yaw = log.velocity_x, log.yaw - angle
     rate = derive_yaw_rate(log.ins_time_ns, yaw) if has_derived_yaw_rate(log) else log.yaw_rate

@@ -1,4 +1,4 @@
-"""Signals in time: samples sorted by their stamps, interpolation except in gaps, and forward acceleration from speed.
+"""Time series: samples sorted by time, interpolation except in gaps, and forward acceleration from speed.
 
 The acceleration is the derivative of the speed u after a first-order Butterworth low-pass, solved exactly for a speed
 that is linear between its samples. It uses the actual spacing dt of each pair of samples, so uneven spacing adds no
@@ -24,7 +24,7 @@ from .errors import StCoreError
 from .types import wrap_angle
 
 NANOSECOND = 1.0e-9
-REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more than this are refused as late
+REORDER_WINDOW_NS = 500_000_000  # samples older than the newest by more than this are rejected as late
 SETBACK_SAMPLES = 5  # after this many consecutive late samples the clock counts as set back
 MAXIMUM_SAMPLES = 200_000
 
@@ -50,7 +50,7 @@ class TimeSeries:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all samples and breaks."""
+        """Discard all samples and breaks."""
         self._times = np.empty(256, np.int64)
         self._rows = np.empty((256, len(self.columns)))
         self._first = self._end = 0
@@ -76,10 +76,10 @@ class TimeSeries:
         return int(self._times[self._end - 1]) if len(self) else None
 
     def add(self, time_ns: int, row: Sequence[float]) -> tuple[int | None, bool]:
-        """Add a sample; returns (its position in `rows`, or None if it was refused; whether the clock was set back).
+        """Add a sample; returns (its position in `rows`, or None if it was rejected; whether the clock was set back).
 
-        Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are refused. If
-        the clock was set back, the series restarts from the SETBACK_SAMPLES late samples, and the position is 0.
+        Non-finite rows, repeated times and samples older than the newest by more than REORDER_WINDOW_NS are rejected.
+        If the clock was set back, the series restarts from the SETBACK_SAMPLES late samples, and the position is 0.
         """
         if not np.isfinite(row).all():
             return None, False
@@ -216,9 +216,9 @@ def low_pass_step(filtered: float, before: float, now: float, spacing: float, cu
     filtered: filtered value at `before`. cutoff [Hz]. Equations: see the module docstring.
     """
     x = 2.0 * math.pi * cutoff * spacing
-    decay = -math.expm1(-x)  # 1 - e
-    g = decay / x
-    result = filtered + decay * (before - filtered) + (1.0 - g) * (now - before)
+    response = -math.expm1(-x)  # 1 - e
+    g = response / x
+    result = filtered + response * (before - filtered) + (1.0 - g) * (now - before)
     return result, (result - filtered) / spacing
 
 
@@ -254,14 +254,14 @@ def _filter_causally(times_ns: np.ndarray, values: np.ndarray, cutoff: float,
     spacings_ns = np.diff(times_ns)
     distinct_ns, spacing_index = np.unique(spacings_ns, return_inverse=True)
     x = 2.0 * math.pi * cutoff * (distinct_ns * NANOSECOND)
-    decays = np.array([-math.expm1(-value) for value in x.tolist()])
-    increments = (1.0 - decays / x)[spacing_index] * (values[1:] - values[:-1])
+    responses = np.array([-math.expm1(-value) for value in x.tolist()])
+    increments = (1.0 - responses / x)[spacing_index] * (values[1:] - values[:-1])
     after_gap = spacings_ns * NANOSECOND > maximum_gap
     results = values[:1].tolist()
-    columns = decays[spacing_index], values[:-1], increments, values[1:], after_gap
-    for decay, before, increment, now, restarts in zip(*(column.tolist() for column in columns), strict=True):
+    columns = responses[spacing_index], values[:-1], increments, values[1:], after_gap
+    for response, before, increment, now, restarts in zip(*(column.tolist() for column in columns), strict=True):
         last = results[-1]
-        results.append(now if restarts else last + decay * (before - last) + increment)
+        results.append(now if restarts else last + response * (before - last) + increment)
     filtered = np.array(results, float)
     derivative = np.full(len(values), np.nan)
     derivative[1:] = np.where(after_gap, np.nan, (filtered[1:] - filtered[:-1]) / (spacings_ns * NANOSECOND))

@@ -298,8 +298,8 @@ def _read_section(prefix: str, section: Mapping[str, Any], quantities: Mapping[s
         if not isinstance(source, str) or not source.strip():
             raise ConfigurationError(f"{key}: source {source!r} is not a string; state where the value comes from")
         values[name], sources[key] = float(value) * quantity.units[unit], source
-        if identified := _read_provenance(key, entry, quantity.units[unit]):
-            provenance[key] = identified
+        if entry_provenance := _read_provenance(key, entry, quantity.units[unit]):
+            provenance[key] = entry_provenance
     return values
 
 

@@ -147,7 +147,7 @@ def find_shapes(candidate: Candidate, formula, noise=0.0, constant_explained=Fal
 def test_odd_shape_is_recognised(shape, formula):
     candidate = Candidate("front_force", "slip_front", -1.0, -1.0, 1.0)
     first, *more = find_shapes(candidate, formula)
-    assert first.name == shape and first.explained > 0.99
+    assert first.name == shape and first.explained_fraction > 0.99
     assert len(more) <= 2
     assert not find_shapes(candidate, lambda u: 0.0 * u)
 
@@ -158,7 +158,7 @@ def test_odd_shape_is_recognised(shape, formula):
 def test_shape_without_symmetry_is_recognised(shape, formula):
     candidate = Candidate("front_grip", "speed", 0.0, 4.0, 20.0)
     first = find_shapes(candidate, formula)[0]
-    assert first.name == shape and first.explained > 0.99
+    assert first.name == shape and first.explained_fraction > 0.99
 
 
 def test_constant_that_a_vehicle_parameter_explains_is_not_part_of_the_shape():
@@ -172,7 +172,7 @@ def test_shape_must_explain_the_curve_even_with_noisy_drives():
     candidate = Candidate("front_grip", "speed", 0.0, 3.2, 14.0)
     for noise in (0.0, 0.01):
         first, *more = find_shapes(candidate, lambda u: 0.0156 - 8.7e-5 * u**2, noise)
-        assert first.name == "square" and all(r.explained > 0.9 for r in (first, *more))
+        assert first.name == "square" and all(r.explained_fraction > 0.9 for r in (first, *more))
 
 
 def test_simplest_of_indistinguishable_shapes_is_first():
@@ -242,7 +242,7 @@ def test_true_relation_is_proposed_with_its_slope(leaf):
     linear = next(r for r in one.formulas if r.shape == "linear")
     assert 0.002 < float(linear.text.split()[2]) < 0.0035 and "gyroscope" in linear.causes
     assert one.p_value < 0.01 and one.gain > 0.025 and set(one.runs) <= {log.name for log in logs}
-    assert (np.abs(one.value - 0.0027 * one.at) < 4.0 * one.deviation + 1e-3).all()
+    assert (np.abs(one.value - 0.0027 * one.points) < 4.0 * one.deviation + 1e-3).all()
 
 
 def test_lagged_relations_use_the_steering_rate_and_the_lagging_steering(leaf):
@@ -281,7 +281,7 @@ def test_run_time_starts_at_zero_in_every_run(leaf):
 def test_no_relation_is_proposed_for_a_complete_model(leaf, seed):
     logs = recorded(leaf, {}, seed, DRIVEN)
     outcome = find_relation(discovery(logs, (), 1.0), logs, leaf, DiscoverySettings(locate_errors=False))
-    assert outcome.relation is None and outcome.reason and outcome.tried
+    assert outcome.relation is None and outcome.reason and outcome.statistics
 
 
 def test_too_few_blocks_and_a_single_run_are_given_as_reasons(leaf):
@@ -354,7 +354,7 @@ def test_formula_is_reported_only_if_it_keeps_the_gain_in_simulation(leaf, monke
         losses[smoothing] = float(fits.fit(fit.candidate, without).held_out.sum())
     assert fit.smoothing == min(losses, key=losses.get) < max(PENALTIES)
     formulas = simulate_formulas(fits, fit, without)
-    assert formulas and all(0.9 <= one.retained < 1.2 for one in formulas)
+    assert formulas and all(0.9 <= one.retained_fraction < 1.2 for one in formulas)
     assert not any(re.fullmatch(r"y = \S+ u( \|u\|)?", one.text) for one in formulas)
 
 

@@ -218,7 +218,7 @@ def test_next_drives_are_recommended_with_their_gain():
     imprecise = replace(relation, next_drives=replace(drives, options=[option]))
     assert "for a narrower interval" not in "\n".join(describe_next_drives(imprecise))
     without_options = replace(drives, current_separation={}, options=[])
-    of_place = replace(relation, others={"side_force over position_x": 0.9}, next_drives=without_options)
+    of_place = replace(relation, rivals={"side_force over position_x": 0.9}, next_drives=without_options)
     text = "\n".join(describe_next_drives(of_place))
     assert "from effects of place, heading or time: repeat the drive twice" in text and "much better" not in text
 

@@ -171,7 +171,7 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
-    A moving average over twice the lag replaces a lag; it has a similar range."""
+    Each lag is approximated by a moving average over twice its duration, which has a similar range."""
     log, vehicle = windows.joined, windows.vehicle
     moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate

@@ -13,7 +13,7 @@ from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
 MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
-MIN_EXPLAINED_INCREASE = 1e-3  # minimum of this fraction minus that of any shape with fewer parameters
+MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
@@ -25,26 +25,26 @@ ShapeFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Formula:
     """Formula of a relation. shape: name of the shape. text: y as a function of the quantity u [SI], with numbers.
-    retained [1]: fraction of the held-out gain of the curve that the formula retains when simulated in its place.
-    causes: possible causes from textbooks."""
+    retained_fraction [1]: of the held-out gain of the curve, when the formula is simulated in its place. causes:
+    possible causes from textbooks."""
 
     shape: str
     text: str
-    retained: float
+    retained_fraction: float
     causes: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
     """A shape fitted to the quadratic approximation of the loss. parameters: fitted to all blocks; by_fold: without
-    each fold. explained [1]: fraction of the curve's gain. held_out: (b,) held-out loss minus the curve's loss."""
+    each fold. explained_fraction [1]: of the curve's gain. held_out: (b,) held-out loss minus the curve's loss."""
 
     name: str
     text: str
     function: ShapeFunction
     parameters: np.ndarray
     by_fold: Mapping[int, np.ndarray]
-    explained: float
+    explained_fraction: float
     held_out: np.ndarray
 
 
@@ -128,15 +128,17 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
 def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
     """The preferred shape first, the others by held-out loss."""
     order = sorted((shape for shape in shapes if not any(
-        len(other.parameters) < len(shape.parameters) and other.explained > shape.explained - MIN_EXPLAINED_INCREASE
+        len(other.parameters) < len(shape.parameters)
+        and other.explained_fraction > shape.explained_fraction - MIN_EXPLAINED_INCREASE
         for other in shapes)), key=lambda shape: float(shape.held_out.sum()))
     if not order:
         return ()
     best = order[0]
 
     def is_as_good(shape: FittedShape) -> bool:
-        worse, share = shape.held_out - best.held_out, shape.explained / best.explained
-        within_error = float(worse.sum()) <= float(worse.std(ddof=1)) * np.sqrt(len(worse))
+        loss_increase = shape.held_out - best.held_out
+        share = shape.explained_fraction / best.explained_fraction
+        within_error = float(loss_increase.sum()) <= float(loss_increase.std(ddof=1)) * np.sqrt(len(loss_increase))
         return share >= FULL_SHARE or (share >= NEAR_SHARE and within_error)
 
     first = min(filter(is_as_good, order), key=lambda shape: len(shape.parameters))
@@ -207,8 +209,8 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
-    before = fits.problem.position_error(without.residuals)
-    if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(before):
+    baseline_error = fits.problem.position_error(without.residuals)
+    if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(baseline_error):
         return -np.inf, offset
     return float((without.held_out - held_out).sum()), offset
 

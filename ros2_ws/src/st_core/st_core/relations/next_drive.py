@@ -55,13 +55,13 @@ class NextDrives:
         if best is None:
             return None
         option, rival = best
-        needed = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[rival])
-        return best if option.separation[rival] >= needed else None
+        required = max(MIN_SEPARATION, MIN_IMPROVEMENT * self.current_separation[rival])
+        return best if option.separation[rival] >= required else None
 
 
 def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -> list[Range]:
-    """Sparsely driven ranges, from the mean density of a point and its two neighbours. points, density: (k,) `at` and
-    `density` of a `Relation`. For an odd curve, positive values only."""
+    """Sparsely driven ranges, from the mean density of a point and its two neighbours. points, density: (k,), as in
+    `Relation`. For an odd curve, positive values only."""
     if parity == ODD:
         density = 0.5 * (density + density[::-1])
     smoothed = np.convolve(np.pad(density, 1, mode="edge"), np.ones(3) / 3.0, mode="valid")
@@ -75,7 +75,8 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
                    points: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: see
-    `ScreenedCandidate`. points: (k,). deviation: (k,) standard deviation of the curve. sparse: `find_sparse_ranges`."""
+    `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) standard deviation of the curve.
+    sparse: `find_sparse_ranges`."""
     candidate = fit.candidate
     assert candidate is not None
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:
@@ -83,7 +84,7 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, Re
     splines = candidate.compute_splines(points)
     rivals = {name: other for name, other in rivals.items()
               if other.candidate is not None and other.candidate.quantity not in INDEPENDENT_OF_MANOEUVRE}
-    recorded = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
+    recorded_curvature = {name: _compute_joint_curvature(fits.loss, fit.residuals, fit.sensitivities,
                                                other.sensitivities[-SPLINES:], fit)
                 for name, other in rivals.items()}
     curvature = fit.quadratic.hessian.sum(axis=0)
@@ -93,18 +94,20 @@ def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, Re
         loss = _make_loss(fits, windows, fit)
         residuals = np.zeros_like(loss.errors.at(fit.vector))
         sensitivities = loss.sensitivities(fit.vector, fit.indices)
-        added = REPETITIONS * loss.quadratic(residuals, sensitivities).hessian.sum(axis=0)
-        ratio = np.sqrt(_compute_variance(curvature + added + fit.penalty, splines) / np.maximum(variance, 1e-30))
+        added_curvature = REPETITIONS * loss.quadratic(residuals, sensitivities).hessian.sum(axis=0)
+        new_variance = _compute_variance(curvature + added_curvature + fit.penalty, splines)
+        ratio = np.sqrt(new_variance / np.maximum(variance, 1e-30))
         separation = {}
         for name, other in rivals.items():
-            to_rival = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
-            added_joint = REPETITIONS * _compute_joint_curvature(loss, residuals, sensitivities, to_rival, fit)
-            separation[name] = _compute_separation(recorded[name] + added_joint, fit, other, design_effect)
+            rival_sensitivities = _make_loss(fits, windows, other).sensitivities(other.vector, fits.relation_indices)
+            joint = _compute_joint_curvature(loss, residuals, sensitivities, rival_sensitivities, fit)
+            separation[name] = _compute_separation(recorded_curvature[name] + REPETITIONS * joint, fit, other,
+                                                   design_effect)
         u = compute_quantities(windows)[candidate.quantity]
         size = np.abs(u) if candidate.parity == ODD else u
         seconds = [manoeuvre.duration * float(((size >= low) & (size <= high)).mean()) for low, high in sparse]
         options.append(Option(manoeuvre, deviation * np.minimum(ratio, 1.0), separation, seconds))
-    current = {name: _compute_separation(h, fit, rivals[name], design_effect) for name, h in recorded.items()}
+    current = {name: _compute_separation(h, fit, rivals[name], design_effect) for name, h in recorded_curvature.items()}
     return NextDrives(sparse, current, options)
 
 
@@ -116,11 +119,11 @@ def _make_loss(fits: RelationFits, windows: Windows, fit: RelationFit) -> Loss:
     return loss
 
 
-def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray, to_rival: np.ndarray,
-                             fit: RelationFit) -> np.ndarray:
+def _compute_joint_curvature(loss: Loss, residuals: np.ndarray, sensitivities: np.ndarray,
+                             rival_sensitivities: np.ndarray, fit: RelationFit) -> np.ndarray:
     """Curvature of the loss in the other parameters, the coefficients of a rival and a scale factor of the relation."""
-    to_scale = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
-    joint = np.concatenate([sensitivities[:-SPLINES], to_rival, to_scale[None]])
+    scale_sensitivity = np.einsum("p,pnm->nm", fit.coefficients, sensitivities[-SPLINES:])
+    joint = np.concatenate([sensitivities[:-SPLINES], rival_sensitivities, scale_sensitivity[None]])
     return loss.quadratic(residuals, joint).hessian.sum(axis=0)
 
 

@@ -96,8 +96,8 @@ class RelationFits:
         self.block, self.blocks, self.fold = windows.block, self.problem.blocks, self.problem.held_out_groups
         car_effects = [n for n in self.space.hypotheses
                        if get_effect(n).kind == "vehicle parameters" and not get_effect(n).members]
-        always = (ACCELEROMETER_GAIN,) if "acceleration_y" in windows.columns else ()
-        self.refitted_indices = self.space.indices(*names, *always)
+        required = (ACCELEROMETER_GAIN,) if "acceleration_y" in windows.columns else ()
+        self.refitted_indices = self.space.indices(*names, *required)
         self.vehicle_indices = np.setdiff1d(self.space.indices(*car_effects), self.refitted_indices)
 
     def make_space(self, candidate: Candidate) -> Space:
@@ -136,7 +136,7 @@ class RelationFits:
             penalty[-SPLINES:, -SPLINES:] = smoothing * curvature * ROUGHNESS + 1e-9 * np.eye(SPLINES)
         return penalty
 
-    def find_left_out_steps(self, q: Quadratic, penalty: np.ndarray,
+    def find_held_out_steps(self, q: Quadratic, penalty: np.ndarray,
                             distance: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """({fold: step to the values fitted without it}, (b,) loss of each block at these values).
         distance: (a,) distance of the vector from the start [parameter scales]."""
@@ -152,7 +152,7 @@ class RelationFits:
     def predict_held_out_loss(self, q: Quadratic, penalty: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(b,) held-out loss of each block for the optimum of the quadratic."""
         step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
-        return self.find_left_out_steps(q.after(step), penalty, distance + step)[1]
+        return self.find_held_out_steps(q.after(step), penalty, distance + step)[1]
 
     def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
         """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
@@ -192,8 +192,8 @@ class RelationFits:
              sensitivities: np.ndarray, vector: np.ndarray) -> RelationFit:
         for iteration in range(ITERATIONS):
             if candidate:
-                to_relation = loss.sensitivities(vector, self.relation_indices)
-                sensitivities = np.concatenate([sensitivities[:-SPLINES], to_relation])
+                relation_sensitivities = loss.sensitivities(vector, self.relation_indices)
+                sensitivities = np.concatenate([sensitivities[:-SPLINES], relation_sensitivities])
             q = self.sum_quadratic(loss, loss.errors.at(vector), sensitivities)
             h, g = q.hessian.sum(axis=0), q.gradient.sum(axis=0)
             if not iteration:
@@ -204,16 +204,16 @@ class RelationFits:
             for share in STEP_SHARES:
                 trial = self.problem.take_step(vector, indices, share * step)
                 distance = self.problem.distance(trial)[indices]
-                gained = cost - (loss.total(trial) + distance @ penalty @ distance)
-                if gained > 0.0:
+                gain = cost - (loss.total(trial) + distance @ penalty @ distance)
+                if gain > 0.0:
                     reduction = loss.errors.at(vector) - loss.errors.at(trial)
                     sensitivities = Sensitivities(vector, indices, sensitivities).update(
                         trial, self.space.scale, reduction).values
                     vector = trial
                     break
-            if gained < MIN_LOSS_REDUCTION * loss.residual_count:
+            if gain < MIN_LOSS_REDUCTION * loss.residual_count:
                 break
         residuals = loss.errors.at(vector)
         q = self.sum_quadratic(loss, residuals, sensitivities)
-        steps, held_out = self.find_left_out_steps(q, penalty, self.problem.distance(vector)[indices])
+        steps, held_out = self.find_held_out_steps(q, penalty, self.problem.distance(vector)[indices])
         return RelationFit(candidate, smoothing, vector, residuals, indices, sensitivities, penalty, q, held_out, steps)

@@ -32,19 +32,19 @@ class Relation:
     """An empirical relation that reduces the held-out loss.
 
     candidate: the model term that it modifies (steering, axle force or grip, yaw moment, side force, a sensor), and the
-    quantity it depends on. coefficients: (8,) of the splines. at: (k,) values of the quantity; value, deviation: (k,)
-    the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the driving near each. gain
-    [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for the tried
-    candidates. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
-    without the relation, at the values fitted with it. others: equally good relations, with the cosine similarity of
+    quantity it depends on. coefficients: (8,) of the splines. points: (k,) of the quantity; value, deviation: (k,)
+    the curve there and its standard deviation [`Candidate.unit`]; density: (k,) fraction of the samples near each. gain
+    [1]: reduction of the held-out loss per residual. p_value [1]: of the hypothesis of no gain, corrected for multiple
+    testing. position_5s [m]: held-out position error after 5 s (without, with); runs: by run. model: the model
+    without the relation, at the values fitted with it. rivals: equally good relations, with the cosine similarity of
     their effects [1]. formulas: closed forms that retain the curve's gain in simulation, best first. agreement: of its
-    sizes in the runs, relative to the whole. redundant: effects of the result that the relation replaces, with the
+    size in each run with its overall size. redundant: effects of the result that the relation replaces, with the
     residual reduction [1] that each still adds. next_drives: sparsely driven ranges, and manoeuvres to drive next.
     """
 
     candidate: Candidate
     coefficients: np.ndarray
-    at: np.ndarray
+    points: np.ndarray
     value: np.ndarray
     deviation: np.ndarray
     density: np.ndarray
@@ -53,7 +53,7 @@ class Relation:
     position_5s: tuple[float, float]
     runs: Mapping[str, tuple[float, float]]
     model: AugmentedModel
-    others: Mapping[str, float] = field(default_factory=dict)
+    rivals: Mapping[str, float] = field(default_factory=dict)
     formulas: Sequence[Formula] = ()
     agreement: Agreement = field(default_factory=lambda: Agreement({}, 1.0, 0.0))
     redundant: Mapping[str, float] = field(default_factory=dict)
@@ -67,12 +67,12 @@ class Relation:
 @dataclass(frozen=True)
 class RelationSearch:
     """Result of a search. relation: None if none is significant and large enough. reason: why it is None, or the gain
-    of the relation. tried: held-out gain per residual [1] and p-value [1] of each candidate, best first.
+    of the relation. statistics: held-out gain per residual [1] and p-value [1] of each candidate, best first.
     detection_limits: by candidate, smallest detectable linear relation, at the end of its range [unit of the curve]."""
 
     relation: Relation | None
     reason: str
-    tried: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    statistics: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
@@ -109,8 +109,8 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     settings = replace(settings, channels=measured or settings.channels)
     model = discovery.model or discovery.base
     if not model.has_tyres:
-        return RelationSearch(None, "the model is kinematic without tyre slip, and has no axle forces for a relation "
-                              "to act on: use --base linear or --base nonlinear")
+        return RelationSearch(None, "the kinematic model has no tyre slip and no axle forces for a relation to act "
+                              "on: use --base linear or --base nonlinear")
     windows = RunWindows(runs, vehicle, settings)
     blocks = int(windows.block.max()) + 1 if len(windows) else 0
     if len(set(windows.run)) == 1:
@@ -129,35 +129,38 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     return _select(screened, fits, without, [e.name for e in discovery.effects], reported, tick)
 
 
-def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit, named: Sequence[str],
-            reported: Collection[tuple[str, str]], tick: Callable[[], None]) -> RelationSearch:
-    """The best significant candidate, or the reason why none is reported. named: effects of the result."""
+def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
+            effect_names: Sequence[str], reported: Collection[tuple[str, str]],
+            tick: Callable[[], None]) -> RelationSearch:
+    """The best significant candidate, or the reason why none is reported. effect_names: those of the result."""
     limits, residual_count = fits.limits, fits.loss.residual_count
     p_values = selection.compute_p_values(screened, fits.blocks)
-    tried = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
+    statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
              for s in sorted(screened, key=lambda s: -s.gain)}
     level = limits.false_alarm / len(screened)
     detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
     significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
-        name, (gain, p_value) = next(iter(tried.items()))
+        name, (gain, p_value) = next(iter(statistics.items()))
         return RelationSearch(None, f"no relation is significant. The best, {name}, lowers the held-out loss by "
                               f"{gain:.3f} per residual, p = {p_value:.2g} over all candidates; "
-                              f"p < {limits.false_alarm:g} is required", tried, detection_limits)
-    imitated = {trial: fault for trial in significant if (fault := _find_imitated_fault(trial.candidate, reported))}
-    remaining = [s for s in significant if s not in imitated]
+                              f"p < {limits.false_alarm:g} is required", statistics, detection_limits)
+    imitated_faults = {trial: fault for trial in significant
+                       if (fault := _find_imitated_fault(trial.candidate, reported))}
+    remaining = [s for s in significant if s not in imitated_faults]
     fitted, accepted, rejections = _fit_candidates(remaining, fits, without, tick)
     rejections |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
-                          f"{fault}. Correct it first and search again" for trial, fault in imitated.items()}
+                          f"{fault}. Correct it first and search again" for trial, fault in imitated_faults.items()}
     if not accepted:
         first = next(trial for trial in significant if trial in rejections)
-        return RelationSearch(None, rejections[first], tried, detection_limits)
+        return RelationSearch(None, rejections[first], statistics, detection_limits)
     # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * residual_count if s.candidate.factor else 0.0))
-    relation, gain_text = _make_relation(best, fitted, without, fits, p_values[best.candidate.name], named)
-    return RelationSearch(relation, gain_text, tried, detection_limits)
+    relation, gain_text = _make_relation(best, fitted, without, fits, p_values[best.candidate.name],
+                                         effect_names)
+    return RelationSearch(relation, gain_text, statistics, detection_limits)
 
 
 def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
@@ -173,8 +176,8 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
         tick()
         fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)
-        if rejected := selection.describe_unusable_curve(fits, fit):
-            rejections[trial] = rejected
+        if problem := selection.describe_unusable_curve(fits, fit):
+            rejections[trial] = problem
             continue
         fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
         reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
@@ -194,20 +197,20 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
 
 
 def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: RelationFit, fits: RelationFits,
-                   p_value: float, named: Sequence[str]) -> tuple[Relation, str]:
+                   p_value: float, effect_names: Sequence[str]) -> tuple[Relation, str]:
     """The relation with its statistics, and a sentence on its gain."""
     fit, c = fitted[best], best.candidate
     gains = without.held_out - fit.held_out
     before, after = (selection.compute_position_errors(fits, f) for f in (without, fit))
-    rivals = [trial for trial in fitted if trial is not best]
-    excess = np.array([fitted[trial].held_out - fit.held_out for trial in rivals])
+    others = [trial for trial in fitted if trial is not best]
+    excess = np.array([fitted[trial].held_out - fit.held_out for trial in others])
     as_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
-    equal = {trial.candidate.name: fitted[trial] for trial, is_equal in zip(rivals, as_good, strict=True) if is_equal}
+    rivals = {trial.candidate.name: fitted[trial] for trial, is_rival in zip(others, as_good, strict=True) if is_rival}
     u = compute_quantities(fits.windows)[c.quantity]
-    at = np.linspace(c.low, c.high, selection.POINTS)
-    splines = c.compute_splines(at)
+    points = np.linspace(c.low, c.high, selection.POINTS)
+    splines = c.compute_splines(points)
     deviation = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", splines, fit.compute_covariance(), splines), 0.0))
-    edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
+    edges = np.concatenate([[-np.inf], 0.5 * (points[1:] + points[:-1]), [np.inf]])
     density = np.histogram(np.clip(u, c.low, c.high), edges)[0] / max(len(u), 1)
     runs = {name: (float(np.nanmean(before[in_run])), float(np.nanmean(after[in_run])))
             for k, name in enumerate(fits.windows.names) if (in_run := fits.windows.run == k).any()
@@ -215,11 +218,12 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
     full = fits.make_space(c).at(fit.vector)
     library_part = full.select_effects(e for e in full.effects if e.name != c.effect)
     relation = Relation(
-        c, fit.coefficients, at, fit.coefficients @ splines, deviation, density,
+        c, fit.coefficients, points, fit.coefficients @ splines, deviation, density,
         float(gains.sum()) / fits.loss.residual_count, p_value,
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
-        {name: selection.compute_cosine(fits, fit, other) for name, other in equal.items()},
+        {name: selection.compute_cosine(fits, fit, other) for name, other in rivals.items()},
         simulate_formulas(fits, fit, without), selection.compare_runs(fits, fit),
-        selection.find_redundant_effects(fits, fit, without, named),
-        suggest_drives(fits, fit, equal, best.design_effect, at, deviation, find_sparse_ranges(at, density, c.parity)))
+        selection.find_redundant_effects(fits, fit, without, effect_names),
+        suggest_drives(fits, fit, rivals, best.design_effect, points, deviation,
+                       find_sparse_ranges(points, density, c.parity)))
     return relation, f"it {selection.describe_gain(fits, gains, before - after)}"

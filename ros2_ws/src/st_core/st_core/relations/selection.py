@@ -24,15 +24,15 @@ MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run wit
 class ScreenedCandidate:
     """Statistics of a candidate, linearised at the discovered model.
 
-    observed, drawn: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by the mean
-    of the draws. degrees_of_freedom: effective number for the curve. design_effect: factor by which dependent windows
-    increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss. information:
+    statistic, null_statistics: score statistic, and (DRAWS,) its values for random signs of the blocks, both divided by
+    the mean of the latter. degrees_of_freedom: effective number for the curve. design_effect: factor by which dependent
+    windows increase the variance of the residual scores, at least 1. gain: reduction of the held-out loss. information:
     (SPLINES, SPLINES) for the coefficients, with the other parameters projected out.
     """
 
     candidate: Candidate
-    observed: float
-    drawn: np.ndarray
+    statistic: float
+    null_statistics: np.ndarray
     degrees_of_freedom: float
     design_effect: float
     gain: float
@@ -52,12 +52,12 @@ def screen(fits: RelationFits, without: RelationFit, tick: Callable[[], None]) -
     """Statistics of every excited candidate that changes a prediction. without: fit without a relation."""
     distance = fits.problem.distance(without.vector)[without.indices]
     base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
-    to_vehicle = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
+    vehicle_sensitivities = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
     signs = np.random.default_rng(fits.settings.seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
     screened = []
     for candidate in find_candidates(fits.windows):
         tick()
-        if trial := _screen_candidate(fits, without, base, to_vehicle, candidate, signs):
+        if trial := _screen_candidate(fits, without, base, vehicle_sensitivities, candidate, signs):
             screened.append(trial)
     return screened
 
@@ -67,21 +67,21 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
     tests. Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood
     ratio (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees
     of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
-    largest = np.max([s.drawn for s in screened], axis=0)
+    largest = np.max([s.null_statistics for s in screened], axis=0)
     median = float(np.median([s.design_effect for s in screened]))
     p_values = {}
     for s in screened:
-        p_score = (1 + int((largest >= s.observed).sum())) / (1 + DRAWS)
+        p_score = (1 + int((largest >= s.statistic).sum())) / (1 + DRAWS)
         ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
         p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
         p_values[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
     return p_values
 
 
-def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, to_vehicle: np.ndarray,
+def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, vehicle_sensitivities: np.ndarray,
                       candidate: Candidate, signs: np.ndarray) -> ScreenedCandidate | None:
     """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
-    if it changes no prediction. base: (b,) held-out loss without a relation. to_vehicle: sensitivities to the vehicle
+    if it changes no prediction. base: (b,) held-out loss without a relation. vehicle_sensitivities: to the vehicle
     parameters. signs: (DRAWS, b)."""
     loss = fits.make_loss(candidate)
     sensitivities = loss.sensitivities(without.vector, fits.relation_indices)
@@ -89,7 +89,7 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
-    to_all = np.concatenate([without.sensitivities, to_vehicle, sensitivities])
+    to_all = np.concatenate([without.sensitivities, vehicle_sensitivities, sensitivities])
     q_all = fits.sum_quadratic(loss, without.residuals, to_all)
     distance = fits.problem.distance(without.vector)[np.concatenate([without.indices, fits.relation_indices])]
     penalties = {smoothing: fits.make_penalty(candidate, h, smoothing) for smoothing in PENALTIES}
@@ -111,20 +111,20 @@ def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray
 
 def compute_lower_bound(values: np.ndarray, p: float) -> float:
     """Lower confidence bound of the sum of `values` (b,) by block: one-sided, level 1 - p, by Student's t."""
-    spread = float(values.std(ddof=1)) * np.sqrt(len(values))
-    return float(values.sum() - stats.t.isf(p, len(values) - 1) * spread)
+    standard_error = float(values.std(ddof=1)) * np.sqrt(len(values))
+    return float(values.sum() - stats.t.isf(p, len(values) - 1) * standard_error)
 
 
 def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
     """(b,) mean of the finite (n,) values in the windows of each block; NaN for a block without any."""
-    known = np.isfinite(values)
-    count = np.bincount(fits.block[known], minlength=fits.blocks)
+    is_finite = np.isfinite(values)
+    count = np.bincount(fits.block[is_finite], minlength=fits.blocks)
     with np.errstate(invalid="ignore"):
-        return np.bincount(fits.block[known], values[known], fits.blocks) / np.where(count, count, np.nan)
+        return np.bincount(fits.block[is_finite], values[is_finite], fits.blocks) / np.where(count, count, np.nan)
 
 
 def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
-    """Reason to reject a curve whatever its gain, or "": it is at its bound, or it makes the car unstable."""
+    """Reason to reject a curve regardless of its gain, or "": it is at its bound, or it makes the car unstable."""
     assert fit.candidate is not None
     name, vehicle = fit.candidate.name, fits.windows.vehicle
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
@@ -189,19 +189,19 @@ def average_finite(values: np.ndarray) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
 
-def find_equally_good(worse: np.ndarray, p: float, seed: int) -> np.ndarray:
-    """(k,) whether each rival is as good as the best. worse: (k, b) held-out loss of the rival minus that of the best.
+def find_equally_good(excess_loss: np.ndarray, p: float, seed: int) -> np.ndarray:
+    """(k,) whether each rival is as good as the best. excess_loss: (k, b) held-out loss minus that of the best.
     Paired t test: a rival is worse if its t exceeds the quantile 1 - p of the largest t of all rivals under random
     signs of whole blocks (Romano and Wolf 2005)."""
-    if not len(worse):
+    if not len(excess_loss):
         return np.zeros(0, bool)
-    count = worse.shape[1]
-    centred = worse - worse.mean(axis=1, keepdims=True)
+    count = excess_loss.shape[1]
+    centred = excess_loss - excess_loss.mean(axis=1, keepdims=True)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, count))
     drawn = signs @ centred.T / count
-    spread = np.sqrt(np.maximum(np.square(centred).mean(axis=1) - np.square(drawn), 1e-30) / (count - 1))
-    largest = (drawn / spread).max(axis=1)
-    t = worse.mean(axis=1) / np.maximum(worse.std(axis=1, ddof=1) / np.sqrt(count), 1e-30)
+    standard_errors = np.sqrt(np.maximum(np.square(centred).mean(axis=1) - np.square(drawn), 1e-30) / (count - 1))
+    largest = (drawn / standard_errors).max(axis=1)
+    t = excess_loss.mean(axis=1) / np.maximum(excess_loss.std(axis=1, ddof=1) / np.sqrt(count), 1e-30)
     return t <= np.quantile(largest, 1.0 - p)
 
 
@@ -217,16 +217,16 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
         return Agreement({}, 1.0, 0.0)
     excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative}
     scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative)
-    known = np.isin(run, informative)
-    variance_ratio = 2.0 * scatter / curvature[known].sum()
-    design_effect = max(variance_ratio * known.sum() / max(known.sum() - len(informative), 1), 1.0)
+    is_informative = np.isin(run, informative)
+    variance_ratio = 2.0 * scatter / curvature[is_informative].sum()
+    design_effect = max(variance_ratio * is_informative.sum() / max(is_informative.sum() - len(informative), 1), 1.0)
     variances = np.array([0.5 * design_effect / curvature[run == k].sum() for k in informative])
     ratios = np.array([1.0 + excess[k] for k in informative])
     return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative])
 
 
 def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
-    """(n,) position error at the end of the horizon with values fitted to other driving [m]."""
+    """(n,) position error at the end of the horizon with values fitted to the other folds [m]."""
     residuals = fit.residuals.copy()
     for k, d in fit.steps.items():
         in_fold = fits.fold[fits.block] == k
@@ -256,11 +256,11 @@ def find_redundant_effects(fits: RelationFits, fit: RelationFit, without: Relati
     with_both = compute_position_errors(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
-        alone = fits.fit_without_effect(fit, name)
-        gains = alone.held_out - fit.held_out
-        position = float(np.nanmean(compute_position_errors(fits, alone) - with_both))
+        reduced = fits.fit_without_effect(fit, name)
+        gains = reduced.held_out - fit.held_out
+        position = float(np.nanmean(compute_position_errors(fits, reduced) - with_both))
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
         is_needed = relevant and compute_lower_bound(gains, limits.undecided_p) > 0.0
-        if not is_needed and compute_lower_bound(without.held_out - alone.held_out, limits.undecided_p) > 0.0:
+        if not is_needed and compute_lower_bound(without.held_out - reduced.held_out, limits.undecided_p) > 0.0:
             redundant[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
     return redundant

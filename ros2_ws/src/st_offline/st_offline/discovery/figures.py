@@ -255,7 +255,7 @@ def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
     (y_scale, unit), (x_scale, x_unit) = quantities.curve_unit(c.unit), quantities.curve_unit(QUANTITIES[c.quantity])
-    at, value = x_scale * relation.at, y_scale * relation.value
+    at, value = x_scale * relation.points, y_scale * relation.value
     half_width = y_scale * Z95 * relation.deviation
     figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
     curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")

@@ -45,7 +45,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
                              )] if terms else []
     if relation is None:
         why = search.reason
-        for name in sorted(search.tried, key=len, reverse=True):  # a name may begin with another
+        for name in sorted(search.statistics, key=len, reverse=True):  # a name may begin with another
             why = why.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {why}"]), *not_excluded])
     without, with_it = relation.position_5s
@@ -79,9 +79,10 @@ def _effect_size(relation: Relation, discovery: Discovery, why: str) -> list[str
 
 def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     c = relation.candidate
-    lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps {f.retained:.0%} "
-             "of the curve's held-out gain when simulated in its place)" for k, f in enumerate(relation.formulas)
-             ] or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
+    lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps "
+             f"{f.retained_fraction:.0%} of the curve's held-out gain when simulated in its place)"
+             for k, f in enumerate(relation.formulas)]
+    lines = lines or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
     return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.replace('^2', '²')}; u: "
             f"{quantities.QUANTITY_NAMES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
             f"{QUANTITIES[c.quantity].replace('^2', '²')}",
@@ -94,8 +95,8 @@ def _uncertainty(relation: Relation) -> list[str]:
     (y_scale, unit), (x_scale, x_unit) = quantities.curve_unit(c.unit), quantities.curve_unit(QUANTITIES[c.quantity])
     lines = [f"driven: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
              f"{x_unit}; the curve is constant beyond this range",
-             f"widest interval at {x_scale * relation.at[widest]:.3g} {x_unit}: {y_scale * relation.value[widest]:.2g} "
-             f"± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
+             f"widest interval at {x_scale * relation.points[widest]:.3g} {x_unit}: "
+             f"{y_scale * relation.value[widest]:.2g} ± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
     if relation.next_drives.sparse:
         mirrored = ", to either side" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
@@ -113,8 +114,8 @@ def _uncertainty(relation: Relation) -> list[str]:
 
 def _alternatives(relation: Relation) -> list[str]:
     lines = []
-    if relation.others:
-        names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})" for name, cosine in relation.others.items())
+    if relation.rivals:
+        names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})" for name, cosine in relation.rivals.items())
         lines.append(f"these drives do not separate it from: {names}. In brackets: cosine similarity of the two "
                      "effects on the predictions (1: identical, 0: unrelated)")
     for name, share in relation.redundant.items():
@@ -193,7 +194,7 @@ def describe_next_drives(relation: Relation) -> list[str]:
     elif drives.current_separation:
         lines.append("no manoeuvre of the catalogue separates it much better from its alternatives: look for "
                      "the cause on the car itself")
-    if len(drives.current_separation) < len(relation.others):
+    if len(drives.current_separation) < len(relation.rivals):
         lines.append(f"to separate it from effects of place, heading or time: {REPEAT_ELSEWHERE}")
     if precise is not None:
         y_scale, unit = quantities.curve_unit(c.unit)
@@ -299,8 +300,9 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
     knots = np.linspace(c.low, c.high, KNOTS)
     heights = relation.coefficients @ c.compute_splines(knots)
     terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
-    formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained:.0%} of the curve's held-out gain)"
-                         for k, f in enumerate(relation.formulas, 1)) or "No simple formula can replace the curve."
+    formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained_fraction:.0%} of the curve's held-out "
+                         "gain)" for k, f in enumerate(relation.formulas, 1))
+    formulas = formulas or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
         title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
         high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=quantities.QUANTITY_NAMES[c.quantity],
@@ -390,20 +392,21 @@ def build_relation_document(search: RelationSearch) -> dict:
     """The entry `relation` of discovery.json (schema in docs/manual/discovery.md)."""
     relation = search.relation
     tried = [{"relation": name, "gain": gain, "p_value": p_value, "detection_limit": search.detection_limits.get(name)}
-             for name, (gain, p_value) in search.tried.items()]
+             for name, (gain, p_value) in search.statistics.items()]
     if relation is None:
         return {"proposal": None, "why": search.reason, "tried": tried}
     c = relation.candidate
     return {"why": search.reason, "tried": tried, "proposal": {
         "place": c.term, "quantity": c.quantity, "by": c.factor, "unit": c.unit,
         "quantity_unit": QUANTITIES[c.quantity], "range": [c.low, c.high],
-        "curve": {key: getattr(relation, key).tolist() for key in ("at", "value", "deviation", "density")},
+        "curve": {"at": relation.points.tolist(),
+                  **{key: getattr(relation, key).tolist() for key in ("value", "deviation", "density")}},
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
-        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.others),
+        "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.rivals),
         "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
         "shares": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
         "p_equal": relation.agreement.p_equal,
-        "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained, "causes": f.causes}
+        "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained_fraction, "causes": f.causes}
                      for f in relation.formulas]}}
 
 
