@@ -83,6 +83,32 @@ def trc_1_2(lines: list[str]) -> str:
     return "\r\n".join(out) + "\r\n"
 
 
+def split_frame(line: str) -> tuple[float, int, str, str]:
+    """(time [s], bus from 0, identifier, data) of a line of candump."""
+    stamp, channel, rest = line.split()[:3]
+    return float(stamp[1:-1]), int(channel[-1]), *rest.split("#")[:2]
+
+
+def savvycan(lines: list[str]) -> str:
+    """CSV in the format GVRET, with microseconds since the first frame."""
+    begin = split_frame(lines[0])[0]
+    out = ["Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"]
+    for time, bus, identifier, data in map(split_frame, lines):
+        cells = [data[k : k + 2] for k in range(0, 16, 2)]
+        out.append(f"{(time - begin) * 1e6:.0f},{int(identifier, 16):08X},{str(len(identifier) > 3).lower()},Rx,{bus},"
+                   f"{len(data) // 2},{','.join(cells)},")
+    return "\n".join(out) + "\n"
+
+
+def mdf2csv(lines: list[str]) -> str:
+    """CSV of the converter of CSS Electronics."""
+    out = ["TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;DataBytes"]
+    for time, bus, identifier, data in map(split_frame, lines):
+        size = len(data) // 2
+        out.append(f"{time:.6f};{bus + 1};{identifier};{len(identifier) > 3:d};{size};{size};0;0;0;{data}")
+    return "\n".join(out) + "\n"
+
+
 def truncate_lines(lines: list[str], every: int) -> str:
     return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
 
@@ -138,6 +164,10 @@ LOGS = [
     Log("8 digits", "run.trc", lambda lines: trc(lines, eight_digits=True), encoding="ascii"),
     Log("4 digits", "run.trc", lambda lines: trc(lines, eight_digits=False), encoding="ascii"),
     Log("version 1.2", "run.trc", trc_1_2, encoding="cp1252"),
+    Log("SavvyCAN", "run.csv", savvycan),
+    Log("mdf2csv", "run.csv", mdf2csv),
+    Log("mdf2csv, truncated", "run.csv", lambda lines: truncate_lines(mdf2csv(lines).splitlines(), 3000),
+        r"lines \(0\.03\d? %\) cannot be read .* line 3000"),
 ]
 
 

@@ -224,7 +224,7 @@ def test_invalid_run_file_with_a_pattern_refuses_the_recordings_that_match(tmp_p
 
 
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
-    touch(tmp_path, "run.ncom", "run.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
+    touch(tmp_path, "run.ncom", "run.csv", content="Time,CAN ID,Dir,Bus,LEN,Data\n")
     (run,) = find_runs([tmp_path])
     assert "no CAN log has the same name; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
 

@@ -2,7 +2,8 @@
 
 import codecs
 import re
-from collections.abc import Callable, Iterator
+from base64 import b64decode
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from .binary_table import is_signal_table
+from .columns import normalise
 from .errors import COMPRESSED_MAGIC, format_share, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
@@ -23,6 +25,7 @@ _MONTHS = {"jan": 1, "gen": 1, "feb": 2, "fév": 2, "fev": 2, "mar": 3, "mär": 
            "may": 5, "mai": 5, "mag": 5, "maj": 5, "jun": 6, "giu": 6, "jul": 7, "lug": 7, "aug": 8, "aoû": 8, "ago": 8,
            "sep": 9, "set": 9, "oct": 10, "okt": 10, "ott": 10, "out": 10, "nov": 11, "dec": 12, "dez": 12, "déc": 12,
            "dic": 12, "juin": 6, "juil": 7}
+_TABLE_EXTENSIONS = (".csv", ".txt")
 _ENGLISH_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 # A line of candump without -l: " (1436509052.249713)  can0  RX - -  044   [8]  2A 36"; stamped by -t a, -t z or -t A.
 _SCREEN_LINE = re.compile(
@@ -34,6 +37,9 @@ _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
+# Columns of CAN logs in CSV: of python-can, of mdf2csv (CSS Electronics), and of SavvyCAN (GVRET)
+_CSV_COLUMNS = ({"timestamp", "arbitrationid", "dlc", "data"}, {"timestampepoch", "id", "ide", "databytes"},
+                {"timestamp", "id", "len", "d1"})
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
@@ -202,6 +208,43 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
     return Reader(lines)
 
 
+def _split_csv_header(line: str) -> tuple[list[str], str]:
+    """(normalised names of the columns, delimiter)."""
+    delimiter = ";" if ";" in line else ","
+    return [normalise(name) for name in line.split(delimiter)], delimiter
+
+
+def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
+    make_message = import_module("can").Message
+    names, delimiter = _split_csv_header(next(lines, ""))
+
+    def parse(line: str) -> Any:
+        row = [cell.strip() for cell in line.split(delimiter)]
+        cells = dict(zip(names, row, strict=False))
+        data = _read_csv_data(cells, row[names.index("d1"):] if "d1" in names else ())
+        time = cells.get("timestampepoch") or cells["timestamp"]
+        bus = cells.get("bus") or cells.get("buschannel", "")
+        return make_message(
+            timestamp=float(time) * (1e-6 if "d1" in names and "." not in time else 1.0),
+            arbitration_id=int(cells.get("arbitrationid") or cells["id"], 16), data=data, is_fd=len(data) > 8,
+            is_extended_id=(cells.get("extended") or cells.get("ide", "")).lower() in ("1", "true"),
+            is_remote_frame="1" in (cells.get("remote"), cells.get("rtr")), is_error_frame=cells.get("error") == "1",
+            is_rx=cells.get("dir", "").lower() not in ("1", "tx"),
+            channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else None)
+
+    return map(parse, filter(str.strip, lines))
+
+
+def _read_csv_data(cells: Mapping[str, str], data_bytes: Sequence[str]) -> bytes:
+    """Data of a frame in any of the formats. Raises ValueError if it does not have the stated length."""
+    length = int(cells.get("datalength") or cells.get("len") or cells["dlc"])
+    data = bytes(int(text, 16) for text in data_bytes[:length]) if data_bytes else bytes.fromhex(
+        cells["databytes"]) if "databytes" in cells else b64decode(cells["data"])
+    if len(data) != length and "1" not in (cells.get("remote"), cells.get("rtr")):
+        raise ValueError(f"{len(data)} bytes instead of {length}")
+    return data
+
+
 def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     from can.io import blf
 
@@ -236,6 +279,11 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
         notes.append(f"is truncated: {format_share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
+def _is_csv(head: bytes) -> bool:
+    first_line = head.replace(b"\0", b"").partition(b"\n")[0].decode("utf-8-sig", "ignore")
+    return any(columns.issubset(_split_csv_header(first_line)[0]) for columns in _CSV_COLUMNS)
+
+
 def _is_trc(head: bytes) -> bool:
     if b";$FILEVERSION" in head:
         return True
@@ -262,9 +310,11 @@ FORMATS = (
     Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make=_read_trc)),
+    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make=_read_csv)),
 )
-SHARED_EXTENSIONS = (".log", ".txt", "")  # extensions that CAN logs share with files of other programs
-EXTENSIONS = frozenset(e for f in FORMATS for e in f.extensions) | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS}
+SHARED_EXTENSIONS = (".log", "", *_TABLE_EXTENSIONS)  # extensions that CAN logs share with files of other programs
+EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TABLE_EXTENSIONS)
+                       | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS})
 
 
 def is_can_log(file: Path) -> bool:
@@ -282,5 +332,7 @@ def is_can_log(file: Path) -> bool:
             head = stream.read(4096)
     except OSError:
         head = b""
+    if extension == ".csv":
+        return _is_csv(head)
     return is_mdf(head) or any(kind.matches(head) for kind in FORMATS) or (
         extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

@@ -217,7 +217,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     sources = find_columns(file, names, layout)
     if (plain & {"id", "canid", "arbitrationid"} and plain & {"dlc", "len", "length"}
             and not sources.keys() & {"velocity_x", "yaw_rate", "yaw"}):
-        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4 or .log of candump")
+        raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
+                       ".log of candump, or with the columns of python-can's CSVWriter")
     warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]
     warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
                  for channel, rivals in column_names.find_ambiguous(names).items() if channel not in sources]

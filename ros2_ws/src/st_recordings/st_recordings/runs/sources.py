@@ -205,7 +205,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         file = next(f for f in logs if parse_session(f)[0] == session)
         csv = READERS["csv"]
         tables = [f.name for f in sorted(file.parent.iterdir())
-                  if csv.accepts(f) and not _is_document(f) and not (csv.has_drive(f) or csv.is_ins_only(f))]
+                  if csv.accepts(f) and not is_can_log(f) and not _is_document(f)
+                  and not (csv.has_drive(f) or csv.is_ins_only(f))]
         advice = "give both, or list the files of the run in a run.yaml"
         if tables:
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
