@@ -48,10 +48,10 @@ IN_SEARCH: dict[str, Any] = {
     **dict.fromkeys(("MIN_CURVATURE", "PART_PRIOR", "MIN_INFORMATION_SHARE", "SIGN_DRAWS"), evidence),
     **dict.fromkeys(("NU", "DIFFERENCE_STEP", "MAX_SCALED_ERROR"), loss),
     **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), SEARCH),
-    **dict.fromkeys(("MIN_RUNS", "MIN_STRETCHES", "SAME_SITE_SHARE", "PLACE_SIZE"), PARTITIONS),
+    **dict.fromkeys(("MIN_RUNS", "MIN_PARTS", "SAME_SITE_SHARE", "PLACE_SIZE"), PARTITIONS),
     "JOINT_DEVIATION": (fit, library_fit, SEARCH)}
 IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
-                            "CELL_SIZE", "MIN_STRETCH_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),
+                            "CELL_SIZE", "MIN_SEGMENT_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),
                            error_regions)
 IN_AXLES = dict.fromkeys(("MIN_FORCE_CHANGE", "MAX_SLIP", "SMALL_SLIP", "DRAWS", "GAIN_SPEED", "MIN_SAMPLES"), axles)
 CONSTANTS: dict[str, Any] = {"UNSELECTED_DEVIATION": evidence, **IN_AXLES, **IN_SEARCH, **IN_REGIONS}

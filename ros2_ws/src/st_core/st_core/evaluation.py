@@ -15,7 +15,7 @@ from .timeseries import NANOSECOND, TimeSeries, half_step_grid
 from .types import InputSequence, InsSample, Trajectory, VehicleState, pose_errors
 from .vehicle import VehicleParameters
 
-_EARLIEST = -(2**62)  # ns, before all stamps
+EARLIEST = -(2**62)  # ns, before all stamps
 Mode = Literal["forecast", "hindsight", "plan", "course"]
 """Inputs over the horizon: forecast = held at their values at the start; hindsight = measured over the horizon; plan =
 from a motion planner; course = from earlier drives at the same place."""
@@ -76,20 +76,20 @@ class Evaluator:
         self.history = MeasurementHistory(span, self.settings.maximum_gap, self.settings.filter_cutoff)
         self._views = {m.name: ModelView(m, vehicle, self.history) for m in (*MODELS.values(), *models)}
         self._lookahead_ns = max(view.lookahead_ns for view in self._views.values())
-        self._waiting: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
-        self._abandoned: list[Score] = []
+        self._pending: dict[tuple[int, int, float], list[_PendingPrediction]] = {}
+        self._incomplete_scores: list[Score] = []
 
     @property
     def pending(self) -> int:
         """Number of predictions that are not scored yet."""
-        return sum(len(group) for group in self._waiting.values())
+        return sum(len(group) for group in self._pending.values())
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add an INS sample; False if it was refused. If time jumps back, pending predictions become incomplete."""
         generation = self.history.generation
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
-            self._abandon(list(self._waiting), "the time of the measurements jumped back")
+            self._abandon(list(self._pending), "the time of the measurements jumped back")
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
@@ -105,9 +105,9 @@ class Evaluator:
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
         """Add a prediction (at the CG) to be scored. A forecast is scored in hindsight too, from the same start."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
-        self._waiting.setdefault(key, []).append((model, mode, trajectory))
+        self._pending.setdefault(key, []).append((model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:
-            self._abandon([min(self._waiting)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
+            self._abandon([min(self._pending)], f"more than {self.MAXIMUM_PENDING} predictions were waiting")
 
     def poll(self, newest_ns: int | None = None) -> list[Score]:
         """Scores of predictions whose horizon is covered by both signals or ended SIGNAL_TIMEOUT before newest_ns, and
@@ -115,29 +115,29 @@ class Evaluator:
 
         newest_ns: current time on the clock of the stamps; None: time of the newest INS sample.
         """
-        scores, self._abandoned = self._abandoned, []
-        ins, steering = (_EARLIEST if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
+        scores, self._incomplete_scores = self._incomplete_scores, []
+        ins, steering = (EARLIEST if s.newest is None else s.newest for s in (self.history.ins, self.history.steering))
         timeout_ns = (ins if newest_ns is None else newest_ns) - round(self.SIGNAL_TIMEOUT / NANOSECOND)
-        for key in sorted(self._waiting):
+        for key in sorted(self._pending):
             start_ns, steps, step = key
             end_ns = start_ns + round(steps * step / NANOSECOND)
             if end_ns <= min(ins, steering - self._lookahead_ns) or end_ns <= timeout_ns:
-                scores += self._score(key, self._waiting.pop(key))
+                scores += self._score(key, self._pending.pop(key))
         return scores
 
     def flush(self) -> list[Score]:
         """Scores of all pending predictions, at the end of the data; horizons beyond the end are incomplete."""
-        return self.poll(-_EARLIEST)
+        return self.poll(-EARLIEST)
 
     def _abandon(self, keys: Sequence[tuple[int, int, float]], reason: str) -> None:
         for key in keys:
             start_ns, steps, step = key
-            unknown = [np.full(steps + 1, math.nan)] * 3
-            for model, issued_mode, _ in self._waiting.pop(key):
-                modes: tuple[Mode, ...] = (issued_mode, "hindsight") if issued_mode == "forecast" else (issued_mode,)
-                self._abandoned += [make_score(model, mode, start_ns, step, unknown, reason) for mode in modes]
+            errors = [np.full(steps + 1, math.nan)] * 3
+            for model, given_mode, _ in self._pending.pop(key):
+                modes: tuple[Mode, ...] = (given_mode, "hindsight") if given_mode == "forecast" else (given_mode,)
+                self._incomplete_scores += [make_score(model, mode, start_ns, step, errors, reason) for mode in modes]
         # Limited like the pending predictions, because `poll` may never be called.
-        del self._abandoned[:-2 * self.MAXIMUM_PENDING]
+        del self._incomplete_scores[:-2 * self.MAXIMUM_PENDING]
 
     def _score(self, key: tuple[int, int, float], group: Sequence[_PendingPrediction]) -> list[Score]:
         start_ns, steps, step = key
@@ -155,20 +155,20 @@ class Evaluator:
         jump_ns = min((time_ns for time_ns in breaks if start_ns < time_ns <= times[-1]), default=int(times[-1]) + 1)
         jump = (f"INS: {breaks[jump_ns]} at {(jump_ns - start_ns) * NANOSECOND:.3f} s of the horizon"
                 if jump_ns <= times[-1] else "")
-        unbroken = times[::2] < jump_ns
+        before_jump = times[::2] < jump_ns
         scores = []
-        for model, issued_mode, issued in group:
+        for model, given_mode, original in group:
             view = self.view(model)
             variants: list[tuple[Mode, Trajectory, np.ndarray, str]] = [
-                (issued_mode, issued, unbroken, jump or no_position)]
-            if issued_mode == "forecast":
-                start = VehicleState(*issued.states[0].tolist())
+                (given_mode, original, before_jump, jump or no_position)]
+            if given_mode == "forecast":
+                start = VehicleState(*original.states[0].tolist())
                 model_inputs = view.read_inputs(times) if view.is_augmented else inputs
                 compiled = (steps, step) == (self.settings.steps, self.settings.step)
                 runner = self._runners.get(model) if compiled else None
                 resimulated = (runner(start, model_inputs) if runner
                                else predict(view.model, self.vehicle, start, model_inputs, steps * step, step))
-                variants.append(("hindsight", resimulated, unbroken & scorable, jump or no_inputs))
+                variants.append(("hindsight", resimulated, before_jump & scorable, jump or no_inputs))
             for mode, trajectory, scored, reason in variants:
                 r = predict_readings(view.model, self.vehicle, tuple(trajectory.states.T))
                 errors = [np.where(scored, e, math.nan) for e in pose_errors(r.x, r.y, r.yaw, *measured)]

@@ -241,7 +241,7 @@ def test_rival_is_an_alternative_or_refused_by_a_rule(rival, rule):
 def test_text_of_an_alternative_names_the_effect_it_replaces():
     for rival in (replace(EQUAL_RIVAL, replaces="tyre_stiffness"), replace(WORSE_RIVAL, replaces="tyre_stiffness")):
         text = judge_alternative(rival, LIMITS).text
-        assert "in place of tyre stiffness it achieves 90% of its error reduction" in text
+        assert "in place of tyre stiffness it achieves 90% of the latter's error reduction" in text
 
 
 @pytest.mark.parametrize(("answer", "outcome", "figures"), [
@@ -347,7 +347,7 @@ def test_decision_imports_neither_numerical_libraries_nor_the_search():
 
 
 def test_limits_are_used_in_few_modules():
-    """`decision` decides on every report; the search orders and skips candidates by limits, the certificate applies
+    """`decision` decides on every report; the search orders and skips candidates by limits, the power analysis applies
     them to simulated drives, and `discover` to the detectability."""
     folder = Path(decision.__file__).parent
     names = {f.name for f in fields(Limits)}
@@ -356,4 +356,4 @@ def test_limits_are_used_in_few_modules():
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Attribute) and node.attr in names and ast.unparse(node.value).endswith("limits"):
                 using.add(file.name)
-    assert using == {"decision.py", "search.py", "certificate.py", "discover.py"}
+    assert using == {"decision.py", "search.py", "power_analysis.py", "discover.py"}

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from discovery_drives import COLUMNS, fit_problem, linear_problem, recorded
-from st_core.discovery import DiscoverySettings, Limits, certificate, waterfall
+from st_core.discovery import DiscoverySettings, Limits, power_analysis, waterfall
 from st_core.discovery.evidence import screen
 from st_core.discovery.fit import Problem
 from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.next_manoeuvre import (
     MIN_SEPARATION,
     choose_manoeuvre,
+    find_most_informative,
     list_separabilities,
-    most_informative,
     separation,
     simulate_catalogue,
 )
@@ -187,9 +187,9 @@ def test_predicted_power_agrees_with_the_power_measured_on_simulated_drives():
     problem.noise = np.full(len(COLUMNS), 0.02)  # the noise explains all of the residual
     base = fit_problem(problem)
     scores = screen(problem, base, np.random.default_rng(0))
-    predicted = certificate.predict_power(problem, base, scores, Limits())
+    predicted = power_analysis.predict_power(problem, base, scores, Limits())
     ticks = []
-    measured = certificate.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
+    measured = power_analysis.measure_power(problem, base, Limits(), 0, lambda: ticks.append(1))
     assert (predicted.measured, predicted.simulated_drives, measured.measured, len(ticks)) == (False, 0, True, len(FEW))
     assert measured.alarms <= 0.05 * measured.simulated_drives
     difference = [p.probability - m.probability for p, m in zip(predicted.powers, measured.powers, strict=True)]
@@ -206,7 +206,7 @@ def test_effect_without_a_signature_has_no_detection_power():
     problem.errors.signatures[problem.space.indices("road_bank")] = 0.0
     base = fit_problem(problem)
     scores = screen(problem, base, np.random.default_rng(0))
-    predicted = certificate.predict_power(problem, base, scores, Limits())
+    predicted = power_analysis.predict_power(problem, base, scores, Limits())
     found = {e: max(p.probability for p in predicted.powers if p.effect == e) for e in FEW}
     assert found["road_bank"] < 0.01 and min(found[e] for e in FEW if e != "road_bank") > 0.8
 
@@ -259,7 +259,7 @@ def test_suggested_manoeuvre_separates_two_effects_as_predicted(leaf):
     after, = list_separabilities(more, refitted, answer, design)
     assert after.strength == pytest.approx(result.strength, rel=0.5)
     assert choose_manoeuvre(problem, fit, [], options, design) is None  # no alternative
-    assert most_informative(problem, "friction", options) == "ramp_to_limit"
+    assert find_most_informative(problem, "friction", options) == "ramp_to_limit"
     strong = fit_drives(leaf, ("weave",), {"yaw_inertia": {"factor": 1.2}}, ("yaw_inertia",))
     separated = list_separabilities(*strong, answer, design)
     assert separated[0].strength > MIN_SEPARATION

@@ -12,11 +12,11 @@ from st_core.discovery.error_regions import (
     Samples,
     assign_ranges,
     compute_excesses,
+    compute_log_residuals,
+    describe_range,
     find_cells,
     find_error_regions,
-    find_stretches,
-    log_residuals,
-    range_text,
+    find_segments,
 )
 from st_core.log import DriveLog
 from st_core.prediction import predict
@@ -95,13 +95,13 @@ def test_range_without_reference_data_is_marked_as_not_covered():
 
 def test_change_in_time_is_found_at_its_time():
     samples = make_samples(6, lambda time, c: np.where(time > 120.0, 3.0, 1.0), **PLAIN)
-    (part,) = find_stretches(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001), 4.0, 0)
+    (part,) = find_segments(samples, "yaw_rate", compute_log_residuals(samples, "yaw_rate", 0.001), 4.0, 0)
     assert abs(part.start - 120.0) <= 4.0 and part.end > 198.0 and part.ratio > 2.0
 
 
 def test_stationary_errors_have_no_change_in_time():
     drives = [make_samples(seed, **PLAIN) for seed in range(30)]
-    assert sum(bool(find_stretches(s, "yaw_rate", log_residuals(s, "yaw_rate", 0.001), 4.0, seed))
+    assert sum(bool(find_segments(s, "yaw_rate", compute_log_residuals(s, "yaw_rate", 0.001), 4.0, seed))
                for seed, s in enumerate(drives)) <= 2
 
 
@@ -113,7 +113,7 @@ def test_larger_errors_from_harder_driving_are_no_change_in_time():
     time = 0.25 * np.arange(800)
     samples = make_samples(7, lambda time, c: np.where(lateral(time) > 1.0, 3.0, 1.0),
                    **{**PLAIN, "lateral_acceleration": lateral(time)})
-    assert not find_stretches(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001), 4.0, 0)
+    assert not find_segments(samples, "yaw_rate", compute_log_residuals(samples, "yaw_rate", 0.001), 4.0, 0)
 
 
 def test_place_with_large_errors_on_every_lap_is_found():
@@ -123,14 +123,15 @@ def test_place_with_large_errors_on_every_lap_is_found():
     near = np.hypot(x - 60.0, y) < 15.0
     squares = {"yaw_rate": base.squares["yaw_rate"] * np.where(near, 16.0, 1.0)}
     samples = replace(base, x=x, y=y, squares=squares)
-    worst = max(find_cells(samples, "yaw_rate", log_residuals(samples, "yaw_rate", 0.001)), key=lambda c: c.interval[0])
+    residuals = compute_log_residuals(samples, "yaw_rate", 0.001)
+    worst = max(find_cells(samples, "yaw_rate", residuals), key=lambda c: c.interval[0])
     assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.ratio > 2.0 and worst.p < 1e-3
 
 
 @pytest.mark.parametrize(("low", "high", "expected"), [
     (12.0, 15.0, "speed 12 to 15 m/s"), (25.0, None, "speed above 25 m/s"), (0.0, 3.0, "speed below 3 m/s")])
 def test_text_of_a_range(low, high, expected):
-    assert range_text("speed", low, high) == expected
+    assert describe_range("speed", low, high) == expected
 
 
 def test_every_prediction_is_in_one_range_of_each_quantity():

@@ -39,11 +39,11 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 class Axles:
     """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
     intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
-    near: vectors of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if the
+    near_vectors: of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if the
     base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
-                 vehicle: VehicleParameters, noise_ratio: float, near: Sequence[np.ndarray] = ()):
+                 vehicle: VehicleParameters, noise_ratio: float, near_vectors: Sequence[np.ndarray] = ()):
         if not problem.space.model.base.has_tyres:
             raise StCoreError(f"{problem.space.model.base.name}: this model has no axle forces")
         self.problem, self.fit, self.runs, self.vehicle = problem, fit, runs, vehicle
@@ -60,10 +60,10 @@ class Axles:
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
             logs.append(log if self.has_sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
-        self.near: list[AugmentedModel] = []
+        self.near_models: list[AugmentedModel] = []
         self.draws: list[AugmentedModel] = []
         if joint_fit is not None:
-            self.near = select_valid_models([problem.space.at(vector) for vector in near], vehicle)
+            self.near_models = select_valid_models([problem.space.at(vector) for vector in near_vectors], vehicle)
             in_model = joint_fit.indices < len(problem.space) - 1  # the last parameter is the accelerometer gain
             indices = joint_fit.indices[in_model]
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
@@ -76,8 +76,8 @@ class Axles:
     def force_curves(self, base: AugmentedModel) -> tuple[ForceCurve, ...]:
         """`ForceCurve` of each axle in the slip range of the drives. base: initial model, for `ForceCurve.file`.
         Raises StCoreError for drives without slip."""
-        return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws, self.near)
-                     for r in self.regressions)
+        return tuple(make_axle_curve(self.model, self.vehicle, r.axle, r.samples.slip, base, self.draws,
+                                     self.near_models) for r in self.regressions)
 
     def combinations(self, base: AugmentedModel) -> tuple[Combination, ...]:
         """`COMBINATIONS` of vehicle parameters, with 95 % intervals."""

@@ -39,9 +39,9 @@ class Rival:
 def judge(e: Evidence, limits: Limits) -> Reason:
     """The verdict on one effect in a set; the same for adding, keeping and exchanging it."""
     if not is_confirmed(e, limits):
-        refused = _reject_insignificant(e, limits)
-        if refused:
-            return refused
+        rejection = _reject_insignificant(e, limits)
+        if rejection:
+            return rejection
     elif not is_relevant(e, limits):
         return Reason(IRRELEVANT, e.name, _relevance_values(e, limits), "redundant sensors confirm it, but it "
                       f"reduces the baseline error of every channel by at most {find_most_affected(e, limits)[1]:.1%}, "
@@ -117,7 +117,7 @@ def _reject_insignificant(e: Evidence, limits: Limits) -> Reason | None:
 
 
 def is_confirmed(e: Evidence, limits: Limits) -> bool:
-    """Whether redundant sensor measurements exclude the null value and agree with the value."""
+    """Whether redundant sensor measurements exclude the null value and agree with the fitted value."""
     return (e.sensors_p_value is not None and e.sensors_p_value >= limits.undecided_p
             and e.sensors_null_p_value is not None and e.sensors_null_p_value < limits.false_alarm)
 
@@ -215,14 +215,15 @@ def judge_alternative(rival: Rival, limits: Limits) -> Reason:
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}
     unexplained = rival.evidence.noise_ratio > limits.max_noise_ratio and rival.deficit < limits.unexplained_share
-    gain = f"in place of {rival.replaces.replace('_', ' ')} it achieves {rival.share:.0%} of its error reduction"
+    replaced = rival.replaces.replace("_", " ")
+    gain = f"in place of {replaced} it achieves {rival.share:.0%} of the latter's error reduction"
     gain += f", and in addition to it {rival.added:.0%}" if rival.added >= 0.005 else ""
     no_worse = f"p = {rival.p_no_worse:.2g} for the hypothesis that it is as good"
     worse = rival.p_no_worse < limits.undecided_p
     if rival.share - rival.added < limits.min_rival_gain or (worse and not unexplained):
         return Reason(EXPLAINS_LESS, rival.name, figures, f"{gain}; {no_worse}")
     if rival.shared:
-        gain = f"together with {rival.replaces.replace('_', ' ')} it reduces the errors no more than that effect alone"
+        gain = f"together with {replaced} it reduces the errors no more than that effect alone"
     elif (verdict := judge(rival.evidence, limits)).rule not in (ACCEPTED, IRRELEVANT):
         return verdict
     if worse:
@@ -247,13 +248,13 @@ def decide(limits: Limits, named: Sequence[Evidence], rivals: Mapping[str, Seque
         return outcome, Reason(outcome, "outcome", figures, text)
 
     if len(named) > 1:
-        return conclude("several", f"{len(named)} effects are significant, relevant and do not vary "
+        return conclude("several", f"{len(named)} effects are significant and relevant, and do not vary "
                        "significantly", effects=len(named))
     if named:
         names = 1 + sum(is_alternative(r, limits) for r in rivals.get(named[0].name, ()))
         if names > 1:
             return conclude("ambiguous", f"{names} effects explain the errors equally well", names=names)
-        return conclude("named", "one effect is significant, relevant and does not vary significantly")
+        return conclude("named", "one effect is significant and relevant, and does not vary significantly")
     if combinations:
         return conclude("ambiguous", f"{' and '.join(combinations)}: different from the vehicle file, but the "
                        "effects behind this difference cannot be separated", combinations=len(combinations))

@@ -16,15 +16,16 @@ from ..models import Model
 from ..regression import Z95
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
-from . import certificate, decision, result, waterfall
+from . import decision, result, waterfall
 from .axles import Axles
 from .error_regions import MIN_TURNING_ACCELERATION, find_error_regions
 from .evidence import Evidence, JointFit, approximate_joint_fit, library_p_value, relative_reduction
 from .fit import Fit, Problem
 from .library_fit import MAX_CLOCK_DEVIATION, apply_clock_corrections, estimate_clock_corrections, fit_healthy_car
 from .loss import Errors, Loss
-from .next_manoeuvre import Curvatures, choose_manoeuvre, list_separabilities, most_informative, simulate_catalogue
+from .next_manoeuvre import Curvatures, choose_manoeuvre, find_most_informative, list_separabilities, simulate_catalogue
 from .partitions import MIN_RUNS, Partition, find_sites, make_partitions
+from .power_analysis import find_confounding_effect, measure_power, predict_power
 from .search import Search, SearchState
 from .settings import DiscoverySettings
 from .space import Space, find_file_quantities
@@ -35,7 +36,7 @@ Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
 MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a fit and a test
 MIN_TURNING_SHARE = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
-CONTAINED_IN_INPUT = "the measured forward acceleration is an input and contains it already"
+CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
                   "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
 
@@ -134,8 +135,8 @@ class _Analysis:
         errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
         named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, floor)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
-        power = (certificate.measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
-                 if settings.certify else certificate.predict_power(problem, state.fit, state.scores, self.limits))
+        power = (measure_power(problem, state.fit, self.limits, settings.seed, self._ticker("certifying"))
+                 if settings.certify else predict_power(problem, state.fit, state.scores, self.limits))
         effects, design_effect = judged.named, state.scores.design_effect
         curvatures = self._simulate_catalogue(state, effects)
         untestable = self._find_untestable(state, power, judged, curvatures)
@@ -271,11 +272,11 @@ class _Analysis:
     def _select_channels(self, settings: DiscoverySettings) -> DiscoverySettings:
         """The settings with only the channels that are measured in all runs; warns about the others."""
         logs = [*self.runs, *self.reference]
-        left_out = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
-        if left_out:
-            self.warnings.append(f"{', '.join(left_out)}: not measured in every run, left out; effects that need "
-                                 f"{'it' if len(left_out) == 1 else 'them'} are not searched")
-        return replace(settings, channels=tuple(c for c in settings.channels if c not in left_out))
+        unmeasured = [c for c in settings.channels if not all(CHANNELS[c].is_measured_in(log) for log in logs)]
+        if unmeasured:
+            self.warnings.append(f"{', '.join(unmeasured)}: not measured in every run, left out; effects that need "
+                                 f"{'it' if len(unmeasured) == 1 else 'them'} are not searched for")
+        return replace(settings, channels=tuple(c for c in settings.channels if c not in unmeasured))
 
     def _warn_of_low_excitation(self) -> None:
         if len(self.runs) < MIN_RUNS:
@@ -327,8 +328,8 @@ class _Analysis:
                 worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
             for name in names:
                 alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
-                found = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
-                violations[name] = next(iter(found), "")
+                implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
+                violations[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_naming(
@@ -416,18 +417,18 @@ class _Analysis:
         self._ticker("next drive")()
         return simulate_catalogue(self.problem, state.fit)
 
-    def _find_untestable(self, state: SearchState, power: result.Certificate, judged: _JudgedEffects,
+    def _find_untestable(self, state: SearchState, power: result.PowerAnalysis, judged: _JudgedEffects,
                          curvatures: Curvatures) -> tuple[result.UntestableEffect, ...]:
         """Effects that are not detectable in these drives, with the reason and a manoeuvre that would show them."""
-        listed = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
+        names = {*(name for e in judged.named for name in (e.name, *e.alternatives)), *(e.name for e in judged.minor)}
         untestable, problem = [], self.problem
         for name in self.space.hypotheses:
             powers = [p for p in power.powers if p.effect == name]
-            if name in listed or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
+            if name in names or max((p.probability for p in powers), default=0.0) >= self.limits.detection_power:
                 continue
             largest = max(powers, key=lambda p: p.size)
-            manoeuvre = most_informative(problem, name, curvatures)
-            other = certificate.find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
+            manoeuvre = find_most_informative(problem, name, curvatures)
+            other = find_confounding_effect(problem, state.fit, name, state.scores, self.limits)
             confounded = f"in these drives it cannot be separated from {other.replace('_', ' ')}; " if other else ""
             size = f"{100 * largest.size:.3g} %" if largest.unit == "1" else f"{largest.size:.3g} {largest.unit}"
             untestable.append(result.UntestableEffect(
@@ -504,7 +505,7 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
 
 
 def describe_varying(v: VaryingFit, space: Space, position_reduction: float) -> result.VaryingEffect:
-    """The result for an effect with separate values in the parts; ratios are relative to the one furthest from null."""
+    """The result for an effect with separate values in the parts; ratios are relative to that furthest from null."""
     parameter, null = space.free[v.index][1], float(space.null[v.index])
     value, deviation = max(v.values.values(), key=lambda estimate: abs(estimate[0] - null))
     change = value - null or float(space.scale[v.index])
@@ -536,5 +537,5 @@ def replace_interval(fitted: result.FittedParameter,
     contains_null = fitted.interval[0] <= fitted.null <= fitted.interval[1]
     if not contains_null or not low <= fitted.value <= high or low <= fitted.null <= high:
         return fitted
-    half = 0.5 * (high - low)
-    return replace(fitted, interval=(fitted.value - half, fitted.value + half))
+    half_width = 0.5 * (high - low)
+    return replace(fitted, interval=(fitted.value - half_width, fitted.value + half_width))

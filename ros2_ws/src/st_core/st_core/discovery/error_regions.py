@@ -52,9 +52,9 @@ BINNED_BY_MAGNITUDE = ("lateral acceleration", "road-wheel angle", "steering rat
 MIN_CONTRAST = 1.15  # minimum ratio of the error in a reported range to the error in all driving
 CELL_SIZE = 20.0  # m, side of a cell of the map
 MAX_CELL_DISTANCE = 1.6 * CELL_SIZE  # m, along each axis, between cells of one place
-MIN_STRETCH_DURATION = 8.0  # s between change points
+MIN_SEGMENT_DURATION = 8.0  # s between change points
 MAX_P_VALUE = 0.01  # largest p-value of a reported change point
-MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported `Stretch` or `Cell`
+MIN_ERROR_RATIO = 1.5  # minimum `ratio` of a reported `Segment` or `Cell`
 MAX_CHANGE_POINTS = 3  # maximum number of change points per run and channel
 PERMUTATIONS = 299  # enough to resolve a p-value of 0.01
 EVERYWHERE = "everywhere"
@@ -93,8 +93,8 @@ class BinExcess:
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """A stretch of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: ratio
+class Segment:
+    """A segment of a run with larger errors. start, end [s]: since the first measurement of the run. ratio [1]: ratio
     of the errors to those in the rest of the run under similar conditions (geometric mean)."""
 
     channel: str
@@ -129,7 +129,7 @@ def assign_ranges(samples: Samples) -> list[Bin]:
     return bins + [Bin("direction", label, None, None, mask) for label, mask in directions.items()]
 
 
-def range_text(quantity: str, low: float, high: float | None) -> str:
+def describe_range(quantity: str, low: float, high: float | None) -> str:
     """A range as text: "speed above 12 m/s"."""
     unit = CONDITIONS[quantity][0]
     if high is None:
@@ -154,15 +154,15 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
         samples = replace(samples, squares={c: samples.squares[c] for c in common})
     sigma = {channel: (noise or {}).get(channel, 0.0) for channel in samples.squares}
     bins = compute_excesses(samples, expected, sigma, settings.seed, RESAMPLES)
-    residuals = {channel: log_residuals(samples, channel, noise_level) for channel, noise_level in sigma.items()}
-    stretches = [stretch for channel, residual in residuals.items() for stretch in
-                 find_stretches(samples, channel, residual, settings.block, settings.seed)]
+    residuals = {channel: compute_log_residuals(samples, channel, deviation) for channel, deviation in sigma.items()}
+    segments = [segment for channel, residual in residuals.items() for segment in
+                 find_segments(samples, channel, residual, settings.block, settings.seed)]
     cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
     adjusted = stats.false_discovery_control([c.p for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
     return tuple(region for channel in samples.squares
-                 for region in _channel_regions(channel, bins, stretches, cells, samples, expected is not None))
+                 for region in _channel_regions(channel, bins, segments, cells, samples, expected is not None))
 
 
 def window_errors(runs: Sequence[DriveLog], model: AugmentedModel, vehicle: VehicleParameters,
@@ -205,7 +205,7 @@ def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
             "forward_acceleration": acceleration.mean(axis=1)}
 
 
-def _channel_regions(channel: str, bins: Sequence[BinExcess], stretches: Sequence[Stretch], cells: Sequence[Cell],
+def _channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence[Segment], cells: Sequence[Cell],
                      samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
     """Regions of one channel; empty without a significant bin."""
     channel_bins = [b for b in bins if b.channel == channel]
@@ -218,7 +218,7 @@ def _channel_regions(channel: str, bins: Sequence[BinExcess], stretches: Sequenc
                      key=lambda r: -r.interval[0])[:MAX_RANGES]
     if overall.significant:
         regions.append(LargeErrorRegion(channel, EVERYWHERE, overall.excess, overall.interval))
-    regions += [_stretch_region(s, overall, samples) for s in stretches if s.channel == channel]
+    regions += [_segment_region(s, overall, samples) for s in segments if s.channel == channel]
     return regions + _place_regions([c for c in cells if c.channel == channel], overall)
 
 
@@ -246,7 +246,7 @@ def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall
     if low is None:  # a direction
         condition = "straight driving" if label == "straight" else f"{label} turns"
         return LargeErrorRegion(overall.channel, condition, group[0].excess, group[0].interval)
-    condition = range_text(quantity, low, high)
+    condition = describe_range(quantity, low, high)
     sides = [b for b in bins if b.range.quantity == "direction" and b.range.label != "straight"]
     if quantity in BINNED_BY_MAGNITUDE and low and len(sides) == 2 and all(b.significant for b in sides):
         condition += ", both directions"
@@ -258,17 +258,17 @@ def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall
     return LargeErrorRegion(overall.channel, condition, excess, (lowest, highest))
 
 
-def _stretch_region(stretch: Stretch, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
-    """Region of a stretch of a run; its excess is the overall excess times the ratio of the stretch."""
-    last = float(samples.time[samples.run == stretch.run].max())
-    when = (f"from {stretch.start:.0f} s on" if stretch.end >= last - 1.0 else
-            f"until {stretch.end:.0f} s" if stretch.start < 2.0 else
-            f"from {stretch.start:.0f} to {stretch.end:.0f} s")
-    text = (f"run {samples.names[stretch.run]}, {when}: {stretch.ratio:.1f} times the error of the rest of the run "
+def _segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
+    """Region of a segment of a run; its excess is the overall excess times the ratio of the segment."""
+    last = float(samples.time[samples.run == segment.run].max())
+    when = (f"from {segment.start:.0f} s on" if segment.end >= last - 1.0 else
+            f"until {segment.end:.0f} s" if segment.start < 2.0 else
+            f"from {segment.start:.0f} to {segment.end:.0f} s")
+    text = (f"run {samples.names[segment.run]}, {when}: {segment.ratio:.1f} times the error of the rest of the run "
             "under similar conditions")
     low, high = overall.interval
-    return LargeErrorRegion(stretch.channel, text, overall.excess * stretch.ratio,
-                            (low * stretch.ratio, high * stretch.ratio))
+    return LargeErrorRegion(segment.channel, text, overall.excess * segment.ratio,
+                            (low * segment.ratio, high * segment.ratio))
 
 
 def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
@@ -351,7 +351,7 @@ def _bin_means(squares: np.ndarray, block: np.ndarray, bins: Sequence[Bin], rng:
     return mean, deviation, np.where(np.isfinite(deviation), blocks, 0)
 
 
-def log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
+def compute_log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
     """(n,) residuals of the regression of the log square errors on the conditions; NaN where unknown, and throughout
     with too few predictions. noise [SI]."""
     squares, c = samples.squares[channel], samples.conditions  # the constants limit the logarithms of values near 0
@@ -367,12 +367,12 @@ def log_residuals(samples: Samples, channel: str, noise: float) -> np.ndarray:
     return residual
 
 
-def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Stretch]:
-    """Stretches with larger errors than the rest of their run, by binary segmentation. A change point is significant if
-    the cumulative sum of `residual`, the `log_residuals` of the channel, is larger than with shuffled blocks.
+def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: float, seed: int) -> list[Segment]:
+    """Segments with larger errors than the rest of their run, by binary segmentation. A change point is significant if
+    the cumulative sum of `residual`, the `compute_log_residuals` of the channel, is larger than with shuffled blocks.
     block: duration of a block [s]."""
     rng = np.random.default_rng((seed, 17))
-    stretches = []
+    segments = []
     for run in np.unique(samples.run):
         rows = np.flatnonzero((samples.run == run) & np.isfinite(residual))
         if not len(rows):
@@ -384,20 +384,20 @@ def find_stretches(samples: Samples, channel: str, residual: np.ndarray, block: 
             outside = np.concatenate((values[:first], values[last:]))
             ratio = math.exp(0.5 * float(values[first:last].mean() - outside.mean()))
             if ratio >= MIN_ERROR_RATIO:
-                stretches.append(Stretch(channel, int(run), float(time[first]), float(time[last - 1] + 1.0), ratio))
-    return stretches
+                segments.append(Segment(channel, int(run), float(time[first]), float(time[last - 1] + 1.0), ratio))
+    return segments
 
 
 def _find_change_points(values: np.ndarray, first: int, last: int, block: int, rng: np.random.Generator,
                         max_changes: int) -> list[int]:
     """Indices of at most `max_changes` significant change points in values[first:last]. block: number of values in a
     block."""
-    segment, shortest = values[first:last], round(MIN_STRETCH_DURATION)
-    if max_changes < 1 or len(segment) < max(2 * shortest, 4 * block):
+    section, shortest = values[first:last], round(MIN_SEGMENT_DURATION)
+    if max_changes < 1 or len(section) < max(2 * shortest, 4 * block):
         return []
-    cusum = _cusum(segment[None])[0]
-    change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(segment) > 2 * shortest else shortest
-    pieces = segment[:len(segment) // block * block].reshape(-1, block)
+    cusum = _cusum(section[None])[0]
+    change = int(np.argmax(cusum[shortest:-shortest])) + shortest if len(section) > 2 * shortest else shortest
+    pieces = section[:len(section) // block * block].reshape(-1, block)
     shuffled = np.stack([pieces[rng.permutation(len(pieces))].ravel() for _ in range(PERMUTATIONS)])
     largest = _cusum(shuffled).max(axis=1)
     p = (1 + int((largest >= cusum[change]).sum())) / (1 + PERMUTATIONS)
@@ -417,7 +417,7 @@ def _cusum(rows: np.ndarray) -> np.ndarray:
 
 def find_cells(samples: Samples, channel: str, residual: np.ndarray) -> list[Cell]:
     """Cells visited in at least MIN_BLOCKS blocks, tested for larger errors than expected from the conditions.
-    residual: `log_residuals` of the channel."""
+    residual: `compute_log_residuals` of the channel."""
     finite = np.isfinite(residual)
     grid = np.stack([np.floor(samples.x[finite] / CELL_SIZE), np.floor(samples.y[finite] / CELL_SIZE)], axis=1)
     unique, index = np.unique(grid, axis=0, return_inverse=True)

@@ -98,17 +98,17 @@ def efficient_score(q: Quadratic, problem: Problem, names: tuple[str, ...], effe
                     prior_gradient: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """((b, k) score, (k,) information) of an effect, with the effects `names` projected out. q: loss by block, in all
     parameters. prior_gradient: (p,) half the gradient of the prior at the vector of q; None to leave it out."""
-    new = problem.space.indices(effect)
-    indices = np.setdiff1d(problem.free_indices(names), new)
+    tested = problem.space.indices(effect)
+    indices = np.setdiff1d(problem.free_indices(names), tested)
     h = q.hessian.sum(axis=0) + problem.prior_curvature((*names, effect), np.arange(len(problem.space)))
     gradient = q.gradient if prior_gradient is None else q.gradient - prior_gradient / len(q.gradient)
-    cross = np.linalg.solve(_regular(h[np.ix_(indices, indices)]), h[np.ix_(indices, new)])
-    information = np.diag(h[np.ix_(new, new)] - h[np.ix_(new, indices)] @ cross)
-    return gradient[:, new] - gradient[:, indices] @ cross, np.maximum(information, 0.0)
+    cross = np.linalg.solve(_regularise(h[np.ix_(indices, indices)]), h[np.ix_(indices, tested)])
+    information = np.diag(h[np.ix_(tested, tested)] - h[np.ix_(tested, indices)] @ cross)
+    return gradient[:, tested] - gradient[:, indices] @ cross, np.maximum(information, 0.0)
 
 
 def score_statistic(scores: np.ndarray) -> float:
-    """s' (sum_b s_b s_b')^-1 s with s = sum_b s_b. scores: (b, k) scores s_b of the blocks."""
+    """Score statistic s' (sum_b s_b s_b')^-1 s, s = sum_b s_b. scores: (b, k) scores s_b of the blocks."""
     total = scores.sum(axis=0)
     return float(total @ np.linalg.pinv(scores.T @ scores) @ total)
 
@@ -122,7 +122,7 @@ def screen(problem: Problem, fit: Fit, rng: np.random.Generator) -> Scores:
 
 def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[str], rng: np.random.Generator,
                   draws: int, prior_gradient: np.ndarray | None = None) -> Scores:
-    """`Scores` of effects, each compared with the effects of a fit that do not overlap it. q: loss by block about the
+    """`Scores` of effects, each in addition to the effects of a fit that do not overlap it. q: loss by block about the
     vector of the fit, in all parameters. draws: number of sign vectors. prior_gradient: see `efficient_score`."""
     signs, largest, ratios = rng.choice([-1.0, 1.0], (draws, len(q.cost))), np.zeros(draws), []
     min_information = 1e-9 * max(float(np.trace(q.hessian.sum(axis=0))), 1e-30)
@@ -252,9 +252,9 @@ def distance_to_bound(problem: Problem, fit: Fit, effect: str) -> float:
 def compare_with_file(problem: Problem, fit: Fit, effect: str) -> tuple[FileQuantity, float] | None:
     """(quantity that an effect moves furthest from the vehicle file, in standard deviations; change of its parameter
     from the null); None without such a quantity, and with reference drives."""
-    moved = [(quantity, float(fit.vector[i] - problem.space.null[i])) for i in problem.space.indices(effect)
-             if problem.prior is None and (quantity := problem.quantities[i]) is not None]
-    return max(moved, key=lambda pair: pair[0].z_score(pair[1]), default=None)
+    changes = [(quantity, float(fit.vector[i] - problem.space.null[i])) for i in problem.space.indices(effect)
+               if problem.prior is None and (quantity := problem.quantities[i]) is not None]
+    return max(changes, key=lambda pair: pair[0].z_score(pair[1]), default=None)
 
 
 def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -> tuple[float | None, float | None]:
@@ -287,10 +287,10 @@ def _two_sided_p_value(distance: float, deviation: float) -> float:
 
 def inverse(h: np.ndarray) -> np.ndarray:
     """Regularised pseudoinverse."""
-    return np.linalg.pinv(_regular(h))
+    return np.linalg.pinv(_regularise(h))
 
 
-def _regular(h: np.ndarray) -> np.ndarray:
+def _regularise(h: np.ndarray) -> np.ndarray:
     """The matrix with 1e-9 of the mean of its diagonal added to the diagonal."""
     return h + 1e-9 * (np.trace(h) / max(len(h), 1) + 1e-12) * np.eye(len(h))
 
@@ -308,7 +308,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     q = fit.quadratic.sum_groups(problem.block, problem.blocks)
     curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
-        root = np.linalg.cholesky(_regular(q.hessian.sum(axis=0)))
+        root = np.linalg.cholesky(_regularise(q.hessian.sum(axis=0)))
         values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
         curvature = ((root @ vectors) * np.maximum(values, MIN_CURVATURE)) @ (root @ vectors).T
     h = inverse(curvature + problem.prior_curvature(fit.names, fit.indices))
@@ -351,7 +351,7 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
     prior = problem.file_curvature[indices]
     free = ((prior == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
     prior[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
-    h = _regular(q.hessian.sum(axis=0) + np.diag(prior))
+    h = _regularise(q.hessian.sum(axis=0) + np.diag(prior))
     gradient = q.gradient.sum(axis=0) - prior * problem.distance(fit.vector)[indices]
     shift = minimise_bounded(h, gradient, *problem.distance_to_bounds(fit.vector, indices))
     return JointFit(indices, 0.5 * problem.design_effect * np.linalg.inv(h), shift)

@@ -82,8 +82,8 @@ def marginalise(prior: np.ndarray, free: np.ndarray) -> np.ndarray:
     others = np.setdiff1d(np.arange(len(prior)), free)
     marginal = np.zeros_like(prior)
     cross = prior[np.ix_(others, free)]
-    inside = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
-    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(inside, cross.T)
+    free_block = prior[np.ix_(free, free)] + 1e-9 * np.eye(len(free))
+    marginal[np.ix_(others, others)] = prior[np.ix_(others, others)] - cross @ np.linalg.solve(free_block, cross.T)
     return marginal
 
 
@@ -197,7 +197,7 @@ class Problem:
         self.design_effect = max(estimates)
 
     def distance(self, vector: np.ndarray) -> np.ndarray:
-        """(p,) distance from the start [parameter scales]."""
+        """(p,) signed distance from the start [parameter scales]."""
         return (vector - self.start) / self.space.scale
 
     def distance_to_bounds(self, vector: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,9 +233,9 @@ class Problem:
 
     def take_step(self, vector: np.ndarray, indices: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The vector after a step [parameter scales] of some parameters, limited to the bounds."""
-        moved = vector.copy()
-        moved[indices] += step * self.space.scale[indices]
-        return self.space.clip_to_bounds(moved)
+        result = vector.copy()
+        result[indices] += step * self.space.scale[indices]
+        return self.space.clip_to_bounds(result)
 
     def vector_without(self, fit: Fit, *names: str) -> np.ndarray:
         """The vector of a fit with the effects `names` at their start values."""
@@ -259,12 +259,12 @@ class Problem:
             step = self.solve(q, names, vector, indices)
             for share in STEP_SHARES:
                 trial = self.take_step(vector, indices, share * step)
-                lower = self.cost(names, trial, indices)
-                if lower < cost:
+                trial_cost = self.cost(names, trial, indices)
+                if trial_cost < cost:
                     break
             else:
                 break
-            reduction, vector, cost = cost - lower, trial, lower
+            reduction, vector, cost = cost - trial_cost, trial, trial_cost
             sensitivities = self._sensitivities_at(sensitivities, vector, new)
             if reduction < MIN_LOSS_REDUCTION * self.residual_count:
                 break
@@ -311,15 +311,15 @@ class Problem:
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
             out = fold == k
-            fitted = h - q.hessian[out].sum(axis=0)
+            fitted_h = h - q.hessian[out].sum(axis=0)
             if self.prior is None:
-                others = g - (gradient + q.hessian @ optimum)[out].sum(axis=0) - prior @ distance
-                d = minimise_bounded(add_ridge(fitted + prior), others, *limits) - optimum
+                fitted_g = g - (gradient + q.hessian @ optimum)[out].sum(axis=0) - prior @ distance
+                d = minimise_bounded(add_ridge(fitted_h + prior), fitted_g, *limits) - optimum
             else:
                 d = np.zeros(len(indices))
                 ridge = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
                 d[columns] = minimise_bounded(
-                    fitted[np.ix_(columns, columns)] + ridge, gradient[~out].sum(axis=0)[columns],
+                    fitted_h[np.ix_(columns, columns)] + ridge, gradient[~out].sum(axis=0)[columns],
                     np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
             rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d

@@ -1,6 +1,6 @@
 """Joint fits of the whole library of effects before a search.
 
-The healthy car is fitted to reference drives, for the initial vector of the search and the prior of other effects.
+The healthy car is fitted to the reference drives; the fit gives the initial vector and a prior of the search.
 
 The steering in a CAN log has its own clock, which is aligned to the INS in each run with an error of some milliseconds.
 One delay for all runs cannot represent different errors; the fit would change yaw inertia or tyre relaxation instead.

@@ -35,7 +35,7 @@ def rho(z: np.ndarray) -> np.ndarray:
 
 
 def weight(z: np.ndarray) -> np.ndarray:
-    """rho'(z) / (2 z)."""
+    """Weight of a squared residual in the quadratic approximation, rho'(z) / (2 z)."""
     return 0.5 * (NU + 1.0) / (NU + np.square(z))
 
 
@@ -139,20 +139,20 @@ class Loss:
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
-        difference quotients on the side where bounds and limits of a vehicle file are kept; 0 where a prediction
+        difference quotients on the side where bounds and limits of a vehicle file are met; 0 where a prediction
         diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step
         step = np.where((value < self.space.low[indices]) | (value > self.space.high[indices]), -step, step)
-        moved = np.tile(vector, (len(indices), 1))
-        moved[np.arange(len(indices)), indices] += step
+        vectors = np.tile(vector, (len(indices), 1))
+        vectors[np.arange(len(indices)), indices] += step
         for i, index in enumerate(indices):
             opposite = vector[index] - step[i]
             within_bounds = self.space.low[index] <= opposite <= self.space.high[index]
-            if within_bounds and self.errors.model_at(moved[i]) is None:
-                step[i], moved[i, index] = -step[i], opposite
+            if within_bounds and self.errors.model_at(vectors[i]) is None:
+                step[i], vectors[i, index] = -step[i], opposite
         before, size = self.errors.at(vector), step / self.space.scale[indices]
-        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(moved)), size, strict=True)]
+        sensitivities = [(before - after) / d for after, d in zip(self.errors.at_all(list(vectors)), size, strict=True)]
         return np.nan_to_num(np.reshape(sensitivities, (len(indices), *before.shape)), posinf=0.0, neginf=0.0)
 
     def quadratic(self, rows: np.ndarray, sensitivities: np.ndarray) -> Quadratic:

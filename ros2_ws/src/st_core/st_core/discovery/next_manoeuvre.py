@@ -60,8 +60,8 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
 
 
 def simulate_manoeuvres(windows: Windows, base: Model) -> Iterator[tuple[Manoeuvre, Windows]]:
-    """Simulate each manoeuvre that is not faster than MAX_SPEED_RATIO times the recorded driving; yields its windows
-    with the recorded channels. The base model without effects is accurate enough to compare excitation."""
+    """Yield each manoeuvre not faster than MAX_SPEED_RATIO times the recorded driving, and its simulated windows with
+    the recorded channels. The base model without effects is accurate enough to compare excitation."""
     model = augment(base, {})
     fastest = MAX_SPEED_RATIO * float(np.nanquantile(windows.speeds, 0.95))
     settings = replace(windows.settings, windows=50)
@@ -103,12 +103,12 @@ def separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: st
     others = (n for n in fit.names if n != first)
     free = np.setdiff1d(problem.free_indices((*others, second)), indices)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[indices]
-    inside = h[np.ix_(indices, indices)]
+    curvature = h[np.ix_(indices, indices)]
     cross = h[np.ix_(indices, free)] @ inverse(h[np.ix_(free, free)])
-    unexplained = float(d @ (inside - cross @ h[np.ix_(free, indices)]) @ d)
-    other_inside = h[np.ix_(other_indices, other_indices)]
-    e = inverse(other_inside) @ h[np.ix_(other_indices, indices)] @ d
-    sizes = np.sqrt(max(float(d @ inside @ d), 1e-12) * max(float(e @ other_inside @ e), 1e-12))
+    unexplained = float(d @ (curvature - cross @ h[np.ix_(free, indices)]) @ d)
+    other_curvature = h[np.ix_(other_indices, other_indices)]
+    e = inverse(other_curvature) @ h[np.ix_(other_indices, indices)] @ d
+    sizes = np.sqrt(max(float(d @ curvature @ d), 1e-12) * max(float(e @ other_curvature @ e), 1e-12))
     cosine = float(d @ h[np.ix_(indices, other_indices)] @ e) / sizes
     return float(np.clip(cosine, -1.0, 1.0)), float(np.sqrt(max(2.0 * unexplained / design_effect, 0.0)))
 
@@ -138,12 +138,12 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     if not name or weakest[name][0] < MIN_SEPARATION:
         return None
     strength, pair = weakest[name]
-    chosen = next(m for m in CATALOGUE if m.name == name)
-    return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, chosen.duration,
-                         chosen.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
+    manoeuvre = next(m for m in CATALOGUE if m.name == name)
+    return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
+                         manoeuvre.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
 
 
-def most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:
+def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:
     """Name of the manoeuvre with the most information on an effect, or ""."""
     indices = problem.space.indices(effect)
     others = np.setdiff1d(problem.free_indices(()), indices)

@@ -6,8 +6,8 @@ from scipy.sparse.csgraph import connected_components
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_SHARE = 0.2  # of the places of the run with fewer places; runs that share more places are at one site
-MIN_RUNS, MIN_STRETCHES = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_STRETCHES stretches in all
+SAME_SITE_SHARE = 0.2  # fraction of the places of the run with fewer places; runs that share more are at one site
+MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in all
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
 
@@ -30,18 +30,18 @@ def make_partitions(windows: Windows) -> dict[str, Partition]:
 
 
 def divide_by_run(windows: Windows) -> Partition:
-    """The runs as parts; with fewer than MIN_RUNS runs, stretches of equal duration of each run."""
+    """The runs as parts; with fewer than MIN_RUNS runs, each run in parts of equal duration."""
     numbers = np.unique(windows.run)
     if len(numbers) >= MIN_RUNS:
         return windows.run, list(windows.names)
-    pieces = int(np.ceil(MIN_STRETCHES / len(numbers)))
+    parts_per_run = int(np.ceil(MIN_PARTS / len(numbers)))
     part = np.zeros(len(windows), int)
     for run in numbers:
         in_run = windows.run == run
         seconds = windows.seconds[in_run]
-        edges = np.linspace(seconds.min(), seconds.max() + 1e-6, pieces + 1)
-        part[in_run] = run * pieces + np.searchsorted(edges, seconds, side="right") - 1
-    return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(pieces)]
+        edges = np.linspace(seconds.min(), seconds.max() + 1e-6, parts_per_run + 1)
+        part[in_run] = run * parts_per_run + np.searchsorted(edges, seconds, side="right") - 1
+    return part, [f"{name}, part {k + 1}" for name in windows.names for k in range(parts_per_run)]
 
 
 def find_sites(windows: Windows) -> np.ndarray:
@@ -49,8 +49,8 @@ def find_sites(windows: Windows) -> np.ndarray:
     one site. Distance does not count, because the maps of different sites may have different origins."""
     number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
     visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
-    together = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in visited] for a in visited]
-    return connected_components(np.array(together))[1][windows.run]
+    same_site = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in visited] for a in visited]
+    return connected_components(np.array(same_site))[1][windows.run]
 
 
 def divide_by_place(x: np.ndarray, y: np.ndarray) -> Partition:

@@ -191,7 +191,7 @@ class Power:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class PowerAnalysis:
     """Power of the tests on these drives. powers: for three sizes of each effect. measured: whether the power is
     estimated by a step of the search on simulated drives (--certify); otherwise it is predicted from the curvature of
     the loss. simulated_drives: number of drives simulated without an effect; 0 if not measured. alarms: number of these
@@ -230,7 +230,7 @@ class ChannelError(Change):
 
 @dataclass(frozen=True)
 class UntestableEffect:
-    """An effect that is not detectable in these drives. manoeuvre: of the catalogue, would show it; "" if none does."""
+    """An effect that is not detectable in these drives. manoeuvre: one of the catalogue that shows it, or ""."""
 
     name: str
     reason: str
@@ -313,7 +313,7 @@ class Discovery:
     not_testable: tuple[UntestableEffect, ...]
     next_manoeuvre: NextManoeuvre | None
     separability: tuple[Separability, ...]
-    certificate: Certificate
+    certificate: PowerAnalysis
     signature: tuple[str, ...]
     runs: tuple[Run, ...]
     start: Literal["vehicle file", "reference"]

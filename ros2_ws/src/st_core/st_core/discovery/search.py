@@ -16,7 +16,7 @@ from .partitions import Partition
 from .result import Reason
 from .settings import Limits
 
-CONTENDERS = 4  # most effects refitted in a step, in addition to members of composites; half as many in an exchange
+CONTENDERS = 4  # effects refitted in a step at most, besides members of composites; half as many in an exchange
 CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
@@ -107,11 +107,11 @@ class Search:
         for other in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
                 # The load is fixed at this start value: its prior mean where all parameters are free (reference).
-                laden, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
-                laden.start = p.start.copy()
-                vector[load] = laden.start[load] = p.start[load] + size * p.space.scale[load]
+                laden_problem, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
+                laden_problem.start = p.start.copy()
+                vector[load] = laden_problem.start[load] = p.start[load] + size * p.space.scale[load]
                 self.tick()
-                fit = laden.refit(laden.fit(names, laden.all_sensitivities(vector), vector))
+                fit = laden_problem.refit(laden_problem.fit(names, laden_problem.all_sensitivities(vector), vector))
                 difference = fit.held_out - state.fit.held_out
                 own = p.space.indices(*(n for n in names if n in find_confounded_effects(other)))
                 nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(state.fit.vector - p.start)[own]]
@@ -157,11 +157,11 @@ class Search:
             path.add(key)
             self._visited.add(key)
             scale = self.problem.loss.scale
-            added = self._forward(state) if len(state.fit.names) < self.limits.max_effects else None
+            added = self._step_forward(state) if len(state.fit.names) < self.limits.max_effects else None
             if added is None:
-                self.problem.loss.scale = scale  # `_forward` may have changed it for effects that it refused
+                self.problem.loss.scale = scale  # `_step_forward` may have changed it for effects that it refused
                 return state
-            state.fit = self._rescale(self._backward(added, state.scores))
+            state.fit = self._rescale(self._step_backward(added, state.scores))
             state.order = [n for n in dict.fromkeys((*state.order, *added.names)) if n in state.fit.names]
             state.cached_scores = None
 
@@ -196,7 +196,7 @@ class Search:
         penalty = self.limits.negligible * p.residual_count
         return min(candidates, key=lambda a: float(a.fit.held_out.sum()) + penalty * len(a.fit.names))
 
-    def _forward(self, state: SearchState) -> Fit | None:
+    def _step_forward(self, state: SearchState) -> Fit | None:
         """The fit with the best further effect that passes the test or that redundant sensors confirm, or None."""
         p, limits = self.problem, self.limits
         self.tick()
@@ -256,8 +256,8 @@ class Search:
         gain = {e: self._gain(without, f) for e, f in fits.items()}
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
-            close = max(self.limits.negligible * self.problem.residual_count, self.limits.undecided_p * gain[name])
-            near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < close]
+            tolerance = max(self.limits.negligible * self.problem.residual_count, self.limits.undecided_p * gain[name])
+            near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < tolerance]
             if near:
                 order.remove(name)
                 order.insert(max(order.index(m) for m in near) + 1, name)
@@ -278,7 +278,7 @@ class Search:
     def _evidence(self, without: Fit, fit: Fit, effect: str, scores: Scores) -> Evidence:
         return collect_evidence(self.problem, without, fit, effect, scores, self.partitions, self.sensors)
 
-    def _backward(self, fit: Fit, scores: Scores) -> Fit:
+    def _step_backward(self, fit: Fit, scores: Scores) -> Fit:
         """The fit without the effects that the others make redundant."""
         p = self.problem
         while len(fit.names) > max(len(self._required), 1):
@@ -304,7 +304,7 @@ class Search:
 
     def find_cancelling(self, fit: Fit, name: str) -> tuple[str, ...]:
         """Effects of a fit that cancel `name`, so that the drives show only the sum: without both, the loss increases
-        by less than `limits.min_rival_gain` times its increase without only one of them, with the other fixed."""
+        by less than `limits.min_rival_gain` times the smaller increase without one of them, with the other fixed."""
         cancelling = []
         for other in (n for n in fit.names if n != name):
             alone = min(self.predicted_rise(fit, name, fixed=(other,)), self.predicted_rise(fit, other, fixed=(name,)))
@@ -349,13 +349,14 @@ class Search:
         """Exchange effects and drop rejected ones until the test accepts all."""
         for _ in range(MAX_EXCHANGES):
             state = self._drop_rejected(state)
-            better = self._exchange(state)
-            if better is None:
+            exchanged = self._exchange(state)
+            if exchanged is None:
                 return state
-            further = self._step_from(self._rescale(better), revisit=True)
-            assert further is not None  # because of `revisit`
-            further.order = [n for n in dict.fromkeys((*state.order, *further.fit.names)) if n in further.fit.names]
-            state = further
+            next_state = self._step_from(self._rescale(exchanged), revisit=True)
+            assert next_state is not None  # because of `revisit`
+            names = next_state.fit.names
+            next_state.order = [n for n in dict.fromkeys((*state.order, *names)) if n in names]
+            state = next_state
         return self._drop_rejected(state)
 
     def _drop_rejected(self, state: SearchState) -> SearchState:
@@ -425,19 +426,19 @@ class Search:
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:
-                fit = self._backward(fit, state.scores)
-                fewer = len(state.fit.names) - len(fit.names)
-                limit = self.limits.negligible * self.problem.residual_count * fewer
-                if fewer > 0 and float((fit.held_out - state.fit.held_out).sum()) < limit:
+                fit = self._step_backward(fit, state.scores)
+                saved = len(state.fit.names) - len(fit.names)
+                limit = self.limits.negligible * self.problem.residual_count * saved
+                if saved > 0 and float((fit.held_out - state.fit.held_out).sum()) < limit:
                     return fit
         return None
 
 
-def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed: np.ndarray,
+def _constrained_step(problem: Problem, q: Quadratic, vector: np.ndarray, indices: np.ndarray, fixed_step: np.ndarray,
                       free: np.ndarray) -> tuple[float, np.ndarray]:
     """(increase of the loss, best step [parameter scales]), with the components `free` of the step optimised and the
-    others as in `fixed`. q: quadratic approximation of the loss about the vector, in the parameters `indices`."""
-    d = np.array(fixed)
+    others as in `fixed_step`. q: quadratic approximation of the loss about the vector, in the parameters `indices`."""
+    d = np.array(fixed_step)
     h = q.hessian.sum(axis=0) + np.diag(problem.file_curvature[indices])
     g = q.gradient.sum(axis=0) - problem.prior_gradient(vector)[indices]
     if free.any():

@@ -129,7 +129,7 @@ Quantities = tuple[FileQuantity | None, ...]
 
 def find_file_quantities(space: Space, vehicle: VehicleParameters) -> Quantities:
     """(p,) quantity of the vehicle file that each parameter changes most, in standard deviations, or None."""
-    return (*(_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
+    return (*(_find_changed_quantity(space, vehicle, i) for i in range(len(space.free))), None)
 
 
 def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
@@ -139,14 +139,14 @@ def prior_deviations(quantities: Quantities, scale: np.ndarray) -> np.ndarray:
                      for q, s in zip(quantities, scale, strict=True)])
 
 
-def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
+def _find_changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQuantity | None:
     """Quantity that parameter i changes: the declared one, or the one that the `fold` of its effect changes most."""
     (name, parameter), at_null = space.free[i], float(space.null[i])
     effect = get_effect(name)
     if parameter.quantity:
         # Equations that do not contain the quantity treat it as 0.
         without_effect = value_of(vehicle, parameter.quantity) if space.model.base.name == "nonlinear" else 0.0
-        return _file_quantity(vehicle, parameter.quantity, 1.0, without_effect)
+        return _make_quantity(vehicle, parameter.quantity, 1.0, without_effect)
     if effect.fold is None or parameter.deviation < math.inf:
         return None
     null = {p.name: p.null for p in effect.parameters} | space.values(name, space.null)
@@ -159,13 +159,13 @@ def _changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> FileQ
             continue
         sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change
                          for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
-        changed = [_file_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
+        changed = [_make_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
                    if abs(slope) > 1e-9]
         return max(filter(None, changed), key=lambda q: abs(q.slope) / q.deviation, default=None)
     return None
 
 
-def _file_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
+def _make_quantity(vehicle: VehicleParameters, key: str, slope: float, without_effect: float) -> FileQuantity | None:
     """The `FileQuantity` of a key of the vehicle file; None without a standard deviation."""
     deviation, entry, quantity = vehicle.uncertainty(key), vehicle.provenance.get(key), find_quantity(key)
     return FileQuantity(key, quantity.si_unit if quantity else "1", value_of(vehicle, key), deviation, slope,

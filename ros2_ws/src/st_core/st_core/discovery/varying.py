@@ -1,4 +1,4 @@
-"""Search for effects that vary between parts of the drives, such as runs, sites or stretches of time.
+"""Search for effects that vary between parts of the drives, such as runs, sites or periods of time.
 
 An effect that begins in the middle of a drive has no single value that reduces the errors everywhere, so the search
 does not find it. Here each part of a partition has its own value, from the quadratic approximation at the final fit.
@@ -67,9 +67,9 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     degrees_of_freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
     if len(parts) < 2 or blocks < 1:
         return None
-    separate = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
+    separate_gain = sum(float(gk @ inverse(hk) @ gk) for _, gk, hk in parts)
     total = sum(gk for _, gk, _ in parts)
-    gain = separate - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
+    gain = separate_gain - float(total @ inverse(sum(hk for *_, hk in parts)) @ total)
     separate_gradient = gradient.copy()  # at the separate values; its sums over blocks give the design effect
     for k, gk, hk in parts:
         separate_gradient[number == k] -= curvature[number == k] @ (inverse(hk) @ gk)

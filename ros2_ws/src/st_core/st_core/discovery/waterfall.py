@@ -67,7 +67,7 @@ class HorizonErrors:
 
 
 def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Mapping[str, Partition],
-                        near: Sequence[tuple[Sequence[str], np.ndarray]] = (), joint_fit: JointFit | None = None,
+                        near_sets: Sequence[tuple[Sequence[str], np.ndarray]] = (), joint_fit: JointFit | None = None,
                         noise_ratio: float = 1.0) -> dict[str, FittedParameter]:
     """Values of an effect with 95 % intervals.
 
@@ -75,7 +75,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     at least three parts of a partition, such as runs or sites, but not places; (3) from the deviation and shift in
     `joint_fit`, in quadrature, with all other parameters free, multiplied by `noise_ratio`, the ratio of residual to
     noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature. To allow for errors of the model equations,
-    the interval is extended by the distance to the values in `near`, sets of effects that fit nearly as well.
+    the interval is extended by the distance to the values in `near_sets`, sets of effects that fit nearly as well.
     """
     space, result = problem.space, {}
     indices = space.indices(effect)
@@ -85,21 +85,21 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
         healthy = np.sqrt(0.5 * np.diag(inverse(problem.prior))[indices]) * space.scale[indices]
         deviations = np.hypot(deviations, healthy)
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
-    half = quantile * deviations
+    half_widths = quantile * deviations
     if joint_fit is not None:
         joint_deviations, shift = joint_fit.of(indices)
-        joint_half = np.hypot(quantile * joint_deviations, shift) * space.scale[indices] * max(noise_ratio, 1.0)
-        half = np.maximum(half, np.hypot(joint_half, Z95 * model_error))
+        joint_half_widths = np.hypot(quantile * joint_deviations, shift) * space.scale[indices] * max(noise_ratio, 1.0)
+        half_widths = np.maximum(half_widths, np.hypot(joint_half_widths, Z95 * model_error))
     for partition in (partition for name, partition in partitions.items() if name != "place"):
         ratios = compare_parts(problem, fit, effect, *partition).ratios
         if len(ratios) > 2:  # 95 % prediction interval for another part, relative to the value
             values, ratio_deviations = np.array(list(ratios.values())).T
             _, error, between, _ = random_effects(values, np.square(ratio_deviations))
-            ratio_half = Z95 * float(np.sqrt(between + error**2))
-            half = np.maximum(half, np.abs(fit.vector - space.null)[indices] * ratio_half)
-    others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near if effect in names))])
+            ratio_half_width = Z95 * float(np.sqrt(between + error**2))
+            half_widths = np.maximum(half_widths, np.abs(fit.vector - space.null)[indices] * ratio_half_width)
+    others = np.array([v[indices] for v in (fit.vector, *(vector for names, vector in near_sets if effect in names))])
     others -= fit.vector[indices]
-    for i, half_width, below, above in zip(indices, half, others.min(axis=0), others.max(axis=0), strict=True):
+    for i, half_width, below, above in zip(indices, half_widths, others.min(axis=0), others.max(axis=0), strict=True):
         parameter, null, value = space.free[i][1], float(space.null[i]), float(fit.vector[i])
         # With a reference, the reported value is the change since the reference drives.
         value = null + value - float(problem.start[i]) if problem.prior is not None else value
@@ -168,12 +168,12 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
     """Contribution of each kind of cause, added last and added first, to the mean position error after 5 s and to the
     loss at the residual scale of the final fit. corrected: fit with effective corrections. varying: fit with an effect
     that varies between parts of the drives, or None."""
-    def size(fit: Fit) -> np.ndarray:
+    def measure(fit: Fit) -> np.ndarray:
         """(mean position error [m], loss per residual)."""
         position = errors.of(fit).get("position_5s", np.zeros(1))
         return np.array([np.nanmean(position), fit.held_out.sum() / problem.residual_count])
 
-    def line(part: str, last: np.ndarray, first: np.ndarray) -> BudgetLine:
+    def make_line(part: str, last: np.ndarray, first: np.ndarray) -> BudgetLine:
         shares_last, shares_first = (v / np.maximum(start, 1e-9) for v in (last, first))
         return BudgetLine(part, *map(float, (last[0], first[0], shares_last[0], shares_first[0], shares_last[1],
                                              shares_first[1])))
@@ -185,20 +185,20 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
         return min((from_final, from_base, base), key=lambda fit: float(fit.held_out.sum()))
 
     base = problem.fit_at(base.names, base.vector, base.indices, base.sensitivities)
-    start, end = size(base), size(final)
+    start, end = measure(base), measure(final)
     lines = []
     for part in EFFECT_KINDS:
         effects = tuple(n for n in final.names if get_effect(n).kind == part)
         if not effects:
             continue
         others = tuple(n for n in final.names if n not in effects)
-        without = size(refit(others)) if others else start
-        alone = size(refit(effects)) if others else end
-        lines.append(line(part, without - end, start - alone))
+        without = measure(refit(others)) if others else start
+        alone = measure(refit(effects)) if others else end
+        lines.append(make_line(part, without - end, start - alone))
     extended = (corrected if corrected is not final else None, varying)
     for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):
         if fit is not None:
-            reduction = np.maximum(end - size(fit), 0.0)
-            lines.append(line(part, reduction, reduction))
+            reduction = np.maximum(end - measure(fit), 0.0)
+            lines.append(make_line(part, reduction, reduction))
             end = end - reduction
-    return [*lines, line(PARTS[-1], end, end)]
+    return [*lines, make_line(PARTS[-1], end, end)]

@@ -75,8 +75,8 @@ class Signals(LogSignals):
 
 class Batch(LogBatch):
     """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings and input
-    tables are cached for models that correct the recording in the same way. minimum_substeps: parts into which the
-    step is divided at least; more if it is unstable at the speeds of the drives, as for small cars."""
+    tables are cached for models that correct the recording in the same way. minimum_substeps: least number of
+    parts of a step; more if the step is unstable at the speeds of the drives, as for small cars."""
 
     def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -114,7 +114,7 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 class Windows:
     """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
-    and of the block. seconds: (n,) starts since both INS and steering of the run began [s]. time: (k,) time of the
+    and of the block. seconds: (n,) starts since both INS and steering of the run have begun [s]. time: (k,) time of the
     scored points after the start of a window [s]; the last is the horizon, or SIDESLIP_SETTLING_TIME later without
     velocity_y. columns: (c,) names of the errors."""
 
@@ -128,21 +128,21 @@ class Windows:
         self.channels = tuple(c for name, c in CHANNELS.items() if name in settings.channels)
         self.columns = tuple(column for channel in self.channels for column in channel.columns)
         with_sideslip = "velocity_y" in settings.channels
-        first = 0.0 if with_sideslip else SIDESLIP_SETTLING_TIME
-        points = np.maximum(np.round((first + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1)
+        settling_time = 0.0 if with_sideslip else SIDESLIP_SETTLING_TIME
+        points = np.maximum(np.round((settling_time + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1)
         self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
         self.joined, offsets = _join(runs)
         horizon = int(self._points[-1]) + 1
         starts, run, seconds = _select_starts(runs, offsets, horizon * STEP, settings)
-        around = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
-        self._around = np.searchsorted(around, np.stack([self._points - 1, self._points, self._points + 1]))
+        stencil = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
+        self._stencil_indices = np.searchsorted(stencil, np.stack([self._points - 1, self._points, self._points + 1]))
         yaw_rate = moving_average(self.joined.ins_time_ns, self.joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
         initial = replace(self.joined, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, horizon * STEP, STEP,
-                            points=np.round(around * STEP, 6))
+                            points=np.round(stencil * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
@@ -227,13 +227,13 @@ class Windows:
         states = self._batch.predict(model, self.vehicle)
         with np.errstate(all="ignore"):
             readings = predict_ideal_readings(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)))
-            before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._around)
+            before, at_point, after = (Measured(*(value[:, i] for value in readings)) for i in self._stencil_indices)
             centripetal = [e.velocity_x * e.yaw_rate for e in (before, at_point, after)]
             # Means over 2 STEP by Simpson's rule.
             a_y = (after.velocity_y - before.velocity_y) / (2 * STEP) + (
                 centripetal[0] + 4.0 * centripetal[1] + centripetal[2]) / 6.0
             yaw_rate = (before.yaw_rate + 4.0 * at_point.yaw_rate + after.yaw_rate) / 6.0
-            excess = self._specific_force_excess(model, states[:, self._around[1]])
+            excess = self._specific_force_excess(model, states[:, self._stencil_indices[1]])
             return model.observe(at_point._replace(
                 yaw_rate=yaw_rate, acceleration_x=0.0 * a_y, acceleration_y=(1.0 + gain) * (a_y + excess),
                 yaw_acceleration=(after.yaw_rate - before.yaw_rate) / (2 * STEP)))
@@ -254,7 +254,7 @@ class Windows:
 def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
                           acceleration: np.ndarray) -> np.ndarray | float:
     """Lateral specific force minus lateral acceleration at the CG [m/s^2]. states: six arrays with the shape of the
-    road-wheel angle [rad] and the forward acceleration [m/s^2]."""
+    road wheel angle [rad] and the forward acceleration [m/s^2]."""
     # Only effects that act on the accelerometer, change the inputs or change the base model.
     model = model.select_effects(e for e in model.effects
                                  if e.converts or (e in model.active and (e.specific_force or e.inputs)))

@@ -3,10 +3,10 @@
     u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline with integer knots, k = -1 ... 6
 
-f is added to a term with a weight `to_`; for steering and body terms optionally times one `by_` quantity. parity: -1
+f is added to a term with a weight `to_`; optionally times one `by_` quantity for steering and body terms. parity: -1
 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind share a
 compiled function.
-There are three kinds: `relation` is a function of present quantities, `relation_lagged` of a lagged quantity q or of
+There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a lagged quantity q or of
 its rate,
 
     s_dot = (q - s) / tau,   s = q at the start;   u = s, or u = (q - s) / tau
@@ -137,7 +137,7 @@ class RelationEffect(_Relation):
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         u = compute_argument(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
         y = evaluate_curve(u, theta) * compute_factor(instant, theta)
-        # Steering a wheel to the left reduces its slip to the left.
+        # Steering to the left reduces the slip angle, which is + for a wheel that moves to its left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod

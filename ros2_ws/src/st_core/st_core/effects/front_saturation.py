@@ -1,4 +1,4 @@
-"""Saturation of a linear front axle, which needs no tyre curve of the vehicle file.
+"""Saturation of a linear front axle, without a tyre curve from the vehicle file.
 
 s = 1 / mu^2; s = 0 is linear. Where the linear force F equals the limit, the saturated force is 0.76 of it. Fitted to
 brush and Magic Formula curves, the saturated force deviates by less than 2 % of their peak up to twice that slip (4 %

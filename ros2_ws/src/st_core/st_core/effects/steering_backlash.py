@@ -10,7 +10,7 @@ Maps = tuple[np.ndarray, np.ndarray]
 
 
 def scan(maps: Maps, compose: Callable[[Maps, Maps], Maps]) -> Maps:
-    """Compositions of the maps 0 to k for every k, in log2(n) passes (Hillis and Steele, 1986). maps: two numbers per
+    """Composition of the maps 0 to k for every k, in log2(n) passes (Hillis and Steele, 1986). maps: two numbers per
     map, (n,) each. compose(earlier, later): the two numbers of the map later(earlier(y))."""
     first, second = (np.array(a, float) for a in maps)
     reach = 1
@@ -34,7 +34,7 @@ def compose_clamps(earlier: Maps, later: Maps) -> Maps:
 
 @register
 class SteeringBacklash(Effect):
-    physics = "delta stays until delta_measured leaves delta +- play / 2, then follows it at that distance"
+    physics = "delta is constant until delta_measured leaves delta +- play / 2, then follows it at that distance"
     excited_by = "small steering reversals around straight ahead; not observable at large amplitudes"
     kind, slot = "physics", "steering"
     confounded_with = ("steering_delay", "steering_lag", "steering_ratio")

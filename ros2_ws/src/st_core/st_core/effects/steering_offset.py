@@ -1,4 +1,4 @@
-"""Angle of the road wheels where the measured one is zero: delta = delta_measured + angle."""
+"""Road wheel angle at a measured angle of zero: delta = delta_measured + angle."""
 
 from dataclasses import replace
 

@@ -13,7 +13,7 @@ from scipy import stats
 from ..effects import find_confounded_effects
 from .evidence import Scores, efficient_score, library_p_value, residual_over_noise, score_effects
 from .fit import Fit, Problem
-from .result import Certificate, Power
+from .result import Power, PowerAnalysis
 from .settings import Limits
 
 SIZES = (0.25, 0.5, 1.0)  # tested sizes of an effect [parameter scales]
@@ -21,7 +21,7 @@ DRAWS = 20  # simulated drives for each size; the standard deviation of the meas
 FALSE_ALARM_DRAWS, FLIPS = 100, 100  # simulated drives without an effect; draws of block signs in each drive
 
 
-def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> Certificate:
+def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) -> PowerAnalysis:
     """Power from the curvature at the final fit. Twice the gain divided by the design effect has a noncentral
     chi-square distribution with one degree of freedom."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
@@ -36,7 +36,7 @@ def predict_power(problem: Problem, fit: Fit, scores: Scores, limits: Limits) ->
         for size in SIZES:
             power = _power(problem, fit, index, size, information[best], scores, limits)
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, power, 0))
-    return Certificate(tuple(powers), 0, 0, measured=False)
+    return PowerAnalysis(tuple(powers), 0, 0, measured=False)
 
 
 def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Scores, limits: Limits) -> str:
@@ -76,7 +76,7 @@ def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits:
     return max(required, limits.unexplained_share) if unexplained else required
 
 
-def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> Certificate:
+def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
     """Power and false alarms of a forward step on simulated drives: DRAWS drives for each size of each effect, and
     FALSE_ALARM_DRAWS drives without an effect."""
     rng = np.random.default_rng(seed)
@@ -88,8 +88,8 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         index = indices[int(np.argmax(np.square(sensitivities[indices] / problem.loss.scale).sum(axis=(1, 2))))]
         parameter, scale = problem.space.free[index][1], float(problem.space.scale[index])
         for size in SIZES:
-            moved = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
-            change = rows - np.nan_to_num(problem.errors.at(moved))
+            vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
+            change = rows - np.nan_to_num(problem.errors.at(vector))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
             required = _required_gain(problem, rows, reduction, limits)
             detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
@@ -98,7 +98,7 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
         tick()
     alarms = sum(bool(_detect_effects(problem, fit, rows, 0.0 * rows, sensitivities, limits.relevant, limits, rng))
                  for _ in range(FALSE_ALARM_DRAWS))
-    return Certificate(tuple(powers), alarms, FALSE_ALARM_DRAWS, measured=True)
+    return PowerAnalysis(tuple(powers), alarms, FALSE_ALARM_DRAWS, measured=True)
 
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
