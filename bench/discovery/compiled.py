@@ -102,7 +102,7 @@ def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed
 @cache
 def compile_loop(loop):
     """Compiles a loop and all functions that it calls; the machine code is cached on the disk."""
-    for function in numba_cache.find_reachable(loop)[:-1]:
+    for function in numba_cache.find_reachable_functions(loop)[:-1]:
         register_jitable(function)
     kernel = numba.njit(error_model="numpy")(loop)
     numba_cache.enable_cache(kernel, numba_cache.fingerprint(loop))

@@ -58,22 +58,22 @@ class AugmentedModel(Model):
 
     @property
     def has_tyres(self) -> bool:
-        return self.base.has_tyres or any(effect.converts for effect in self.active)
+        return self.base.has_tyres or any(effect.converts for effect in self.active_effects)
 
     @property
     def has_steering_dynamics(self) -> bool:
         """Whether `steering` changes a recording."""
-        return any(effect.steering for effect in self.active)
+        return any(effect.steering for effect in self.active_effects)
 
     @property
     def has_sensor_effects(self) -> bool:
         """Whether `observe` and `correct` change readings."""
-        return any(effect.observe for effect in self.active)
+        return any(effect.observe for effect in self.active_effects)
 
     @property
     def correction_key(self) -> tuple:
         """Cache key of a corrected recording; equal for models with the same `steering` and `correct`."""
-        return tuple((e.name, *self.values[e.name].values()) for e in self.active if e.steering or e.observe)
+        return tuple((e.name, *self.values[e.name].values()) for e in self.active_effects if e.steering or e.observe)
 
     def input_dependencies(self, p: Any) -> tuple:
         """Cache key: the parameters in p on which `inputs` depends."""
@@ -85,7 +85,7 @@ class AugmentedModel(Model):
         cached = self._vehicles.get(id(vehicle))
         if cached is None or cached[0] is not vehicle:
             changed = vehicle
-            for effect in self.active:
+            for effect in self.active_effects:
                 if effect.vehicle:
                     changed = effect.vehicle(changed, self._theta(effect))
             cached = self._vehicles[id(vehicle)] = vehicle, changed
@@ -93,7 +93,7 @@ class AugmentedModel(Model):
 
     def without_null_effects(self) -> "AugmentedModel":
         """The model without costly effects that have no influence (null values); its predictions are bit-identical."""
-        return self.select_effects(e for e in self.effects if e in self.active or not e.costly)
+        return self.select_effects(e for e in self.effects if e in self.active_effects or not e.costly)
 
     def select_effects(self, effects: Iterable[type[Effect]]) -> "AugmentedModel":
         """The model with only these of its effects."""
@@ -105,7 +105,7 @@ class AugmentedModel(Model):
 
         time: increasing, from any origin. begins: True at the first sample and after gaps, where the effects restart.
         """
-        for effect in self.active:
+        for effect in self.active_effects:
             if effect.steering:
                 time, angle = effect.steering(time, angle, begins, self._theta(effect))
         return time, angle
@@ -119,14 +119,14 @@ class AugmentedModel(Model):
 
     def observe(self, measured: Measured) -> Measured:
         """INS readings of true values at the INS point."""
-        for effect in self.active:
+        for effect in self.active_effects:
             if effect.observe:
                 measured = effect.observe(measured, self._theta(effect))
         return measured
 
     def correct(self, measured: Measured) -> Measured:
         """True values at the INS point from INS readings; the inverse of `observe`."""
-        for effect in reversed(self.active):
+        for effect in reversed(self.active_effects):
             if effect.correct:
                 measured = effect.correct(measured, self._theta(effect))
         return measured
@@ -137,7 +137,7 @@ class AugmentedModel(Model):
         return {}
 
     @cached_property
-    def active(self) -> tuple[type[Effect], ...]:
+    def active_effects(self) -> tuple[type[Effect], ...]:
         """Effects with a `free` parameter that is not at its null value; the others leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))

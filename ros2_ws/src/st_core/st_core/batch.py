@@ -160,7 +160,7 @@ class Recording:
     """Signals of a drive, corrected by a model."""
 
     signals: LogSignals
-    sampled: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    sample_cache: dict[Hashable, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     """Cache of road wheel angle and velocity_x_dot at the instants of a block, by number and size of the block."""
 
 
@@ -195,7 +195,7 @@ class LogBatch:
         self.step, self.steps = step, step_count(horizon, step)
         self.points = np.arange(self.steps + 1) if points is None else self._find_point_numbers(points)
         self._inputs, self._substeps, self.extra_signals = inputs, substeps, dict(signals or {})
-        self._unique, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
+        self._unique_starts, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
             expected = len(self.starts_ns), 2 * self.steps + 1
             for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE), inputs, strict=False):
@@ -203,14 +203,14 @@ class LogBatch:
                     raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
             if substeps != 1:
                 raise ConfigurationError("substeps: planned inputs are on the half-step grid; use substeps=1")
-            self._planned = tuple(values[first] for values in inputs)
-        ins_time, used = self.signals.log.ins_time_ns, np.zeros(0)
-        if len(self._unique):
-            ends = int(self._unique[0]), int(self._unique[-1]) + round(self.steps * step / NANOSECOND)
-            used = np.abs(self.signals.log.velocity_x[slice(*np.searchsorted(ins_time, ends))])
-        self._speeds = (float(used.min()), float(used.max())) if len(used) else ()
-        self._recorded = Recording(self.signals)
-        self._single_block: dict[tuple[int, bool], list[GridBlock]] = {}
+            self._planned_inputs = tuple(values[first] for values in inputs)
+        ins_time, speeds = self.signals.log.ins_time_ns, np.zeros(0)
+        if len(self._unique_starts):
+            ends = int(self._unique_starts[0]), int(self._unique_starts[-1]) + round(self.steps * step / NANOSECOND)
+            speeds = np.abs(self.signals.log.velocity_x[slice(*np.searchsorted(ins_time, ends))])
+        self._speeds = (float(speeds.min()), float(speeds.max())) if len(speeds) else ()
+        self._uncorrected = Recording(self.signals)
+        self._block_cache: dict[tuple[int, bool], list[GridBlock]] = {}
 
     def _find_point_numbers(self, points: Sequence[float]) -> np.ndarray:
         requested = np.asarray(points, float).ravel()
@@ -236,17 +236,17 @@ class LogBatch:
         recording = self.recording(model)
         separate = not isinstance(self._inputs, str) or (self._inputs == "held" and has_steering_dynamics(model))
         signals = recording.signals
-        result = np.full((len(self.points), len(STATE_NAMES), len(self._unique)), np.nan)
+        result = np.full((len(self.points), len(STATE_NAMES), len(self._unique_starts)), np.nan)
         for block in self._plan_blocks(count, separate):
             values = (self._sample_separately(block, signals, model) if separate else
                       self._sample(block, recording, model))
             states = signals.states_at(block.starts_ns, car).T
             result[:, :, block.rows] = self._advance(block, values, states, model, p, count)
-        states = result if np.array_equal(self._unique, self.starts_ns) else result[:, :, self._inverse]
+        states = result if np.array_equal(self._unique_starts, self.starts_ns) else result[:, :, self._inverse]
         return states.transpose(2, 0, 1)
 
     def errors(self, model: str | Model, vehicle: VehicleParameters) -> np.ndarray:
-        """Errors of `predict`, (n, k, 3): longitudinal, lateral [m], yaw [rad], predicted minus measured at the INS."""
+        """Errors of `predict`, (n, k, 3): longitudinal, lateral [m], yaw [rad]; predicted minus measured INS point."""
         model = get_model(model)
         after_ns = np.round(self.points * (self.step / NANOSECOND)).astype(np.int64)
         measured = self.signals.ins_at(self.starts_ns[:, None] + after_ns, "x", "y", "yaw")
@@ -261,30 +261,30 @@ class LogBatch:
 
     def _plan_blocks(self, count: int, separate: bool) -> Iterable[GridBlock]:
         """Blocks of all starts; cached if there is only one."""
-        if (count, separate) not in self._single_block:
+        if (count, separate) not in self._block_cache:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
             throughout = self._inputs == "measured" or separate
             instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
-            blocks = plan_blocks(self._unique, instants, self._backend.LANES, share=not separate)
+            blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, share=not separate)
             first_two = list(islice(blocks, 2))
             if len(first_two) > 1:
                 return chain(first_two, blocks)
-            self._single_block[count, separate] = first_two
-        return self._single_block[count, separate]
+            self._block_cache[count, separate] = first_two
+        return self._block_cache[count, separate]
 
     def recording(self, model: Model) -> Recording:
         """The drive with the sensor and steering corrections of the model applied."""
         log = correct_log(model, self.signals.log, self.signals.maximum_gap)
-        return self._recorded if log is self.signals.log else Recording(self.signals.for_log(log))
+        return self._uncorrected if log is self.signals.log else Recording(self.signals.for_log(log))
 
     def _sample(self, block: GridBlock, recording: Recording, model: Model) -> list[np.ndarray]:
         """Road wheel angle, velocity_x_dot and the signals of the model at all instants of a block, arranged."""
         key, signals, times_ns = (block.number, block.times_ns.size), recording.signals, block.times_ns
-        if key in recording.sampled:
-            angle, acceleration = recording.sampled[key]
+        if key in recording.sample_cache:
+            angle, acceleration = recording.sample_cache[key]
         else:
             # Inputs that the model does not correct are those of the recorded drive.
-            recorded = self._recorded.sampled.get(key)
+            recorded = self._uncorrected.sample_cache.get(key)
             if recorded and share_memory(signals.log, self.signals.log, "steering_time_ns", "road_wheel_angle"):
                 angle = recorded[0]
             else:
@@ -294,7 +294,7 @@ class LogBatch:
             else:
                 acceleration = block.arrange(signals.ins_at(times_ns, "velocity_x_dot")[0])
         if block.shared:
-            recording.sampled[key] = angle, acceleration
+            recording.sample_cache[key] = angle, acceleration
         extra = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *extra]
 
@@ -306,7 +306,7 @@ class LogBatch:
             acceleration, = signals.ins_at(times[0], "velocity_x_dot")
         else:
             padding = (0, 0), (0, block.columns - block.count)
-            angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._planned)
+            angle, acceleration, *path = (np.pad(v[block.rows].T, padding, mode="edge") for v in self._planned_inputs)
             if path and not model.has_tyres:
                 angle = path[0]
         angle, acceleration = (np.broadcast_to(v, times.shape) for v in (angle, acceleration))

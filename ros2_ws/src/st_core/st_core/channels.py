@@ -54,7 +54,7 @@ class Channel:
             return self.errors(measured, readings)
         return (measured[self.name] - getattr(readings, self.name),)
 
-    def noise_errors(self, log: Any, *motion: Any) -> tuple[float, ...]:
+    def noise_deviations(self, log: Any, *motion: Any) -> tuple[float, ...]:
         """Standard deviation of the errors due to noise [unit], by column."""
         if self.noise:
             return self.noise(log, *motion)

@@ -38,7 +38,7 @@ def find_missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str
     velocity or yaw rate; None without such an effect."""
     if not isinstance(model, AugmentedModel):
         return None
-    for effect in model.active:
+    for effect in model.active_effects:
         for reading in unknown if effect.correct else ():
             example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
             reduced = model.select_effects(e for e in model.effects if e.converts or e is effect)

@@ -31,7 +31,7 @@ p = model.parameters(car)
 w = np.array([np.full(lanes.LANES, float(f)) for f in model.inputs(0.05, 0.1, p)])
 start = np.tile([[0.0], [0.0], [12.0], [0.1], [0.2], [0.3]], lanes.LANES)
 out = lanes.advance(model, p, start, w, np.zeros(41, int), 0.05, np.array([20]))
-kernel, = lanes._compiled.values()
+kernel, = lanes._kernels.values()
 print(sum(kernel.stats.cache_hits.values()), float(out[0, 5, 0]).hex(), kernel._cache.cache_path)
 """
 BANKED = ("linear", "road_bank")  # base and effects
@@ -191,6 +191,6 @@ def test_fingerprint_includes_closure_values_and_called_functions():
     fingerprints = [numba_cache.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
     assert len(set(fingerprints)) == 3
     assert numba_cache.fingerprint(make(1.0, double)) == fingerprints[0]
-    assert [f.__name__ for f in numba_cache.find_reachable(make(1.0, double))] == ["double", "outer"]
+    assert [f.__name__ for f in numba_cache.find_reachable_functions(make(1.0, double))] == ["double", "outer"]
     with pytest.raises(numba_cache.UnhashableError):
         numba_cache.fingerprint(make(object(), double))

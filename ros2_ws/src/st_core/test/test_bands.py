@@ -7,7 +7,7 @@ from st_core.bands.calibration import (
     compute_conformal_factors,
     compute_error_samples,
     compute_highest_level,
-    count_runs_needed,
+    count_required_runs,
     to_predicted_frame,
 )
 from st_core.bands.file import hash_configuration, make_times
@@ -64,7 +64,7 @@ def test_new_run_is_covered_at_the_level_despite_correlated_windows():
 
 def test_level_above_what_the_runs_support_is_rejected():
     assert compute_highest_level(8) == pytest.approx(8 / 9)
-    assert count_runs_needed(0.9) == 9 and count_runs_needed(0.5) == 1
+    assert count_required_runs(0.9) == 9 and count_required_runs(0.5) == 1
     with pytest.raises(StCoreError, match=r"^8 runs support levels up to 88\.9%.*give 9 runs") as caught:
         compute_conformal_factors([np.ones(5)] * 8, [0.9])
     assert "\n" not in str(caught.value)

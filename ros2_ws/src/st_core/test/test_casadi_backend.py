@@ -134,7 +134,7 @@ def test_functions_carry_names_units_and_bounds(leaf):
     assert [(v.name, v.unit) for v in functions.states[6:]] == [(name, "rad") for name in model.extra_states]
     assert functions.states[2].unit == "m/s" and functions.inputs[0].unit == "rad"
     assert all(v.lower < v.upper for v in (*functions.states, *functions.inputs))
-    assert set(functions.left_out) == {"steering_delay", "yaw_rate_bias"}
+    assert set(functions.omitted_effects) == {"steering_delay", "yaw_rate_bias"}
     assert list(list_free_parameters(model)) == ["tyre_relaxation.length"]
     assert [f.name() for f in functions.functions][:2] == ["augmented_dynamics", "augmented_step"]
 

@@ -39,7 +39,7 @@ def predict_with_errors(model, vehicle: VehicleParameters, log: DriveLog) -> tup
 
 def fold_effects(model, vehicle: VehicleParameters):
     """(vehicle with the effects it can represent, model without them)."""
-    return fold(vehicle, [e for e in model.active if e.fold], model.values), model.select_effects(
+    return fold(vehicle, [e for e in model.active_effects if e.fold], model.values), model.select_effects(
         e for e in model.effects if not e.fold)
 
 

@@ -64,7 +64,7 @@ def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehiclePara
         "model": symbolic.name,
         "base": model.base.name if isinstance(model, AugmentedModel) else model.name,
         "effects": {name: dict(values) for name, values in effects.items()},
-        "effects_not_in_the_equations": list(symbolic.left_out),
+        "effects_not_in_the_equations": list(symbolic.omitted_effects),
         "vehicle": {"name": vehicle.name, "hash": vehicle.hash},
         "version": __version__,
         "frame": "x forward, y left, z up; centre of gravity; map x east, y north; yaw counter-clockwise from east",

@@ -123,21 +123,21 @@ class ReadOptions:
                                              ins_can_latency=self.ins_can_latency, steering=self.steering,
                                              odometry=self.odometry_topic, **options.sensor_settings, **others)
 
-    def fill_in_car(self, complete: bool = False) -> "ReadOptions":
+    def fill_in_car(self, requires_bus: bool = False) -> "ReadOptions":
         """The options, with files and steering sensor of the car where the user gave none.
 
-        Raises RunError for a car that cannot be read and, if `complete`, for a --car without DBC or signal table.
+        Raises RunError for a car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table.
         """
         from st_recordings.car import load_car
         from st_recordings.runs.errors import RunError
 
         if self.car is None:
             return self
-        named, parts = load_car(self.car), ("vehicle", "dbc", "signals", "steering_sign", "steering_latency")
-        options = replace(self, **{part: getattr(named, part) for part in parts if getattr(self, part) is None})
+        car, parts = load_car(self.car), ("vehicle", "dbc", "signals", "steering_sign", "steering_latency")
+        options = replace(self, **{part: getattr(car, part) for part in parts if getattr(self, part) is None})
         for file, option in ((options.dbc, "--dbc"), (options.signals, "--signals")):
-            if complete and file and not file.is_file():
-                raise RunError(file, "does not exist, but has to describe the bus of this car",
+            if requires_bus and file and not file.is_file():
+                raise RunError(file, "does not exist, but is needed to describe the CAN bus",
                                f"write it, or name another file with {option}")
         return options
 
@@ -168,11 +168,11 @@ class RunOptions:
     bands: Annotated[Path | None, typer.Option(
         help="Bands around every prediction (bands.yaml of `st calibrate`).", **FILE)] = None
     adaptive: Annotated[bool | None, typer.Option(
-        "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands the first appear "
+        "--adaptive/--no-adaptive", help="Adapt the bands to the errors of the run; without --bands they appear "
         "after two minutes of driving. Default: as in config/nodes.yaml (yes).")] = None
     course: Annotated[Path | None, typer.Option(
         help="Course of `st course build` for this site: also forecast with its steering and speed. "
-        "Replay: default the recorded course.", **FILE)] = None
+        "Default in a replay: the recorded course.", **FILE)] = None
     record: Annotated[Literal["needed", "all"], typer.Option(
         help="needed: raw packets and frames, odometry, status, steering, predictions, errors, "
         "diagnostics. all: also the other topics of the bridges, which can be computed from these.")] = "needed"
@@ -230,18 +230,18 @@ LEAF = config("car/leaf/vehicle.yaml")
 
 
 def load_vehicle_or_default(vehicle: Path | None) -> "tuple[VehicleParameters, Path]":
-    """(vehicle parameters, their file), by default those of the Leaf. Raises RunError and StCoreError."""
+    """(vehicle parameters, their file), by default those of the Leaf. Raises RunError or StCoreError."""
     from st_recordings.car import read_vehicle
 
     file = vehicle or LEAF
     return read_vehicle(file), file
 
 
-def report_default_car(verb: str, named: Path | None, file: Path | str) -> None:
-    """Print a line if `file` (vehicle or DBC) is the Leaf's because the user named none (`named` is None)."""
+def report_default_car(verb: str, named_file: Path | None, file: Path | str) -> None:
+    """Print a line if `file` (vehicle or DBC) is the Leaf's because the user named none."""
     from st_recordings.car import list_cars
 
-    if named is None and Path(file).resolve().parent == LEAF.resolve().parent:
+    if named_file is None and Path(file).resolve().parent == LEAF.resolve().parent:
         typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another car "
                    f"({', '.join(list_cars())}, or a folder)", err=True)
 

@@ -1,4 +1,4 @@
-"""The commands `st evaluate`, `st calibrate` and `st course`: score predictions, make bands and courses for them."""
+"""The commands `st evaluate`, `st calibrate` and `st course`: score predictions, calibrate bands, build courses."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +70,7 @@ def evaluate(
         False, "--adaptive", help="Also test bands that adapt to the errors of each run; initially those of --bands, "
         "if given."),
     course: Path | None = typer.Option(
-        None, help="Course of `st course build`: also predict with the inputs recorded on this course before.",
+        None, help="Course of `st course build`: also predict with the inputs recorded on it earlier.",
         **shared.FILE),
     advise: float | None = typer.Option(
         None, help="Permitted lateral error, m: also report the cheapest model and step that meet it, by speed and "

@@ -78,7 +78,7 @@ def live(
     ins = {"udp_port": ncom_port, "bind_address": ncom_address, "sender_filter": ncom_sender}
     can = {"interface": can_interface, "channel": can_channel}
     with shared.report_errors("live"):
-        car = car_options.fill_in_car(complete=True)
+        car = car_options.fill_in_car(requires_bus=True)
         vehicle = configuration.resolve_vehicle_file(car.vehicle)
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
         extra = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",

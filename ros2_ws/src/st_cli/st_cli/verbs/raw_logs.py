@@ -64,7 +64,7 @@ def align(
 
 
 def describe_alignment(alignment: "Alignment", start_ns: int, absolute: bool) -> str:
-    """Result in one line, for a title. start_ns: start of the CAN log. absolute: whether the INS time is UTC."""
+    """One-line description of an alignment, for a title. start_ns: start of the CAN log. absolute: INS time is UTC."""
     offset = (f"offset {_format_seconds(alignment.offset_at_ns(start_ns))} s" if absolute
               else f"CAN log starts at INS time {_format_seconds(int(alignment.to_reference_ns(start_ns)))} s")
     if alignment.method == "by hand":
@@ -86,8 +86,8 @@ def print_alignment(pair: "RawRun") -> None:
     if alignment.method != "none":
         start_ns = pair.can.start_ns
         middle = (alignment.at_ns - start_ns) * 1e-9
-        assumed_deviation = max((s.latency_uncertainty for s in pair.shared), default=0.0)
-        own_deviation = max(alignment.offset_deviation**2 - assumed_deviation**2, 0.0) ** 0.5
+        delay_deviation = max((s.latency_uncertainty for s in pair.shared), default=0.0)
+        estimation_deviation = max(alignment.offset_deviation**2 - delay_deviation**2, 0.0) ** 0.5
         table = Table(box=None, padding=(0, 2), show_header=False)
         offset = _format_seconds(alignment.offset_at_ns(start_ns))
         table.add_row("INS minus CAN clock", f"{offset} s", "at the CAN log's start")
@@ -100,8 +100,8 @@ def print_alignment(pair: "RawRun") -> None:
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
-            own = _format_deviation(own_deviation * 1e3, "ms")
-            table.add_row("  its standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
+            own = _format_deviation(estimation_deviation * 1e3, "ms")
+            table.add_row("  standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
                           f"{own} without the uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
                           "INS relative to CAN clock; standard deviation "
@@ -119,7 +119,8 @@ def _make_signal_table(alignment: "Alignment") -> "Table":
 
     table = Table(box=None, padding=(0, 2))
     table.add_column("signal", overflow="fold")
-    for name in ("its offset minus the\nresult, ms (deviation)", "correlation", "residual /\nstandard deviation"):
+    for name in ("difference from the offset,\nms (standard deviation)", "correlation",
+                 "residual /\nstandard deviation"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in alignment.signals:
         difference = f"{round(row.difference * 1e3, 2) + 0.0:+.2f} ({_format_deviation(row.deviation * 1e3)})"

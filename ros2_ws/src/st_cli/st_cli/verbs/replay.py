@@ -51,7 +51,7 @@ def replay(
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(
-        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m; of yaw angles, rad."),
+        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference: of positions m, of yaw rad."),
     replayed: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),

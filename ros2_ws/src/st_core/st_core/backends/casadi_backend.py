@@ -35,7 +35,7 @@ class Variable:
 
     name: str
     unit: str
-    lower: float = -math.inf  # end of the valid range of x or u, or bound of a parameter [unit]
+    lower: float = -math.inf  # limit of the valid range of x or u, or bound of a parameter [unit]
     upper: float = math.inf
     value: float = math.nan  # known value of a parameter; NaN if the caller must supply it
 
@@ -56,7 +56,7 @@ class SymbolicModel:
         start(x_six, u) -> x                initial state: the six states and the extra ones
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
-    model. left_out: effects of the model that are not included, because they act on recorded steering or on sensors.
+    model. omitted_effects: those of the model that act on recorded steering or on sensors, not in the equations.
     """
 
     name: str
@@ -64,7 +64,7 @@ class SymbolicModel:
     inputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     substeps: int
-    left_out: tuple[str, ...]
+    omitted_effects: tuple[str, ...]
     dynamics: casadi.Function
     step: casadi.Function
     dynamics_jacobian: casadi.Function

@@ -78,7 +78,7 @@ def _list_base_folders() -> Iterator[Path]:
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "st_core" / "kernels"
 
 
-def find_reachable(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
+def find_reachable_functions(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
     They are found by the names in its code and closure, attributes of modules included. excluded: names of modules.
@@ -128,7 +128,7 @@ def fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) 
     The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.
     """
     digest = hashlib.sha256()
-    functions = find_reachable(function, excluded)
+    functions = find_reachable_functions(function, excluded)
     number = {f: str(i) for i, f in enumerate(functions)}
     describe = partial(_describe_value, number=number)
     for file in map(Path, sorted({f.__code__.co_filename for f in functions})):

@@ -54,7 +54,7 @@ C4, C5, C6 = -2.755731205923296e-07, 2.087538637959625e-09, -1.1341301033703834e
 
 A1, A2, A3, A4 = -0.3333333333333324, 0.1999999999984203, -0.14285714239428257, 0.11111105932082634
 A5, A6, A7, A8 = -0.09090623565675247, 0.0768371258882859, -0.06521798362425968, 0.04577471134842663
-LOW, HIGH = 0.2679491924311227, 3.732050807568877  # tan(pi/12), 1 / tan(pi/12)
+TAN_PI_12, COT_PI_12 = 0.2679491924311227, 3.732050807568877
 TAN_PI_6 = 0.5773502691896257
 PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
@@ -110,7 +110,7 @@ def _atan(x):
     a = _from_bits(_to_bits(x) & MAGNITUDE)
     u = _from_bits((_to_bits(x) & SIGN) | ONE)
     below_one = a < 1.0
-    middle = (a > LOW) & (a < HIGH)
+    middle = (a > TAN_PI_12) & (a < COT_PI_12)
     n = x if below_one else -u
     d = 1.0 if below_one else a
     c = -TAN_PI_6 if below_one else TAN_PI_6
@@ -143,8 +143,8 @@ INTERLEAVE = 3  # vectors
 CACHE_LINE = 64  # bytes
 EXCLUDED_MODULES = frozenset((ops.__name__,))  # modules with functions that are compiled above
 
-_compiled: dict[Any, Any] = {}
-_inlined: set = set()
+_kernels: dict[Any, Any] = {}
+_inlined_functions: set = set()
 _lock = Lock()
 
 
@@ -181,9 +181,9 @@ def _get_kernel(model: Model, p: Any, types_of_p: tuple, fields: int, states: in
     # The key contains no parameter values, so a fit, which changes them a thousand times, compiles once.
     key = (model.rhs, types_of_p, fields, states)
     with _lock:
-        if key not in _compiled:
-            _compiled[key] = _compile(model, numba.typeof(as_floats(p)), fields, states)
-        return _compiled[key]
+        if key not in _kernels:
+            _kernels[key] = _compile(model, numba.typeof(as_floats(p)), fields, states)
+        return _kernels[key]
 
 
 def _collect_numbers(p: tuple, numbers: list[float]) -> tuple:
@@ -218,9 +218,9 @@ def _compile(model: Model, type_of_p, fields: int, states: int):
 
 def make_kernel(model: Model, type_of_p, fields: int, states: int):
     """The kernel of a model, not compiled yet, for the numba type of its parameters."""
-    for function in numba_cache.find_reachable(cast(FunctionType, model.rhs), EXCLUDED_MODULES):
-        if function not in _inlined:
-            _inlined.add(inline(function))
+    for function in numba_cache.find_reachable_functions(cast(FunctionType, model.rhs), EXCLUDED_MODULES):
+        if function not in _inlined_functions:
+            _inlined_functions.add(inline(function))
     return _define_kernel(model.rhs, _make_parameter_reader(type_of_p), _make_loader(fields), _make_loader(states),
                           _make_scratch(states * LANES))
 

@@ -30,7 +30,7 @@ from ..vehicle import VehicleParameters
 from .scale import CalibrationDomain, Scale, conditions_at, fit_scale, select_evenly
 
 MAX_STARTS_PER_RUN = 1000  # more predictions overlap more and need 1.2 kB each per model and mode
-ModelMode = tuple[str, str]  # (model, mode); errors in hindsight are due to the model, in a forecast also to the driver
+ModelMode = tuple[str, str]  # (model, mode); only forecast errors include those of the assumed future inputs
 
 
 class NotFiniteError(StCoreError):
@@ -76,7 +76,7 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
     starts = starts[np.isfinite(conditions).all(axis=1) & _is_measured(models, signals, starts, settings)]
     starts = starts[select_evenly(len(starts), MAX_STARTS_PER_RUN)]
     scored: list[np.ndarray] = []
-    curves_of: dict[ModelMode, list[np.ndarray]] = {}
+    curves_by_pair: dict[ModelMode, list[np.ndarray]] = {}
     for rows, block in evaluate_blocks(models, vehicle, signals, starts, settings):
         complete = np.isfinite(block.conditions["speed"])  # finite only if the whole horizon was measured
         scored.append(starts[rows][complete])
@@ -87,12 +87,12 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
                 first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
                 raise NotFiniteError(f"errors of {pair[0]} are not finite, first for the start at {first:.1f} s, "
                                      "though all inputs were measured: correct the model or use a shorter --step")
-            curves_of.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
+            curves_by_pair.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
     scored_starts = np.concatenate([starts[:0], *scored])
     if not len(scored_starts):
         raise StCoreError(f"no prediction has a completely measured horizon of {horizon:g} s; leave the run out")
     return ErrorSamples(log.name, conditions_at(signals, scored_starts),
-                        {pair: np.concatenate(curves) for pair, curves in curves_of.items()})
+                        {pair: np.concatenate(curves) for pair, curves in curves_by_pair.items()})
 
 
 def join_runs(runs: Sequence[ErrorSamples]) -> ErrorSamples:
@@ -116,7 +116,7 @@ def _is_measured(models: Sequence[Model], signals: LogSignals, starts_ns: np.nda
     return measured
 
 
-ROUNDING = 1.0e-9  # tolerance for rounding errors of levels
+ROUNDING_TOLERANCE = 1.0e-9  # tolerance for rounding errors of levels
 
 
 def compute_highest_level(runs: int) -> float:
@@ -124,9 +124,9 @@ def compute_highest_level(runs: int) -> float:
     return runs / (runs + 1.0)
 
 
-def count_runs_needed(level: float) -> int:
+def count_required_runs(level: float) -> int:
     """Smallest number n of runs that supports a level in (0, 1): n/(n + 1) >= level."""
-    return max(1, math.ceil(level / (1.0 - level) - ROUNDING))
+    return max(1, math.ceil(level / (1.0 - level) - ROUNDING_TOLERANCE))
 
 
 def check_levels(levels: Sequence[float], runs: int) -> None:
@@ -136,10 +136,10 @@ def check_levels(levels: Sequence[float], runs: int) -> None:
     for level in levels:
         if not 0.0 < level < 1.0:
             raise StCoreError(f"level {level:g}: must be between 0 and 1")
-        if level > compute_highest_level(runs) + ROUNDING:
+        if level > compute_highest_level(runs) + ROUNDING_TOLERANCE:
             verb = "run supports" if runs == 1 else "runs support"
             raise StCoreError(f"{runs} {verb} levels up to {compute_highest_level(runs):.1%}, n/(n + 1), not "
-                              f"{level:.0%}: give {count_runs_needed(level)} runs or more, or a lower --level")
+                              f"{level:.0%}: give {count_required_runs(level)} runs or more, or a lower --level")
 
 
 def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[float]) -> np.ndarray:
@@ -151,18 +151,18 @@ def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[flo
     check_levels(levels, count)
     values = np.sort(np.concatenate([np.asarray(run, float) for run in scores]))
     by_run = np.stack([np.searchsorted(np.sort(run), values, side="right") / len(run) for run in scores])
-    covered = by_run.mean(axis=0)
-    # exactly[k]: probability that k windows of a draw, one per run, have a score <= each value. at_least[k]:
-    # distribution function of the k-th smallest score of a draw. mean[k]: mean coverage of this score.
-    exactly = np.zeros((count + 1, len(values)))
-    exactly[0] = 1.0
+    coverage = by_run.mean(axis=0)
+    # count_probability[k]: probability that k windows of a draw, one per run, have a score <= each value.
+    # distribution[k]: distribution function of the k-th smallest score of a draw. mean[k]: mean coverage of this score.
+    count_probability = np.zeros((count + 1, len(values)))
+    count_probability[0] = 1.0
     for p in by_run:
-        exactly[1:] = exactly[1:] * (1.0 - p) + exactly[:-1] * p
-        exactly[0] *= 1.0 - p
-    at_least = np.cumsum(exactly[::-1], axis=0)[::-1]
-    mean = np.concatenate([[0.0], np.diff(at_least[1:], axis=1, prepend=0.0) @ covered])
+        count_probability[1:] = count_probability[1:] * (1.0 - p) + count_probability[:-1] * p
+        count_probability[0] *= 1.0 - p
+    distribution = np.cumsum(count_probability[::-1], axis=0)[::-1]
+    mean = np.concatenate([[0.0], np.diff(distribution[1:], axis=1, prepend=0.0) @ coverage])
     target = np.interp(np.asarray(levels, float) * (count + 1.0), np.arange(count + 1), mean)
-    return values[np.minimum(np.searchsorted(covered, target - ROUNDING), len(values) - 1)]
+    return values[np.minimum(np.searchsorted(coverage, target - ROUNDING_TOLERANCE), len(values) - 1)]
 
 
 LEVELS = (0.5, 0.9)

@@ -104,7 +104,7 @@ class Bands:
         document: dict[str, Any] = {
             "vehicle": {"name": self.vehicle_name, "hash": self.vehicle_hash}, "settings": dict(self.settings),
             "recordings": dict(self.recordings), "runs": self.runs,
-            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.largest)}, "bands": entries}
+            "seen": {"starts": self.domain.starts.tolist(), "most": list(self.domain.upper_limits)}, "bands": entries}
         lines = [HEADER + f"schema: {SCHEMA}", f"units: {json.dumps(UNITS)}"]
         lines += [f"{key}: {_to_flow(document[key])}" for key in ("vehicle", "settings", "runs", "seen")]
         lines += ["recordings:", *(f"  {_to_flow(k)}: {_to_flow(v)}" for k, v in document["recordings"].items())]

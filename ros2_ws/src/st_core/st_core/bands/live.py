@@ -39,7 +39,7 @@ WARM_UP = 120.0  # s of scored driving before a band without a calibration is is
 PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
 MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2; keeps the scale above 0
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
-MAX_WAITING = 10_000  # number of predictions stored until their scores arrive
+MAX_WAITING_PREDICTIONS = 10_000  # predictions stored until their scores arrive
 
 
 class AdaptiveBand:
@@ -73,8 +73,8 @@ class AdaptiveBand:
         for level in LEVELS:
             # Without a factor of this level, that of the nearest level is scaled by the ratio of the default factors.
             nearest = min(known, key=lambda other: abs(other - level), default=level)
-            default, of_nearest = np.interp((level, nearest), list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values()))
-            self._logs[level] = math.log(known.get(nearest, default) * default / of_nearest)
+            default, reference = np.interp((level, nearest), list(DEFAULT_FACTORS), list(DEFAULT_FACTORS.values()))
+            self._logs[level] = math.log(known.get(nearest, default) * default / reference)
         self._squares = np.square(np.outer(self._time**2, DEFAULT_SCALE))
         self._weight = self._elapsed = 0.0
         self._last_ns: int | None = None
@@ -101,12 +101,12 @@ class AdaptiveBand:
         if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, their scores never arrive
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
-        if len(self._issued) > MAX_WAITING:
+        if len(self._issued) > MAX_WAITING_PREDICTIONS:
             self._issued.popleft()
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Whether the whole path was inside, by level; empty without `issue` for this start, or for errors not finite.
+        """Whether the whole path was inside, by level; empty without `issue` for this start, or with non-finite errors.
 
         Updates the factors, and the scale if it is estimated from the run. Call in order of time. errors: (points, 3)
         [m, m, rad] in the predicted frame.
@@ -122,14 +122,14 @@ class AdaptiveBand:
         gain = GAIN + (START_GAIN - GAIN) * math.exp(-self._elapsed / SETTLING_TIME)
         self._elapsed += weight
         score = float((np.abs(errors) / scale).max())
-        for level, issued in factors.items():
-            updated = self._logs[level] + gain * weight * (float(score > issued) - (1.0 - level))
+        for level, factor in factors.items():
+            updated = self._logs[level] + gain * weight * (float(score > factor) - (1.0 - level))
             self._logs[level] = min(max(updated, math.log(MIN_FACTOR)), math.log(MAX_FACTOR))
         if self._band is None:  # exponentially weighted mean square of the errors
             self._weight = min(self._weight + weight, SCALE_FORGETTING)
             fraction = weight / (self._weight + PRIOR_WEIGHT)
             self._squares += fraction * (np.maximum(np.square(errors), MIN_SQUARED_ERROR) - self._squares)
-        return {level: score <= issued for level, issued in factors.items()}
+        return {level: score <= factor for level, factor in factors.items()}
 
     def replay(self, starts_ns: np.ndarray, conditions: np.ndarray,
                errors: np.ndarray) -> tuple[dict[float, np.ndarray], np.ndarray]:
@@ -316,10 +316,10 @@ class CoverageMonitor:
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
     def add_bands(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
-        """Store the half-widths published with a prediction; of more than MAX_WAITING, the oldest are dropped."""
+        """Store the half-widths published with a prediction; beyond MAX_WAITING_PREDICTIONS, the oldest are dropped."""
         for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
-        while len(self._waiting) > MAX_WAITING:
+        while len(self._waiting) > MAX_WAITING_PREDICTIONS:
             del self._waiting[next(iter(self._waiting))]
 
     def add_score(self, score: Score) -> None:

@@ -71,7 +71,7 @@ def conditions_at(signals: LogSignals, starts_ns: np.ndarray) -> np.ndarray:
 MIN_STARTS = 10  # minimum number of starts of a run in a cell of speed and lateral acceleration; 1 s at 10 starts/s
 MIN_RUNS_IN_CELL = 2  # minimum number of runs with MIN_STARTS; one run does not show the variation between runs
 EDGES = {"speed": SPEED_EDGES, "lateral_acceleration": LATERAL_ACCELERATION_EDGES,
-         "steering_activity": STEERING_RATE_EDGES}  # of bins; those of the first two are the cells
+         "steering_activity": STEERING_RATE_EDGES}  # of bins; speed and a_y define the cells
 
 
 def find_cells(conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ class CalibrationDomain:
     """Conditions with enough calibration runs: cells of speed and lateral acceleration, and two upper limits."""
 
     starts: np.ndarray  # number by (speed, lateral acceleration) bin, 0 if fewer than MIN_RUNS_IN_CELL had MIN_STARTS
-    largest: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
+    upper_limits: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod
     def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
@@ -97,15 +97,15 @@ class CalibrationDomain:
         starts = np.zeros((len(conditions), len(SPEED_EDGES), len(LATERAL_ACCELERATION_EDGES)), int)
         for run, counts in zip(conditions, starts, strict=True):
             np.add.at(counts, find_cells(run), 1)
-        enough = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS_IN_CELL
+        has_enough_runs = (starts >= MIN_STARTS).sum(axis=0) >= MIN_RUNS_IN_CELL
         rows = np.concatenate(conditions)
-        return cls(np.where(enough, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
+        return cls(np.where(has_enough_runs, starts.sum(axis=0), 0), (float(rows[:, 2].max()), float(rows[:, 3].max())))
 
     def contains(self, conditions: np.ndarray) -> np.ndarray:
         """(n,) bool: whether conditions (n, 4) are in the domain; False where one is NaN."""
         known = np.isfinite(conditions).all(axis=1)
         rows = np.where(known[:, None], conditions, 0.0)
-        return known & (self.starts[find_cells(rows)] > 0) & (rows[:, 2:] <= self.largest).all(axis=1)
+        return known & (self.starts[find_cells(rows)] > 0) & (rows[:, 2:] <= self.upper_limits).all(axis=1)
 
     def describe_outside(self, condition: Sequence[float]) -> str:
         """One-line reason why four conditions are outside the domain; empty if they are inside."""
@@ -114,7 +114,7 @@ class CalibrationDomain:
         for name, value in zip(CONDITIONS, condition, strict=True):
             if not np.isfinite(value):
                 return f"{name.replace('_', ' ')} is unknown"
-        for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.largest, strict=True):
+        for name, value, limit in zip(CONDITIONS[2:], condition[2:], self.upper_limits, strict=True):
             if value > limit:
                 text = name.replace("_", " ").replace("forward acceleration", "|forward acceleration|")
                 return f"{text} {value:.3g} {UNITS[name]} exceeds the calibrated limit {limit:.3g}"

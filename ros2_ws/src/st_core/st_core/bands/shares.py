@@ -52,36 +52,38 @@ def sum_squared_contributions(
     def make_batch(drive: LogSignals) -> LogBatch:
         return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
 
-    def predict_path(drive: LogSignals, changed: Model, car: VehicleParameters) -> np.ndarray:
-        states = make_batch(drive).predict(changed, car)
+    def predict_path(drive: LogSignals, varied: Model, car: VehicleParameters) -> np.ndarray:
+        states = make_batch(drive).predict(varied, car)
         with np.errstate(all="ignore"):
-            r = predict_readings(changed, car, tuple(np.moveaxis(states, -1, 0)))
+            r = predict_readings(varied, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([r.x, r.y, r.yaw])
 
     measured = make_batch(signals)
     errors, base = measured.errors(model, vehicle), predict_path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
-    ends: dict[Cause, list[np.ndarray]] = {}
+    varied_paths: dict[Cause, list[np.ndarray]] = {}
     for key, cars in _vary_vehicle(vehicle).items():
         drives = [signals if signals.log.steering_wheel_angle is None
                   else settings.signals(signals.log.with_steering(car)) for car in cars]
-        ends[PARAMETERS, key] = [predict_path(drive, model, car) for drive, car in zip(drives, cars, strict=True)]
+        pairs = zip(drives, cars, strict=True)
+        varied_paths[PARAMETERS, key] = [predict_path(drive, model, car) for drive, car in pairs]
     for key, models in _vary_model(model, intervals or {}).items():
-        ends[PARAMETERS, key] = [predict_path(signals, changed, vehicle) for changed in models]
+        varied_paths[PARAMETERS, key] = [predict_path(signals, varied, vehicle) for varied in models]
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
-        shifted = [replace(signals.log, **{name: getattr(signals.log, name) + by}) for by in (-sigma, sigma)]
-        ends[SENSORS, f"{name} at the start"] = [predict_path(settings.signals(log), model, vehicle) for log in shifted]
+        logs = [replace(signals.log, **{name: getattr(signals.log, name) + step}) for step in (-sigma, sigma)]
+        varied_paths[SENSORS, f"{name} at the start"] = [
+            predict_path(settings.signals(log), model, vehicle) for log in logs]
     squares: dict[Cause, np.ndarray] = {}
-    for cause, (low_end, high_end) in ends.items():
-        change = np.stack([*map_to_body(0.5 * (high_end[0] - low_end[0]), 0.5 * (high_end[1] - low_end[1]), base[2]),
-                           wrap_angle(high_end[2] - low_end[2]) * 0.5], axis=-1)[complete]
+    for cause, (lower, higher) in varied_paths.items():
+        change = np.stack([*map_to_body(0.5 * (higher[0] - lower[0]), 0.5 * (higher[1] - lower[1]), base[2]),
+                           wrap_angle(higher[2] - lower[2]) * 0.5], axis=-1)[complete]
         if (change != 0.0).any():
             squares[cause] = np.square(change).sum(axis=0)
-    position = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
-    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * np.array([position, position, noise["yaw"] ** 2]),
-                                                  (len(seconds), 1))
+    position_variance = 0.5 * (noise["x"] ** 2 + noise["y"] ** 2)
+    pose_variances = np.array([position_variance, position_variance, noise["yaw"] ** 2])
+    squares[SENSORS, "pose at the end"] = np.tile(complete.sum() * pose_variances, (len(seconds), 1))
     return int(complete.sum()), np.square(errors[complete]).sum(axis=0), squares
 
 
@@ -91,7 +93,7 @@ def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameter
     for key, provenance in vehicle.provenance.items():
         if sigma := provenance.uncertainty:
             with contextlib.suppress(ConfigurationError):
-                variants[key] = [vehicle.with_values({key: value_of(vehicle, key) + by}) for by in (-sigma, sigma)]
+                variants[key] = [vehicle.with_values({key: value_of(vehicle, key) + step}) for step in (-sigma, sigma)]
     return variants
 
 

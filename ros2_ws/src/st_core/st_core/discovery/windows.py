@@ -207,11 +207,11 @@ class Windows:
                     "lateral_acceleration": np.abs(np.nan_to_num(rate * speed)).mean(axis=1)}
 
     def noise_floor(self) -> dict[str, float]:
-        """Standard deviation of the noise of each column at the end of the horizon [SI]; see `Channel.noise_errors`."""
+        """Standard deviation of the noise of each column at the end of the horizon [SI]: `Channel.noise_deviations`."""
         grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self.time[-1], 101) * 1e9).astype(np.int64)
         step, signals = float(self.time[-1]) / 100.0, self.measured_at(grid, *INS_SIGNALS)
         return {column: value for c in self.channels
-                for column, value in zip(c.columns, c.noise_errors(self.joined, step, *signals), strict=True)}
+                for column, value in zip(c.columns, c.noise_deviations(self.joined, step, *signals), strict=True)}
 
     def errors(self, model: AugmentedModel, gain: float = 0.0) -> np.ndarray:
         """(n, k, c) errors of a model, measured minus predicted [SI], by `time` and `columns`; NaN where unknown. gain
@@ -240,15 +240,15 @@ class Windows:
 
     def _specific_force_excess(self, model: AugmentedModel, states: np.ndarray) -> np.ndarray | float:
         """`specific_force_excess` at the scored points [m/s^2]."""
-        if not any(e.specific_force for e in model.active):
+        if not any(e.specific_force for e in model.active_effects):
             return 0.0
         recording = self._batch.recording(model)
-        if "points" not in recording.sampled:
+        if "points" not in recording.sample_cache:
             signals = recording.signals
             acceleration, = signals.ins_at(self._times, "velocity_x_dot")
-            recording.sampled["points"] = signals.road_wheel_angle_at(self._times), acceleration
+            recording.sample_cache["points"] = signals.road_wheel_angle_at(self._times), acceleration
         return specific_force_excess(model, self.vehicle, tuple(np.moveaxis(states, -1, 0)),
-                                     *recording.sampled["points"])
+                                     *recording.sample_cache["points"])
 
 
 def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, states: tuple, angle: np.ndarray,
@@ -257,7 +257,7 @@ def specific_force_excess(model: AugmentedModel, vehicle: VehicleParameters, sta
     road wheel angle [rad] and the forward acceleration [m/s^2]."""
     # Only effects that act on the accelerometer, change the inputs or change the base model.
     model = model.select_effects(e for e in model.effects
-                                 if e.converts or (e in model.active and (e.specific_force or e.inputs)))
+                                 if e.converts or (e in model.active_effects and (e.specific_force or e.inputs)))
     excess = compose(model.base, model.effects).specific_force
     if excess is None:
         return 0.0
