@@ -180,6 +180,42 @@ def test_velocities_to_the_north_and_east_are_rotated() -> None:
     np.testing.assert_allclose(columns["velocity_x"], 10.0)
 
 
+def to_ned(message: Any, z_down: bool, over_ground: bool) -> Any:
+    """Odometry with x to the north and y to the east. z_down: also in body axes."""
+    pose, twist = message.pose.pose, message.twist.twist
+    yaw = 2.0 * np.arctan2(pose.orientation.z, pose.orientation.w)
+    turned = make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(np.pi / 4 - yaw / 2)),
+                  w=float(np.cos(np.pi / 4 - yaw / 2)))
+    sign = -1.0 if z_down else 1.0
+    east, north = body_to_map(twist.linear.x, twist.linear.y, yaw)
+    linear = vector(north, east) if over_ground else vector(twist.linear.x, sign * twist.linear.y)
+    return replace(
+        message, header=replace(message.header, frame_id="odom_ned"),
+        pose=replace(message.pose, pose=make("geometry_msgs/msg/Pose", position=vector(
+            pose.position.y, pose.position.x, kind="Point"), orientation=turned)),
+        twist=replace(message.twist, twist=replace(twist, linear=linear, angular=vector(0, 0, sign * twist.angular.z))))
+
+
+@pytest.mark.parametrize(("z_down", "over_ground"), [(True, False), (False, False), (True, True)])
+def test_odometry_in_north_east_down(tmp_path: Path, drive_log: DriveLog, z_down: bool, over_ground: bool) -> None:
+    folder = write(tmp_path / "drive", drive_log, "/odom", "/steer", change={
+        "/odom": lambda message, k: to_ned(message, z_down, over_ground)})
+    run = read(find_runs([folder])[0], CAR, STEER)
+    assert_same(run.log, drive_log, max_lost=0)
+    assert_warned(run.warnings, "frame_id is 'odom_ned': x, y and yaw were converted")
+
+
+def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> None:
+    def forget(message: Any, k: int) -> Any:
+        twist = replace(message.twist.twist, angular=vector(0, 0))
+        return replace(message, twist=replace(message.twist, twist=twist))
+
+    folder = write(tmp_path / "drive", drive_log, "/odom", "/steer", change={"/odom": forget})
+    run = read(find_runs([folder])[0], CAR, STEER)
+    np.testing.assert_allclose(run.log.yaw_rate, drive_log.yaw_rate, atol=0.05)  # a sweep
+    assert_warned(run.warnings, "yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
+
+
 def test_fixes_with_the_status_of_no_fix_are_left_out(tmp_path: Path, drive_log: DriveLog) -> None:
     def spoil(message: Any, k: int) -> Any:
         return replace(message, latitude=51.9 + 1e-5 * k, status=replace(message.status, status=-1)) if (
@@ -204,7 +240,9 @@ def test_orientation_that_the_driver_does_not_measure_is_not_read(tmp_path: Path
 
 def test_steering_angle_in_degrees_in_the_name_of_its_field(tmp_path: Path, drive_log: DriveLog) -> None:
     (source,) = find_runs([write(tmp_path / "drive", drive_log, "/pose", "/twist", "/wheel")])
-    assert_same(read(source, CAR).log, drive_log, max_lost=0)
+    named = ReadSettings(steering=SteeringField("/wheel", "steering_wheel_angle_deg", "wheel"))
+    for settings in (ReadSettings(), named):
+        assert_same(read(source, CAR, settings).log, drive_log, max_lost=0)
 
 
 def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_path: Path,

@@ -107,7 +107,7 @@ class ReadOptions:
         help="Meaning of this angle: road wheel angle (road) or steering wheel angle (wheel), which is converted with "
         "ratio and offset of the vehicle file.")] = "road"
     steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
-        help="Unit of this angle; default: rad in a topic, the unit of the header in a table.")] = None
+        help="Unit of this angle; default: that in the name of the field or column, else rad.")] = None
     odometry_topic: Annotated[str | None, typer.Option(
         help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")] = None
 

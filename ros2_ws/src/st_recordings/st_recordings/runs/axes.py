@@ -17,6 +17,30 @@ MAX_AGREEING_ANGLE = 0.1
 reading if that of the other reading is larger by this."""
 
 
+def find_words(frame_id: str) -> set[str]:
+    return {*re.split("[^a-z]+", frame_id.lower())}
+
+
+def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
+    """Converts the INS channels of an odometry to a map with x to the east and to body axes with y to the left; changes
+    `values` and returns warnings.
+
+    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The yaw rate then shows by its sign
+    whether the body axes, too, have z down.
+    """
+    notes = []
+    is_ned = "ned" in find_words(frame_id)
+    if is_ned:
+        values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
+        notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and clockwise")
+    over_ground = rotate_to_body_axes(values)
+    if is_ned and np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:]) < 0:
+        values["yaw_rate"] = -values["yaw_rate"]
+        values["velocity_y"] = values["velocity_y"] if over_ground else -values["velocity_y"]
+        notes.append("the body axes have z down: the sign of yaw_rate and velocity_y was changed")
+    return [*notes, over_ground] if over_ground else notes
+
+
 def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> str:
     """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
 
@@ -32,7 +56,7 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     east, yaw = velocity[rows], columns["yaw"][rows]
     body_error, *map_errors = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
         east * np.exp(1j * yaw), east, 1j * east.conj()))
-    names_map = is_map = not MAP_FRAMES.isdisjoint(re.split("[^a-z]+", frame_id.lower()))
+    names_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
     if min(body_error, *map_errors) < MAX_AGREEING_ANGLE < abs(body_error - min(map_errors)):
         is_map = min(map_errors) < body_error
     axes = "body axes"

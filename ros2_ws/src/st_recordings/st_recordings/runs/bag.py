@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 from st_core.log import DriveLog
+from st_core.sideslip import derive_yaw_rate
 
 from ..bag_metadata import read_information
-from .axes import rotate_to_body_axes
+from .axes import convert_odometry
 from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, open_bag, storage_files
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
 from .errors import RunError, format_share
@@ -128,16 +129,13 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         columns[STEERING] = reconstruction.reconstruct_steering()
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns, bool(steering))]
-    log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING])
+    frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
+    log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
     unknown = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
-    frame = reconstruction.map_frame()
-    if reads_odometry:
-        first: Any = storage.store.deserialize_cdr(next(storage.messages(topics[ODOMETRY])), ODOMETRY)
-        frame = getattr(first.header, "frame_id", "")  # the definition of a header in the bag may lack it
     provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
     if (origin := reconstruction.read_origin()) is not None:
         latitude, longitude, altitude = origin
@@ -153,7 +151,7 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
     topic = _find_topic(storage, ODOMETRY, odometry)
     columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
-    ins_ns, values, _, row_notes = _select_odometry(columns)
+    ins_ns, values, _, row_notes = _select_odometry(columns, _read_frame_id(storage, topic.name))
     return InsLog(path, ins_ns, values, ins_ns, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
 
 
@@ -187,7 +185,7 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
                 notes.append(f"the stamps of {' and '.join(topics.values())} do not overlap in time; the times of "
                              "reception are used for both")
         elif is_foreign:
-            aligned, clock_notes = storage.align_stamps({topics[kind]: stamps for kind, stamps in by_kind.items()})
+            aligned, clock_notes = storage.align_stamps([(topics[kind], stamps) for kind, stamps in by_kind.items()])
             for kind, stamps in zip(topics, aligned, strict=True):
                 columns[kind]["header.stamp"] = stamps
             notes += clock_notes
@@ -249,8 +247,14 @@ def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> To
     return preferred[0]
 
 
-def _select_odometry(
-        odometry: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
+def _read_frame_id(storage: Storage, topic: str) -> str:
+    """header.frame_id of the first odometry message; empty if the definition of a header in the bag lacks it."""
+    first: Any = storage.store.deserialize_cdr(next(storage.messages(topic)), ODOMETRY)
+    return str(getattr(first.header, "frame_id", ""))
+
+
+def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
+        np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
     """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
@@ -258,14 +262,18 @@ def _select_odometry(
     missing = {signal: int((~np.isfinite(value)).sum()) for signal, value in values.items()}
     is_usable = np.isfinite(np.stack(list(values.values()))).all(axis=0)
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
-    notes += [note] if (note := rotate_to_body_axes(values)) else []
-    return time_ns, {k: np.unwrap(v[rows]) if k == "yaw" else v[rows] for k, v in values.items()}, missing, notes
+    values = {name: value[rows] for name, value in values.items()}
+    values["yaw"] = np.unwrap(values["yaw"])
+    if len(rows) > 2 and np.ptp(values["yaw"]) > 0 and not values["yaw_rate"].any():
+        values["yaw_rate"] = derive_yaw_rate(time_ns, values["yaw"])
+        notes.append("yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
+    return time_ns, values, missing, [*notes, *convert_odometry(values, frame_id)]
 
 
 def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-                     ) -> tuple[DriveLog, dict[str, int], list[str]]:
+                     frame_id: str) -> tuple[DriveLog, dict[str, int], list[str]]:
     """(log, channel -> number of messages without a usable value, notes)."""
-    ins_ns, values, missing, notes = _select_odometry(odometry)
+    ins_ns, values, missing, notes = _select_odometry(odometry, frame_id)
     is_usable = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~is_usable).sum())
     steering_ns, steering_rows, steering_notes = _select_usable_messages(

@@ -75,7 +75,7 @@ def _move_to_one_clock(storage: Storage, parts: Sequence[Part]) -> tuple[list[Pa
     if max(stamps.min() for stamps in known) > min(stamps.max() for stamps in known):
         return [(name, storage.read_log_times(name, stamps), part) for name, stamps, part in parts], [
             "the stamps of its topics do not overlap in time; the times of reception are used"]
-    aligned, notes = storage.align_stamps({name: stamps for name, stamps, _ in parts})
+    aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
     return [(name, times[stamps != 0], {column: values[stamps != 0] for column, values in part.items()})
             for (name, stamps, part), times in zip(parts, aligned, strict=True)], notes
 

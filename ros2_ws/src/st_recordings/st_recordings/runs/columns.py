@@ -228,9 +228,8 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         if column is None:
             raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
                            f"its columns are {', '.join(names)[:300]}")
-        stated = (find_unit(COLUMNS[channel].kind, unit) for text in (names[column], named)
-                  for base, unit in _split_name_and_unit(text) if unit and base)
-        sources[channel] = _make_source(column, names[column], channel, next(filter(None, stated), None))
+        unit = find_stated_unit(names[column], COLUMNS[channel].kind) or find_stated_unit(named, COLUMNS[channel].kind)
+        sources[channel] = _make_source(column, names[column], channel, unit)
     if "t" not in sources and (pair := find_stamp_columns(names)):
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
@@ -357,6 +356,12 @@ def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     words = _CAMEL_CASE.sub("_", name)
     marks = [m.start() for m in re.finditer(r"[\s_,/.-]+", words)]
     return [(name, ""), *((words[:at], words[at:]) for at in marks if at)]
+
+
+def find_stated_unit(name: str, kind: str) -> str | None:
+    """The unit of this kind of quantity at the end of a name, such as deg of angle_deg; None if there is none."""
+    return next((unit for base, text in _split_name_and_unit(name) if base and text and (
+        unit := find_unit(kind, text))), None)
 
 
 def _without_unit(name: str) -> str:

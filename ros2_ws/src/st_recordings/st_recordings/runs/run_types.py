@@ -11,6 +11,7 @@ from st_core.clock_types import Alignment
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
+from .columns import find_stated_unit
 from .errors import RunError
 
 
@@ -21,13 +22,14 @@ class SteeringField:
     topic: str  # name of a topic in a bag, "" for a table
     field: str = "data"  # path to a number in a message, such as "drive.steering_angle", or name of a column
     quantity: Literal["road", "wheel"] = "road"  # mean road wheel angle, or uncorrected steering wheel angle
-    unit: Literal["rad", "deg"] | None = None  # None: the unit that a table states, or else rad
+    unit: Literal["rad", "deg"] | None = None  # None: the unit that a table or the name of the field states, or rad
     sign: int = 1  # 1 if left is positive in the recording, else -1
 
     @property
     def scale(self) -> float:
         """Factor that converts the recorded number to rad, left positive."""
-        return self.sign * (math.pi / 180.0 if self.unit == "deg" else 1.0)
+        is_in_degrees = self.unit == "deg" or (self.unit is None and find_stated_unit(self.field, "angle") == "deg")
+        return self.sign * (math.pi / 180.0 if is_in_degrees else 1.0)
 
     def matches(self, topic: str) -> bool:
         """Whether `topic` is the name of its topic, with or without a leading slash."""
