@@ -72,8 +72,8 @@ def drive(car: VehicleParameters, settings: Settings, programme: Programme, seed
     plant.place(0.0, 0.0, float(programme.yaw[0]), float(programme.speed[0]))
     # State, steering wheel, pedal, position within the play, two gusts, heading error, gain; the plant has drawn four
     # numbers for the gusts.
-    state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.surroundings.wind_x,
-                      plant.surroundings.wind_y - settings["wind_speed"], 0.0, 1.0])
+    state = np.array([*plant.state, 0.0, 0.0, 0.0, plant.conditions.wind_x,
+                      plant.conditions.wind_y - settings["wind_speed"], 0.0, 1.0])
     draw = make_normal_source(np.random.default_rng([seed, 1]))
     for _ in range(4):
         draw()
@@ -169,7 +169,7 @@ def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noq
             if gust:
                 gust_x, gust_y = memory * gust_x + kick * gusts[drawn], memory * gust_y + kick * gusts[drawn + 1]
                 drawn += 2
-            surroundings = (friction, bank, grade, gust_x, wind + gust_y)
+            conditions = (friction, bank, grade, gust_x, wind + gust_y)
             late = angle
             if len(delayed):
                 late, delayed[oldest] = delayed[oldest], angle
@@ -178,15 +178,15 @@ def _loop(state, options, c, road, relation, body, first, delayed, gusts,  # noq
                 after_play = min(max(after_play, late - play), late + play)
                 late = after_play
             rack = late / ratio
-            if c.lag == 0.0:
+            if c.steering_lag == 0.0:
                 s[RACK] = rack
-            rates, _ = derivative(_tuple(s), rack, force, surroundings, c)
+            rates, _ = derivative(_tuple(s), rack, force, conditions, c)
             if relation[0]:
                 rates = _add_relation(rates, s, relation, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):
                 k1[i] = rates[i]
                 middle[i] = s[i] + STEP * rates[i]
-            rates, _ = derivative(_tuple(middle), rack, force, surroundings, c)
+            rates, _ = derivative(_tuple(middle), rack, force, conditions, c)
             if relation[0]:
                 rates = _add_relation(rates, middle, relation, body, (first + k) * DECIDE * STEP, pedal)
             for i in range(STATES):

@@ -19,7 +19,7 @@ from st_core.clock_alignment import align, manual_alignment
 from st_core.clock_types import Alignment, Verdict
 from st_recordings.runs.can_logs import read_can_logs
 from st_recordings.runs.can_signals import CanSignals, decode_signals, load_signal_table
-from st_recordings.runs.clocks import INS_ON_CAN, align_clocks, pair_shared_signals
+from st_recordings.runs.clocks import INS_ON_CAN_DELAY, align_clocks, pair_shared_signals
 from st_recordings.runs.columns import Layout
 from st_recordings.runs.csv import MOTION_SIGNALS, build_ins_log
 from st_recordings.runs.csv_table import read_table
@@ -91,7 +91,7 @@ def test_specified_latency_shifts_the_offset_and_reduces_its_uncertainty(pair: P
     assumed = pair.alignment
     given, _ = align_clocks(pair.ins, pair.signals, latency=(0.005, 0.0005))
     assert given.offset_at_ns(assumed.at_ns) - assumed.offset_at_ns(assumed.at_ns) == pytest.approx(3e6, abs=5e3)
-    noise = assumed.offset_deviation**2 - INS_ON_CAN[1] ** 2  # of the INS log: larger at 25 Hz than at 100 Hz
+    noise = assumed.offset_deviation**2 - INS_ON_CAN_DELAY[1] ** 2  # of the INS log: larger at 25 Hz than at 100 Hz
     assert given.offset_deviation == pytest.approx((0.0005**2 + noise) ** 0.5, rel=0.02)
 
 

@@ -95,7 +95,7 @@ def verify(path: Path, vehicle: Path | None = None, progress: Progress | None = 
     names = PredictionSettings.__dataclass_fields__.keys() & parameters.keys()
     settings = PredictionSettings(**{name: float(parameters[name]) for name in names})
     scores = results.read_scores([score_bag], progress)
-    planned_by_mode = {mode: results.read_planned(bag, mode, progress) for mode in PLANNED_MODES}
+    planned_by_mode = {mode: results.read_planned_predictions(bag, mode, progress) for mode in PLANNED_MODES}
     signals = LogSignals(drive.log, settings.maximum_gap, settings.filter_cutoff)
     truncated = [TRUNCATION_WARNING.format(file, "compared") for file in dict.fromkeys((bag, score_bag))
                  if was_interrupted(file)]

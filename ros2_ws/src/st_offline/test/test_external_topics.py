@@ -56,7 +56,7 @@ def test_steering_angle_is_read_from_any_numeric_field(tmp_path, storage):
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
     np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS)  # time of reception
     assert drive.frame == "odom" and drive.topics["st_msgs/msg/Steering"] == "/steering_angle"
-    assert sorted(drive.unknown) == [f"/joints ({JOINTS})", f"/notes ({TEXT})", f"/rack ({STAMPED})"]
+    assert sorted(drive.unknown_topics) == [f"/joints ({JOINTS})", f"/notes ({TEXT})", f"/rack ({STAMPED})"]
     drive = read_bag(folder, steering=SteeringField("/rack", "vector.y"))
     np.testing.assert_array_equal(drive.log.road_wheel_angle, expected)
     np.testing.assert_array_equal(drive.log.steering_time_ns, START_NS + np.arange(N) * STEP_NS - 30_000_000)  # stamp

@@ -28,14 +28,14 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """A file cannot be recovered and is unchanged; earlier files of the bag may be repaired. The text is one line."""
+    """One-line reason why a file cannot be recovered. It is unchanged; earlier files of the bag may be repaired."""
 
 
 @dataclass
 class FileReport(BagFile):
-    """Result for one file. count, start_ns, end_ns: of the messages kept."""
+    """Outcome for one file; count, start_ns and end_ns refer to the messages kept."""
 
-    intact: bool = False  # closed and without damage: not changed, or copied to the output
+    intact: bool = False  # closed and undamaged: left unchanged, or copied to the output
     lost_bytes: int = 0  # truncated or damaged
     damaged_records: int = 0
     original: Path | None = None  # new path of the damaged file, if it was repaired in place
@@ -87,7 +87,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
     target = Path(output) if output is not None else path
     try:
         if output is not None and target.exists():
-            raise RecoveryError(f"{target} exists already; a recovery never overwrites")
+            raise RecoveryError(f"{target} already exists; a recovery never overwrites a file")
         if path.is_dir():
             return _recover_directory(path, target)
         if not path.is_file():
@@ -135,10 +135,10 @@ def _check_recoverable(stream: BinaryIO, source: Path, size: int) -> None:
     except OSError:
         pass  # a file system without locks
     if stream.read(len(MAGIC)) != MAGIC:
-        raise RecoveryError(f"{source} is not an MCAP file, or was cut within its first 8 bytes")
+        raise RecoveryError(f"{source} is not an MCAP file, or was truncated within its first 8 bytes")
     first = next(read_records(stream, size), None)
     if first is None or first.opcode != Opcode.HEADER:
-        raise RecoveryError(f"{source} was cut before anything was recorded")
+        raise RecoveryError(f"{source} was truncated before its first record")
 
 
 def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
@@ -163,20 +163,20 @@ def _read_undamaged_records(stream: BinaryIO, size: int, contents: Contents, rep
     """Yields the undamaged records of the data section and adds them to `contents` at their new offsets."""
     position = end = len(MAGIC)
     report.damaged_records = 0
-    chunk_left_out = False
+    chunk_is_damaged = False
     for record in read_records(stream, size):
         if record.opcode == Opcode.DATA_END:
             size = record.offset
             break
         raw = record.raw
         end = record.offset + len(raw)
-        if chunk_left_out and record.opcode == Opcode.MESSAGE_INDEX:
+        if chunk_is_damaged and record.opcode == Opcode.MESSAGE_INDEX:
             continue
         if not contents.add(record, position):
             report.damaged_records += 1
-            chunk_left_out = record.opcode == Opcode.CHUNK
+            chunk_is_damaged = record.opcode == Opcode.CHUNK
             continue
-        chunk_left_out = False
+        chunk_is_damaged = False
         position += len(raw)
         yield raw
     report.lost_bytes = max(size, end) - position
@@ -238,7 +238,7 @@ def _parse_qos(text: str) -> list[Any]:
 
 
 def _metadata_matches(folder: Path, information: BagInformation) -> bool:
-    """Whether metadata.yaml has the same files, counts by topic and duration; other entries vary between recorders."""
+    """Whether metadata.yaml has the same files, duration and counts by topic; other entries vary between recorders."""
     documents = information.to_document()["rosbag2_bagfile_information"], read_information(folder)
     counts: tuple[Counter[str], ...] = Counter(), Counter()  # a topic with two types may have one entry or two
     try:

@@ -28,7 +28,7 @@ JUMP_REASON = "position jumps"
 END_REASON = ": ends "  # a signal has no later sample
 Progress = Callable[[int, int], None]
 MODES = ("forecast", "hindsight")
-DRAWN_STARTS = 6  # maximum number of start times with drawn hindsight predictions
+MAX_DRAWN_STARTS = 6  # maximum number of start times with drawn hindsight predictions
 ODOMETRY_TOPIC, STATUS_TOPIC, SUMMARY_TOPIC = "/ins/odometry", "/predictor/status", "/evaluator/summary"
 BAND_MODES = ("forecast", "hindsight", "course", "plan")  # in the order of the report
 Key = TypeVar("Key")
@@ -120,7 +120,7 @@ class Results:
 
     track: Track
     scores: dict[tuple[str, str], MeanErrors]  # by model and mode
-    segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most DRAWN_STARTS starts
+    segments: dict[tuple[str, int], Segment]  # by model and start [ns, UTC]; at most MAX_DRAWN_STARTS
     ticks: dict[str, Any]
     configuration_hash: str
     bands: list[Any] = field(default_factory=list)  # statistics of st_msgs/ErrorSummary with n_bands > 0
@@ -156,7 +156,7 @@ def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, P
     return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
 
 
-def read_planned(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
+def read_planned_predictions(bag: Path, mode: str, progress: Progress | None = None) -> dict[str, PlannedPredictions]:
     """Reads predictions of mode plan or course by model, as `read_predictions` does."""
     inputs = ("road_wheel_angle", "velocity_x_dot")
     return {model: PlannedPredictions(*columns)
@@ -205,7 +205,7 @@ def read_messages(bags: Sequence[Path], type_name: str, progress: Progress | Non
                   topic_end: str = "") -> Iterator[Any]:
     """Yields the messages of a type in topics with names that end with `topic_end`.
 
-    progress: called with the number of messages read in a bag, and the number of all such messages in it.
+    progress: called with the number of messages read from a bag, and the total number to be read from it.
     """
     for bag in bags:
         storage = open_bag(bag)
@@ -268,7 +268,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
     common = sorted(set.intersection(*complete)) if complete else []
     if not common:
         return {}
-    starts = {common[i] for i in np.linspace(0, len(common) - 1, DRAWN_STARTS).round().astype(int)}
+    starts = {common[i] for i in np.linspace(0, len(common) - 1, MAX_DRAWN_STARTS).round().astype(int)}
     segments = {}
     for message in read_messages([errors], ERROR):
         start_ns = get_field(message, "header.stamp")
@@ -279,7 +279,7 @@ def _read_segments(errors: Path, scores: dict[tuple[str, str], MeanErrors]) -> d
 
 
 def summarise(results: Results, extra: dict[str, Any]) -> dict[str, Any]:
-    """Content of summary.json: statistics of the horizon means of complete scores, band coverage, ticks."""
+    """Content of summary.json: statistics of the mean errors of complete scores, band coverage, ticks."""
     models: dict[str, Any] = {}
     for model in results.models():
         modes = [*MODES, *(mode for name, mode in results.scores if name == model and mode not in MODES)]
@@ -314,9 +314,9 @@ def collect_versions() -> dict[str, str]:
 
 
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
-    """Formats the observed coverage of the bands, one line for each mode, with the largest number of scores of a model.
+    """One line per mode: the observed coverage of each model's bands, and the number of scores.
 
-    rows: statistics of st_msgs/ErrorSummary.
+    rows: statistics of st_msgs/ErrorSummary. The models of a mode may differ in their number; the largest is given.
     """
     lines = []
     for mode in BAND_MODES:

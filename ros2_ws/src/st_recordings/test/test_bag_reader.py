@@ -333,7 +333,7 @@ def test_unreadable_bags_are_refused_with_the_reason(tmp_path: Path) -> None:
 def test_layout_serialises_like_rosbags() -> None:
     layout = CdrLayout(STORE, ODOMETRY, STORE.deserialize_cdr(odometry_message(3)[1], ODOMETRY))
     yaw = 0.02 * np.arange(N)
-    rows = layout.rows(N, {
+    rows = layout.serialise(N, {
         "header.stamp": START_NS + np.arange(N) * 10_000_000, "pose.pose.position.x": 0.1 * np.arange(N),
         "pose.pose.position.y": -0.2 * np.arange(N), "twist.twist.linear.y": 0.01 * np.arange(N),
         "pose.pose.orientation.z": np.sin(yaw / 2), "pose.pose.orientation.w": np.cos(yaw / 2)})

@@ -139,7 +139,7 @@ def test_multiplexed_steering_angle_is_read_from_its_own_frames(tmp_path: Path) 
     signals = decode_signals(make_frames(5_000_000, [37] * n, payloads), table)
     steering = signals.first_of("steering_wheel_angle")
     np.testing.assert_allclose(np.degrees(steering.values), 0.1 * (np.arange(0, n, 2) // 4))
-    assert not signals.faults and not signals.rejected
+    assert not signals.faults and not signals.rejected_times_ns
 
 
 def test_simultaneous_copies_of_a_frame_count_once(steering_frames: Frames, table: SignalTable) -> None:

@@ -9,7 +9,7 @@ import pytest
 from ros_messages import STORE, definition, header, odometry, serialise
 from st_recordings.mcap import BagWriter
 from st_recordings.paths import replace_file
-from st_recordings.results import DRAWN_STARTS, read_results, summarise
+from st_recordings.results import MAX_DRAWN_STARTS, read_results, summarise
 from st_recordings.runs.errors import RunError
 
 ERROR, STATUS, ODOMETRY = "st_msgs/msg/PredictionError", "st_msgs/msg/PredictorStatus", "nav_msgs/msg/Odometry"
@@ -85,7 +85,7 @@ def test_summary_equals_the_statistics_of_the_arrays(run_folder: Path) -> None:
 def test_segments_start_where_every_model_completed(run_folder: Path) -> None:
     results = read_results(run_folder)
     starts = results.drawn_starts()
-    assert len(starts) == DRAWN_STARTS
+    assert len(starts) == MAX_DRAWN_STARTS
     assert starts[0] == T0
     assert starts[-1] == T0 + (STARTS - 1) * 10**8
     assert T0 + INCOMPLETE * 10**8 not in starts

@@ -15,7 +15,7 @@ BUILT_IN = ("use_sim_time", "start_type_description_service")  # declared by rcl
 
 
 class ConfigurationError(ValueError):
-    """A parameter, file or device prevents the start of a node; the text is one line for the user."""
+    """A parameter, file or device prevents the start of a node; the message is one line."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Parameter:
         return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
 
     def check(self, value: Any) -> Any:
-        """The value in the declared type; NaN only if the default is NaN. Raises ConfigurationError with the limit."""
+        """The value in the declared type; NaN only if that is the default. Raises ConfigurationError with the limit."""
         expected = type(self.default)
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -79,8 +79,8 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     values = SimpleNamespace(where=f"{origin}{node.get_name()}.")
     for parameter in parameters:
         try:
-            given = overrides[parameter.name].value if parameter.name in overrides else parameter.default
-            value = parameter.check(given)
+            raw_value = overrides[parameter.name].value if parameter.name in overrides else parameter.default
+            value = parameter.check(raw_value)
         except ConfigurationError as error:
             raise ConfigurationError(f"{origin}{node.get_name()}.{error}") from None
         override = {parameter.name: RosParameter(parameter.name, value=value)} if value != [] else {}

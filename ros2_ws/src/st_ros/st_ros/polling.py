@@ -59,16 +59,16 @@ class PolledSubscription:
         return self.subscription.topic_name
 
     def take(self, limit: int = 1000, entry: str = "source_timestamp") -> Iterator[tuple[Any, int, Any]]:
-        """At most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
+        """Yields at most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
 
         received_ns: host UTC of receipt. entry: source_timestamp (host UTC of publication [ns], 0 if unknown) or
         publication_sequence_number (counted by the publisher from 1, None if unknown).
         """
         for _ in range(limit):
-            taken = self._take(*self._arguments)
-            if taken is None:
+            result = self._take(*self._arguments)
+            if result is None:
                 return
-            message, info = taken
+            message, info = result
             yield message, info["received_timestamp"], info[entry]
 
     def count_publishers(self) -> int:
@@ -85,12 +85,12 @@ class PolledSubscription:
 
 def wait_for_any(node: Node, subscriptions: Sequence[PolledSubscription], seconds: float) -> None:
     """Sleep until a subscription has a message, at most `seconds`; callbacks of the node do not run meanwhile."""
-    waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
-    with waiting:
-        waiting.clear_entities()
+    wait_set = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0, node.context.handle)
+    with wait_set:
+        wait_set.clear_entities()
         for subscription in subscriptions:
-            waiting.add_subscription(subscription.subscription.handle)
-        waiting.wait(round(seconds * 1e9))
+            wait_set.add_subscription(subscription.subscription.handle)
+        wait_set.wait(round(seconds * 1e9))
 
 
 class OnDemandPublisher:
@@ -98,13 +98,13 @@ class OnDemandPublisher:
 
     def __init__(self, publisher: Publisher | None):
         self._publisher = publisher
-        self._counted_at = float("-inf")
+        self._count_time = float("-inf")
         self._has_subscribers = False
 
     def has_subscribers(self) -> bool:
         """Whether it has subscribers, counted at most every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
-        if self._publisher is not None and (now := time.monotonic()) - self._counted_at > SUBSCRIBER_COUNT_PERIOD:
-            self._counted_at = now
+        if self._publisher is not None and (now := time.monotonic()) - self._count_time > SUBSCRIBER_COUNT_PERIOD:
+            self._count_time = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0
         return self._has_subscribers
 
@@ -116,11 +116,11 @@ class OnDemandPublisher:
 def match_qos(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """The strictest QoS compatible with all publishers: reliable or transient local only if all publishers are."""
     profiles = [p.qos_profile for p in publishers]
-    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    is_reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    is_latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     return QoSProfile(depth=depth,
-                      reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                      durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+                      reliability=ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE)
 
 
 def find_message_class(type_name: str) -> type | None:

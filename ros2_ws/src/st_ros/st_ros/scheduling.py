@@ -18,7 +18,7 @@ _POLICIES = {os.SCHED_OTHER: "normal", os.SCHED_BATCH: "batch", os.SCHED_IDLE: "
              os.SCHED_RR: "round robin"}
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 _AUTOGROUP_FILE = Path("/proc/self/autogroup")
-_ATTEMPTS, _PAUSE = 5, 0.11  # number, and s between them; the kernel accepts one change per 0.1 s from a user
+_MAX_ATTEMPTS, _PAUSE = 5, 0.11  # -, s; the kernel accepts one change of an autogroup per 0.1 s from a user
 
 
 def read_scheduling() -> dict[str, Any]:
@@ -49,7 +49,7 @@ def lower_priority(nice: int) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     if os.getsid(0) != os.getpid():
         return  # the autogroup contains other processes, for example of a launch file
-    for _ in range(_ATTEMPTS):
+    for _ in range(_MAX_ATTEMPTS):
         try:
             _AUTOGROUP_FILE.write_text(str(nice))
             return

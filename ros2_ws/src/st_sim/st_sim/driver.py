@@ -14,7 +14,7 @@ from .settings import Settings
 
 SAMPLING_TIME = 0.01  # s
 PREVIEW_TIME, MIN_PREVIEW = 0.8, 4.0  # s, m
-ANTICIPATION = 0.18  # s; the driver steers for the curvature this far ahead, to compensate lags
+ANTICIPATION_TIME = 0.18  # s; the driver steers for the curvature this far ahead, to compensate for lags
 STEERING_TIME = 0.08  # s, time constant of the driver's steering movement
 MAX_STEERING_WHEEL_RATE = 8.0  # rad/s; 460 deg/s is fast for a person
 MAX_STEERING_WHEEL_ANGLE = 9.5  # rad; about the end stop at 540 deg
@@ -42,7 +42,7 @@ class Driver:
         self._draw = make_normal_source(np.random.default_rng([seed, 2]))
         self._tremor = self._offset_integral = self._speed_integral = self._pedal = self._target = 0.0
         self._next_decision = -math.inf
-        self._holding = False
+        self._is_holding = False
 
     def place(self, plant: Plant, distance: float) -> None:
         """Start at a distance along the road [m] with the steering-wheel angle of the plant."""
@@ -62,21 +62,21 @@ class Driver:
         s, speed = plant.state, plant.state[VX]
         self._update_distance(s[X], s[Y], speed)
         demand = self.plan.make_demand(time, self.distance, speed)
-        if callable(demand.steer):
-            self._target = demand.steer(self.car.wheelbase) * self.car.steering_ratio
-        elif demand.steer == "path":
-            fast_enough = speed > MIN_STEERING_SPEED
-            if self._holding and fast_enough:
+        if callable(demand.steering):
+            self._target = demand.steering(self.car.wheelbase) * self.car.steering_ratio
+        elif demand.steering == "path":
+            is_fast_enough = speed > MIN_STEERING_SPEED
+            if self._is_holding and is_fast_enough:
                 # The steering wheel was held: move the road to the car, so that the steering does not jump.
                 course = s[YAW] + math.atan2(s[VY], s[VX])
                 self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
                 self._offset_integral = 0.0
-            if fast_enough:
+            if is_fast_enough:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
                 self._target = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
-                self._holding = False
+                self._is_holding = False
         else:
-            self._holding = True
+            self._is_holding = True
         self._control_speed(plant, demand.speed, demand.acceleration)
         if self._tremor_deviation:
             memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
@@ -90,14 +90,14 @@ class Driver:
             self.distance += math.cos(road.yaw) * (x - road.x) + math.sin(road.yaw) * (y - road.y)
 
     def _steer_along(self, s: tuple[float, ...], speed: float) -> float:
-        """Road-wheel angle [rad] for the curvature ahead and to return to the road within the preview distance."""
+        """Road-wheel angle [rad] that follows the curvature ahead and returns to the road within the preview."""
         road = self.plan.path.pose(self.distance)
         offset = math.cos(road.yaw) * (s[Y] - road.y) - math.sin(road.yaw) * (s[X] - road.x)
         course = math.remainder(s[YAW] + math.atan2(s[VY], speed) - road.yaw, 2 * math.pi)
         preview = max(MIN_PREVIEW, PREVIEW_TIME * speed)
         self._offset_integral += OFFSET_INTEGRAL_GAIN * offset * SAMPLING_TIME
         self._offset_integral = min(max(self._offset_integral, -OFFSET_INTEGRAL_LIMIT), OFFSET_INTEGRAL_LIMIT)
-        road_curvature = self.plan.path.curvature(self.distance + ANTICIPATION * speed)
+        road_curvature = self.plan.path.curvature(self.distance + ANTICIPATION_TIME * speed)
         curvature = road_curvature - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
         return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
 

@@ -48,18 +48,18 @@ class Constants(NamedTuple):
     yaw_inertia: float
     to_front: float
     to_rear: float
-    lag: float
+    steering_lag: float
     steering_offset: float
-    compliance: float
+    steering_compliance: float
     roll_steer: float
     rear_roll_steer: float
     roll_gradient: float
-    camber: float
+    camber_thrust: float
     ackermann: float
     max_relaxation_rate: float
-    relaxation: float
-    combined: float
-    rolling: float
+    relaxation_length: float
+    combined_slip: float
+    rolling_resistance: float
     drag_area: float
     drive_offset: float
     transfer_x: float
@@ -79,12 +79,12 @@ def make_constants(car: VehicleParameters, settings: Settings, step: float) -> C
     to_rear = car.wheelbase - to_front
     return Constants(
         mass=mass, yaw_inertia=car.yaw_inertia * s["yaw_inertia_factor"], to_front=to_front, to_rear=to_rear,
-        lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a lag shorter than a step is unstable
-        steering_offset=s["steering_offset"], compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
-        rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber=s["camber_thrust"],
+        steering_lag=max(s["steering_lag"], step) if s["steering_lag"] else 0.0,  # a lag below a step is unstable
+        steering_offset=s["steering_offset"], steering_compliance=s["steering_compliance"], roll_steer=s["roll_steer"],
+        rear_roll_steer=s["rear_roll_steer"], roll_gradient=s["roll_gradient"], camber_thrust=s["camber_thrust"],
         ackermann=s["ackermann"] * TRACK_WIDTH / (2 * car.wheelbase),
-        max_relaxation_rate=1.0 / step, relaxation=s["relaxation_length"], combined=s["combined_slip"],
-        rolling=s["rolling_resistance"], drag_area=s["drag_area"], drive_offset=s["drive_offset"],
+        max_relaxation_rate=1.0 / step, relaxation_length=s["relaxation_length"], combined_slip=s["combined_slip"],
+        rolling_resistance=s["rolling_resistance"], drag_area=s["drag_area"], drive_offset=s["drive_offset"],
         transfer_x=s["longitudinal_load_transfer"] * mass * car.cg_height / car.wheelbase / 2,
         transfer_y=s["lateral_load_transfer"] * mass * car.cg_height / TRACK_WIDTH,
         static_front=mass * GRAVITY * to_rear / car.wheelbase / 2,
@@ -128,8 +128,8 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
 
 def lateral_share(longitudinal: float, peak: float) -> float:
     """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| >= D, the peak."""
-    used = longitudinal / peak
-    return sqrt(1.0 - used * used) if -1.0 < used < 1.0 else 0.0
+    ratio = longitudinal / peak
+    return sqrt(1.0 - ratio * ratio) if -1.0 < ratio < 1.0 else 0.0
 
 
 def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, friction: float, load: float, slip: float,
@@ -183,18 +183,18 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
 
 
 # long: the equations share two dozen symbols, and a call per equation would slow down every time step.
-def derivative(s: Sequence[float], rack_target: float, drive_force: float, surroundings: tuple,  # noqa: PLR0915
+def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
     longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
-    rack_target: [rad]. drive_force: sum [N], braking < 0. surroundings: fields of `plant.Surroundings`.
+    rack_target: [rad]. drive_force: sum [N], braking < 0. conditions: fields of `plant.Conditions`.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
      static_front, static_rear, still_air, front, rear) = c
     (_, _, _, yaw, vx, vy, r, rack, compliance_angle, s_fl, s_fr, s_rl, s_rr, a_y, a_y_rate, a_x) = s
-    friction, bank, grade, wind_x, wind_y = surroundings
+    friction, bank, grade, wind_x, wind_y = conditions
     half_track = TRACK_WIDTH / 2
     roll = roll_gradient * a_y
 

@@ -57,9 +57,9 @@ def from_ecef(x: float, y: float, z: float) -> tuple[float, float, float]:
     radius = math.hypot(x, y)
     semi_minor = SEMI_MAJOR * (1 - FLATTENING)
     second_eccentricity2 = _ECCENTRICITY2 / (1 - _ECCENTRICITY2)
-    reduced = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
-    latitude = math.atan2(z + second_eccentricity2 * semi_minor * math.sin(reduced) ** 3,
-                          radius - _ECCENTRICITY2 * SEMI_MAJOR * math.cos(reduced) ** 3)
+    reduced_latitude = math.atan2(z * SEMI_MAJOR, radius * semi_minor)
+    latitude = math.atan2(z + second_eccentricity2 * semi_minor * math.sin(reduced_latitude) ** 3,
+                          radius - _ECCENTRICITY2 * SEMI_MAJOR * math.cos(reduced_latitude) ** 3)
     sine = math.sin(latitude)
     normal = SEMI_MAJOR / math.sqrt(1 - _ECCENTRICITY2 * sine**2)
     height = radius * math.cos(latitude) + z * sine - SEMI_MAJOR**2 / normal
@@ -114,7 +114,7 @@ def _make_receiver_values(name: str) -> dict[str, float]:
 
 
 # Channels with constant values; those that the suite does not use are sent with all fields invalid.
-_FIXED: Mapping[int, Mapping[str, float | str]] = {
+_CONSTANT_CHANNELS: Mapping[int, Mapping[str, float | str]] = {
     **{channel: {} for channel in (*range(6, 12), *range(13, 16), 17, 21, 22, 24, 26, *range(28, 30), *range(31, 37),
                                    38, 39, *range(41, 48), *range(49, 55), *range(57, 66), *range(72, 77), 78)},
     3: {"NorthAcc": ACCURACY["position"], "EastAcc": ACCURACY["position"], "AltAcc": 2 * ACCURACY["position"]},
@@ -142,7 +142,7 @@ _FIXED: Mapping[int, Mapping[str, float | str]] = {
 # Channels sent every 10th, 25th, 50th and 200th packet; all others are sent every 100th packet.
 _EVERY_10, _EVERY_25, _EVERY_50 = (0, 1), (32, 45), (3, 4, 5, 20, 24, 43, 65, 66, 67)
 _EVERY_200 = (46, 47, 49, 50, 51, 52, 53, 54, 58, 60, 61, 62, 63, 64, 72, 73, 74, 75, 76, 78)
-_CHANGING = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
+_CHANGING_CHANNELS = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
 def make_schedule() -> list[int]:
@@ -158,8 +158,8 @@ def make_schedule() -> list[int]:
     assign(_EVERY_10, 10)
     assign(_EVERY_25, 25)
     assign(_EVERY_50, 50)
-    listed = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
-    assign(tuple(sorted({*_FIXED, *_CHANGING} - listed)), 100)
+    listed_channels = {*_EVERY_10, *_EVERY_25, *_EVERY_50, *_EVERY_200}
+    assign(tuple(sorted({*_CONSTANT_CHANNELS, *_CHANGING_CHANNELS} - listed_channels)), 100)
     assign(_EVERY_200, 200)
     return [MINUTES if channel is None else channel for channel in slots]
 
@@ -173,14 +173,15 @@ class StatusChannels:
         map_origin = {  # heading 90 deg: x of the local frame is east
             66: {"RefLat": origin.latitude_deg, "RefLon": origin.longitude_deg},
             67: {"RefAlt": origin.height - UNDULATION, "RefHeading": 90.0}}
-        self._fixed = {channel: encode_channel(channel, values) for channel, values in {**_FIXED, **map_origin}.items()}
+        self._batches = {channel: encode_channel(channel, values)
+                         for channel, values in {**_CONSTANT_CHANNELS, **map_origin}.items()}
 
     def encode_next(self, gps_minutes: int | None, reading: InsReading) -> tuple[int, bytes]:
         """Channel number and its 8 bytes for the next packet. gps_minutes: GPS time in minutes, None while unknown."""
         channel = self._slots[self._count % CYCLE_LENGTH]
         self._count += 1
-        if channel in self._fixed:
-            return channel, self._fixed[channel]
+        if channel in self._batches:
+            return channel, self._batches[channel]
         return channel, encode_channel(channel, self._make_values(channel, gps_minutes, reading))
 
     def _make_values(self, channel: int, gps_minutes: int | None, reading: InsReading) -> dict[str, float | None]:

@@ -43,16 +43,16 @@ def make_truth_record(truth: Truth) -> dict[str, object]:
     record = {name: getattr(truth, name) for name in ("time", *_UNITS) if name in Truth.__dataclass_fields__}
     if truth.load:
         for axle, (left, right) in (("front", (0, 1)), ("rear", (2, 3))):
-            record[f"lateral_force_{axle}"] = truth.lateral[left] + truth.lateral[right]
-            record[f"longitudinal_force_{axle}"] = truth.longitudinal[left] + truth.longitudinal[right]
+            record[f"lateral_force_{axle}"] = truth.lateral_force[left] + truth.lateral_force[right]
+            record[f"longitudinal_force_{axle}"] = truth.longitudinal_force[left] + truth.longitudinal_force[right]
             record[f"load_{axle}"] = truth.load[left] + truth.load[right]
             record[f"slip_angle_{axle}"] = (truth.slip_angle[left] + truth.slip_angle[right]) / 2
-    record.update(truth.surroundings)
+    record.update(truth.conditions)
     return record
 
 
 def choose_truth_file(folder: Path) -> Path:
-    """truth.mcap in a folder, or truth_2.mcap, truth_3.mcap and so on if the folder contains it."""
+    """truth.mcap in a folder, or truth_2.mcap, truth_3.mcap and so on if that exists."""
     names = itertools.chain(["truth.mcap"], (f"truth_{number}.mcap" for number in itertools.count(2)))
     return next(folder / name for name in names if not (folder / name).is_file())
 

@@ -7,7 +7,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 POSE_SPACING = 0.1  # m, between stored poses; linear interpolation between them has an error of 0.1 mm at R = 11.5 m
-SPEED_STEP = 0.25  # m, between stored speeds
+SPEED_SPACING = 0.25  # m, between stored speeds
 
 
 class Pose(NamedTuple):
@@ -142,7 +142,7 @@ class SpeedProfile:
     """Highest speed along a path allowed by its target speeds and by acceleration and braking limits [m/s^2, > 0]."""
 
     def __init__(self, path: Path, acceleration: float, braking: float):
-        count = max(4, math.ceil(path.length / SPEED_STEP))
+        count = max(4, math.ceil(path.length / SPEED_SPACING))
         self._step, self._length = path.length / count, path.length
         squares = [path.speed(i * self._step) ** 2 for i in range(count)]
         # Two laps, because braking may begin in the previous lap.

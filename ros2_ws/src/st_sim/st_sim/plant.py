@@ -42,7 +42,7 @@ class Truth:
     Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each the
     sum of body and road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
     acceleration_x, _y: of the motion, not the specific force. wheel_speed and, in wheel axes and only of a simulated
-    car, lateral and longitudinal force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
+    car, lateral_force, longitudinal_force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
     """
 
     time: float
@@ -65,11 +65,11 @@ class Truth:
     roll_rate: float = 0.0
     wheel_speed: tuple[float, ...] = (0.0,) * 4
     gear: int = DRIVE
-    lateral: tuple[float, ...] = ()
-    longitudinal: tuple[float, ...] = ()
+    lateral_force: tuple[float, ...] = ()
+    longitudinal_force: tuple[float, ...] = ()
     load: tuple[float, ...] = ()
     slip_angle: tuple[float, ...] = ()
-    surroundings: dict[str, float] = field(default_factory=dict)
+    conditions: dict[str, float] = field(default_factory=dict)
 
     def motion_at(self, x: float, y: float) -> tuple[float, float, float, float]:
         """Map x, y [m] and body velocity v_x, v_y [m/s] of the body point (x, y) relative to the CG [m]."""
@@ -83,7 +83,7 @@ class Truth:
         return self.acceleration_x - r2 * x - r_dot * y, self.acceleration_y + r_dot * x - r2 * y
 
 
-class Surroundings(NamedTuple):
+class Conditions(NamedTuple):
     """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle: + rises to the left,
     grade_angle: + rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
 
@@ -123,7 +123,7 @@ def evaluate_road(road: Road, x: float, yaw: float) -> tuple[float, float, float
 
 
 class Environment:
-    """Surroundings along a drive; gusts are an Ornstein-Uhlenbeck process."""
+    """Road and air along a drive; gusts are an Ornstein-Uhlenbeck process."""
 
     def __init__(self, settings: Settings, step: float, seed: int):
         self._road = road = make_road(settings)
@@ -131,17 +131,17 @@ class Environment:
         self._gust_decay = exp(-step / GUST_TIME)
         self._gust = [0.0, 0.0]
         self._draw = make_normal_source(np.random.default_rng([seed, 1]))
-        self._constant = Surroundings(road.friction, road.bank, road.grade, 0.0, 0.0)
+        self._constant = Conditions(road.friction, road.bank, road.grade, 0.0, 0.0)
         self._is_constant = not (self._wind or self._gust_speed or road.hillside or road.wave) and road.patch == 1.0
 
-    def advance(self, x: float, yaw: float) -> Surroundings:
-        """Advance the gusts by one step; returns the surroundings of a car at x [m, map] with a yaw angle [rad]."""
+    def advance(self, x: float, yaw: float) -> Conditions:
+        """Advance the gusts by one step; returns the conditions of a car at x [m, map] with a yaw angle [rad]."""
         if self._is_constant:
             return self._constant
         if self._gust_speed:
             noise = self._gust_speed * sqrt(1 - self._gust_decay**2)
             self._gust = [self._gust_decay * g + noise * self._draw() for g in self._gust]
-        return Surroundings(*evaluate_road(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
+        return Conditions(*evaluate_road(self._road, x, yaw), self._gust[0], self._wind + self._gust[1])
 
 
 def make_normal_source(generator: np.random.Generator, block: int = 4096) -> Callable[[], float]:
@@ -167,14 +167,14 @@ class Plant:
         self.environment = Environment(settings, step, seed)
         self.state: tuple[float, ...] = (0.0,) * STATES
         self.parked = False
-        self.surroundings = self.environment.advance(0.0, 0.0)
+        self.conditions = self.environment.advance(0.0, 0.0)
         self.constants = dynamics.make_constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
         self.to_front, self.to_rear = self.constants.to_front, self.constants.to_rear
         self._ratio = car.steering_ratio * settings["steering_ratio_factor"]
         self._half_play = settings["steering_backlash"] / 2
         self._delay: deque[float] = deque([0.0] * round(settings["steering_delay"] / step))
-        self._after_play = 0.0
+        self._angle_after_play = 0.0
         self._wheel_slip_compliance = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
@@ -184,9 +184,9 @@ class Plant:
         values[VY] = speed * curvature * self.to_rear
         values[RACK] = rack = atan(self.car.wheelbase * curvature)
         self.state = tuple(values)
-        self.surroundings = self.environment.advance(x, yaw)
-        self._after_play = rack * self._ratio
-        self._delay = deque([self._after_play] * len(self._delay))
+        self.conditions = self.environment.advance(x, yaw)
+        self._angle_after_play = rack * self._ratio
+        self._delay = deque([self._angle_after_play] * len(self._delay))
 
     @property
     def rack_steering_wheel_angle(self) -> float:
@@ -199,17 +199,17 @@ class Plant:
         steering_wheel_angle: true, left + [rad]; drive_force: sum of all wheels, braking < 0 [N].
         """
         s, dt = self.state, self.time_step
-        self.surroundings = surroundings = self.environment.advance(s[X], s[YAW])
+        self.conditions = conditions = self.environment.advance(s[X], s[YAW])
         target = self._find_rack_target(steering_wheel_angle)
-        if self.constants.lag == 0.0:
+        if self.constants.steering_lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
         if self.parked and drive_force <= 0.0:
             self.state = dynamics.bring_to_rest(s, dt)
             return
         self.parked = False
         c = self.constants
-        k1, _ = derivative(s, target, drive_force, surroundings, c)
-        k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, surroundings, c)
+        k1, _ = derivative(s, target, drive_force, conditions, c)
+        k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, conditions, c)
         half = dt / 2
         s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
         self.parked = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
@@ -219,8 +219,8 @@ class Plant:
                 steering_wheel_rate: float = 0.0) -> Truth:
         """True motion and forces in the current state; accelerations are zero at rest. drive_force: as for `step`. The
         other arguments are copied to the result."""
-        s, settings, road, moving = self.state, self.settings, self.surroundings, not self.parked
-        rates, wheels = derivative(s, s[RACK], drive_force, self.surroundings, self.constants)
+        s, settings, conditions, is_moving = self.state, self.settings, self.conditions, not self.parked
+        rates, wheels = derivative(s, s[RACK], drive_force, conditions, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
         slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))
                 for across, along in zip(across_speeds, along_speeds, strict=True)]
@@ -228,14 +228,14 @@ class Plant:
                   for along, force, wheel_load in zip(along_speeds, longitudinal, load, strict=True)]
         return Truth(
             time, x=s[X], y=s[Y], z=s[Z], yaw=s[YAW], velocity_x=s[VX], velocity_y=s[VY], yaw_rate=s[YAW_RATE],
-            acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if moving else 0.0,
-            acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if moving else 0.0,
-            yaw_acceleration=rates[YAW_RATE] if moving else 0.0, velocity_z=rates[Z] if moving else 0.0,
+            acceleration_x=rates[VX] - s[YAW_RATE] * s[VY] if is_moving else 0.0,
+            acceleration_y=rates[VY] + s[YAW_RATE] * s[VX] if is_moving else 0.0,
+            yaw_acceleration=rates[YAW_RATE] if is_moving else 0.0, velocity_z=rates[Z] if is_moving else 0.0,
             steering_wheel_angle=steering_wheel_angle, steering_wheel_rate=steering_wheel_rate,
-            road_wheel_angle=road_wheel_angle, roll=settings["roll_gradient"] * s[A_Y] + road.bank_angle,
-            pitch=settings["pitch_gradient"] * s[A_X] + road.grade_angle,
-            roll_rate=settings["roll_gradient"] * s[A_Y_RATE] if moving else 0.0, wheel_speed=tuple(speeds),
-            lateral=lateral, longitudinal=longitudinal, load=load, slip_angle=tuple(slip), surroundings=road._asdict())
+            road_wheel_angle=road_wheel_angle, roll=settings["roll_gradient"] * s[A_Y] + conditions.bank_angle,
+            pitch=settings["pitch_gradient"] * s[A_X] + conditions.grade_angle, slip_angle=tuple(slip),
+            roll_rate=settings["roll_gradient"] * s[A_Y_RATE] if is_moving else 0.0, wheel_speed=tuple(speeds),
+            lateral_force=lateral, longitudinal_force=longitudinal, load=load, conditions=conditions._asdict())
 
     def _find_rack_target(self, angle: float) -> float:
         """Road-wheel angle that the rack approaches, from the steering-wheel angle after delay and play [rad]."""
@@ -243,6 +243,6 @@ class Plant:
             self._delay.append(angle)
             angle = self._delay.popleft()
         if self._half_play:
-            self._after_play = min(max(self._after_play, angle - self._half_play), angle + self._half_play)
-            angle = self._after_play
+            self._angle_after_play = min(max(self._angle_after_play, angle - self._half_play), angle + self._half_play)
+            angle = self._angle_after_play
         return angle / self._ratio

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
-    """Check arguments as main() does before it starts. Raises SimulationError with a message of one line."""
+    """Check arguments as main() does before it starts. Raises SimulationError with a one-line message."""
     try:
         _Run(_make_parser().parse_args(arguments))
     except (OSError, ValueError) as error:
@@ -220,14 +220,14 @@ def _make_parser() -> argparse.ArgumentParser:
         "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: that "
         "of the vehicle file, of the checkout or of the current folder")
     parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, or a recorded drive to its end")
-    parser.add_argument("--seed", type=_within(0, 2**31 - 1), default=0, help="seed of all random numbers")
+    parser.add_argument("--seed", type=_make_integer_parser(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
     parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before lock")
     parser.add_argument("--ncom-host", default="127.0.0.1", help="host to which the NCOM packets are sent")
-    parser.add_argument("--ncom-port", type=_within(1, 65535), default=3000, help="UDP port of that host")
+    parser.add_argument("--ncom-port", type=_make_integer_parser(1, 65535), default=3000, help="UDP port of that host")
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100,
                         help="NCOM packets, and epochs of the INS on CAN, per second; default 100")
     parser.add_argument("--can-interface", default="udp_multicast", help="python-can interface")
@@ -244,8 +244,8 @@ def _make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _within(low: int, high: int) -> Callable[[str], int]:
-    """Converter of option text to a whole number within a range."""
+def _make_integer_parser(low: int, high: int) -> Callable[[str], int]:
+    """A function that parses the text of an option as an integer within a range."""
 
     def convert(text: str) -> int:
         if not low <= int(text) <= high:

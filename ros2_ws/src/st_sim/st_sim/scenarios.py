@@ -27,12 +27,12 @@ SPEED_SLACK = 0.15  # m/s by which the target may fall below the speed while bra
 class Demand:
     """Target of the driver: speed [m/s], acceleration [m/s^2], and steering.
 
-    steer: "path" (follow the road), "hold" (constant steering-wheel angle), or an open-loop road-wheel angle.
+    steering: "path" (follow the road), "hold" (constant steering-wheel angle), or an open-loop road-wheel angle.
     """
 
     speed: float
     acceleration: float
-    steer: str | OpenLoopSteering = "path"
+    steering: str | OpenLoopSteering = "path"
 
 
 class RoadPlan:
@@ -56,9 +56,9 @@ class RoadPlan:
 
 @dataclass(frozen=True)
 class Phase:
-    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s] (-1: never). steer: see Demand."""
+    """Phase of a plan; ends after `duration` [s], or at `end_speed` [m/s] (-1: never). steering: see Demand."""
 
-    steer: str
+    steering: str
     acceleration: float = 0.0
     duration: float = math.inf
     end_speed: float = -1.0
@@ -86,8 +86,8 @@ class PhasePlan:
         if phase.acceleration < 0:
             # While the brake force builds up, a target far below the speed would cause a higher deceleration.
             self._target_speed = max(self._target_speed, speed - SPEED_SLACK)
-        reached = phase.acceleration > 0 and self._target_speed >= self._cruise_speed
-        return Demand(self._target_speed, 0.0 if reached else phase.acceleration, phase.steer)
+        is_at_cruise_speed = phase.acceleration > 0 and self._target_speed >= self._cruise_speed
+        return Demand(self._target_speed, 0.0 if is_at_cruise_speed else phase.acceleration, phase.steering)
 
 
 class OpenLoopPlan:

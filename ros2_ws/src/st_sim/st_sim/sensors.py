@@ -24,7 +24,7 @@ class InsReading:
 
     stamp: reported time since the start [s]. velocity_x: along the road, also sent as the horizontal speed (0.5 % too
     much on a grade of 0.1 rad). velocity_z: up +. roll: right side down +, pitch: nose up +. rates: about x, y, z.
-    specific_force: along x, y, z, gravity included; at rest on level ground +9.81 along z.
+    specific_force: along x, y, z; at rest on level ground +9.81 along z.
     """
 
     stamp: float
@@ -76,23 +76,23 @@ class Ins:
     def __init__(self, car: VehicleParameters, settings: Settings, interval: float, seed: int):
         self._settings = settings
         # The INS is fixed to the body, so a shift of the CG changes its lever arm.
-        self._lever = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
+        self._lever_arm = (car.cg_to_ins_x - settings["cg_shift"] + settings["ins_lever_error"], car.cg_to_ins_y)
         scale = settings["ins_noise"]
         draw = make_normal_source(np.random.default_rng([seed, 3]))
         self._noise = {name: _Noise(scale * white, scale * slow, time, interval, draw)
                        for name, (white, slow, time) in NOISE.items() if scale}
 
     def read(self, truth: Truth) -> InsReading:
-        x, y, vx, vy = truth.motion_at(*self._lever)
-        ax, ay = truth.acceleration_at(*self._lever)
+        x, y, vx, vy = truth.motion_at(*self._lever_arm)
+        ax, ay = truth.acceleration_at(*self._lever_arm)
         reading = InsReading(
             stamp=truth.time + self._settings["ins_time_error"], x=x, y=y, z=truth.z, velocity_x=vx, velocity_y=vy,
             velocity_z=truth.velocity_z, yaw=truth.yaw, roll=truth.roll, pitch=truth.pitch,
             rates=_compute_body_rates(truth), specific_force=_compute_specific_force(ax, ay, truth.roll, truth.pitch))
         self._add_errors(reading)
         if self._noise:
-            moving = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
-            self._add_noise(reading, REST_VIBRATION + (1.0 - REST_VIBRATION) * moving)
+            speed_ratio = min(abs(truth.velocity_x) / FULL_VIBRATION_SPEED, 1.0)
+            self._add_noise(reading, REST_VIBRATION + (1.0 - REST_VIBRATION) * speed_ratio)
         return reading
 
     def _add_errors(self, r: InsReading) -> None:

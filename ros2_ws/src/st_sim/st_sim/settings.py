@@ -148,7 +148,7 @@ def resolve_settings(plant: str, effects: Iterable[str] = ()) -> dict[str, float
 
 
 def find_overrides(settings: Settings) -> dict[str, float]:
-    """Settings that differ from null."""
+    """Settings that differ from their null values."""
     return {name: value for name, value in settings.items() if value != SETTINGS[name].null}
 
 

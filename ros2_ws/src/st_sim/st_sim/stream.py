@@ -45,8 +45,8 @@ def find_start_up_status(time: float) -> tuple[int, float] | None:
     The phases: no data and raw IMU data, at 10 Hz; pause; initialising, delay 1 s; locking, delay falling to 0; locked.
     """
     if time < RAW_IMU_END:
-        sent = round(time * 1000) % 100 == 0
-        return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if sent else None
+        is_sent = round(time * 1000) % 100 == 0
+        return (NO_DATA if time < NO_DATA_END else RAW_IMU, 0.0) if is_sent else None
     if time < INITIALISING_START:
         return None
     if time < INITIALISING_END:
@@ -74,7 +74,7 @@ class Stream:
         self._ins_loss = TransmissionLoss(settings["ins_packet_loss"], settings["ins_outage_every"], (seed, 7))
         self._can_loss = TransmissionLoss(settings["can_frame_loss"], settings["can_outage_every"], (seed, 8))
         self._queue: list[Output] = []
-        self._pushed = 0  # number of outputs pushed so far
+        self._output_count = 0
 
     def generate_outputs(self, duration: float) -> Iterator[Output]:
         """Yield the outputs measured in [0, duration) in the order of `due`."""
@@ -90,23 +90,23 @@ class Stream:
 
     def _measure(self, now_ms: int, time: float) -> None:
         if _is_due(now_ms, self._ins_schedule):
-            self._send_ins(self._source.make_truth(), time)
+            self._queue_ins(self._source.make_truth(), time)
         if _is_due(now_ms, TRUTH_SCHEDULE):
             self._push(time, self._source.make_truth())
         if _is_due(now_ms, STEERING_SCHEDULE):
             truth = self._source.make_truth()
             frames = self._can.encode_steering(self._steering.read(truth), truth.steering_wheel_rate)
-            self._send_frames(frames, time + self._settings["steering_sensor_latency"])
+            self._queue_frames(frames, time + self._settings["steering_sensor_latency"])
         if _is_due(now_ms, WHEEL_SCHEDULE):
             wheel_speeds, vehicle_speed = read_wheel_speeds(self._source.make_truth(), self._settings)
-            self._send_frames(self._can.encode_wheel_speeds(wheel_speeds, vehicle_speed), time)
+            self._queue_frames(self._can.encode_wheel_speeds(wheel_speeds, vehicle_speed), time)
         if _is_due(now_ms, GEAR_SCHEDULE):
-            self._send_frames(self._can.encode_gear(self._source.make_truth().gear), time)
+            self._queue_frames(self._can.encode_gear(self._source.make_truth().gear), time)
         if self._background:
             for ms in range(now_ms, now_ms + TICK_MS):
-                self._send_frames(self._background.select_frames(ms), ms / 1000)
+                self._queue_frames(self._background.select_frames(ms), ms / 1000)
 
-    def _send_ins(self, truth: Truth, time: float) -> None:
+    def _queue_ins(self, truth: Truth, time: float) -> None:
         reading = self._ins.read(truth)
         status_and_delay = find_start_up_status(time) if self._start_up else (LOCKED, 0.0)
         if status_and_delay is None:
@@ -117,21 +117,21 @@ class Stream:
         if not self._ins_loss.is_lost(time):
             self._push(due, packet)
         if status >= INITIALISING:
-            self._send_frames(self._can.encode_ins(reading), due + INS_CAN_DELAY)
+            self._queue_frames(self._can.encode_ins(reading), due + INS_CAN_DELAY)
 
-    def _send_frames(self, frames: list[Frame], due: float) -> None:
+    def _queue_frames(self, frames: list[Frame], due: float) -> None:
         for i, frame in enumerate(frames):
             if not self._can_loss.is_lost(due):
                 self._push(due + i * FRAME_TIME, frame)
 
     def _push(self, due: float, payload: bytes | Frame | Truth) -> None:
-        self._pushed += 1
-        heapq.heappush(self._queue, Output(due, self._pushed, payload))
+        self._output_count += 1
+        heapq.heappush(self._queue, Output(due, self._output_count, payload))
 
 
 @dataclass
 class Report:
-    """Counts. can_errors: frames not sent. late: sent more than LATE_THRESHOLD after the deadline. worst_delay: [s]."""
+    """Counts. can_errors: frames not sent. late: outputs over LATE_THRESHOLD after their deadline. worst_delay: [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0
@@ -178,7 +178,7 @@ class LiveOutput:
 def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
          record_truth: Callable[[Truth], None] | None, stop_requested: Callable[[], bool], report: Report,
          started: float | None = None) -> float:
-    """Send outputs at their deadlines, late ones at once, until their end or until stop_requested() returns True.
+    """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True.
 
     started: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time of the
     last output [s since the start], 0 if none was sent.

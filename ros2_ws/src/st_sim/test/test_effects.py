@@ -95,7 +95,7 @@ def test_steering_ratio_and_offset_change_the_road_wheel_angle():
 def test_steering_compliance_is_proportional_to_the_front_lateral_force():
     plant = steady(["steering_compliance=2e-6"])
     outputs = plant.observe(300.0)
-    front = outputs.lateral[0] + outputs.lateral[1]
+    front = outputs.lateral_force[0] + outputs.lateral_force[1]
     assert front > 1000.0
     assert outputs.road_wheel_angle == pytest.approx(2.0 / CAR.steering_ratio - 2e-6 * front, rel=1e-4)
 
@@ -154,7 +154,7 @@ def front_force_after_step(effects, steps):
     plant.place(0.0, 0.0, 0.0, 10.0)
     for _ in range(steps):
         plant.step(0.01 * CAR.steering_ratio, 0.0)
-    lateral = plant.observe(0.0).lateral
+    lateral = plant.observe(0.0).lateral_force
     return lateral[0] + lateral[1]
 
 
@@ -172,9 +172,9 @@ def test_combined_slip_reduces_lateral_force_by_the_friction_ellipse():
     free, combined = free.observe(-6.0 * CAR.mass), combined.observe(-6.0 * CAR.mass)
     for wheel in (0, 1):
         peak = tyre_force(make_tyre_coefficients(CAR.tyre_front, 1.0), 0.0, free.load[wheel], 1.0)[1]
-        share = math.sqrt(1 - (free.longitudinal[wheel] / peak) ** 2)
+        share = math.sqrt(1 - (free.longitudinal_force[wheel] / peak) ** 2)
         assert share < 0.9
-        assert combined.lateral[wheel] == pytest.approx(share * free.lateral[wheel])
+        assert combined.lateral_force[wheel] == pytest.approx(share * free.lateral_force[wheel])
 
 
 def test_bank_accelerates_to_the_low_side_by_gravity():
@@ -189,7 +189,7 @@ def test_crosswind_force_depends_on_the_heading():
     for yaw in (0.0, math.pi):
         plant = Plant(CAR, resolve_settings("ideal", ["wind_speed=15"]))
         plant.place(0.0, 0.0, yaw, 10.0)
-        plant.surroundings = plant.environment.advance(0.0, yaw)
+        plant.conditions = plant.environment.advance(0.0, yaw)
         forces.append(plant.observe(0.0).acceleration_y * CAR.mass)
     # 1/2 rho A |w| w_y with a headwind of 10 m/s and a crosswind of 15 m/s.
     assert forces[0] == pytest.approx(0.5 * 1.2 * 2.5 * math.hypot(10, 15) * 15, rel=1e-6)

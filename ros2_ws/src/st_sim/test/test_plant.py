@@ -68,7 +68,7 @@ def test_forces_equal_mass_times_acceleration(plant):
     assert change[VX] - before[YAW_RATE] * before[VY] == pytest.approx(forces.acceleration_x, abs=0.02)
     assert change[VY] + before[YAW_RATE] * before[VX] == pytest.approx(forces.acceleration_y, abs=0.02)
     assert change[YAW_RATE] == pytest.approx(forces.yaw_acceleration, abs=0.02)
-    assert sum(forces.lateral) == pytest.approx(car.mass * forces.acceleration_y, rel=0.1)
+    assert sum(forces.lateral_force) == pytest.approx(car.mass * forces.acceleration_y, rel=0.1)
 
 
 @pytest.mark.parametrize("plant", ["ideal", "realistic"])

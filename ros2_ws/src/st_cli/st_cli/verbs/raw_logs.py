@@ -55,9 +55,9 @@ def align(
     content = {**summarise_alignment(alignment), "ins_can_latency": pair.latency}
     (folder / "alignment.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
-    if pair.shared and alignment.method != "none":
+    if pair.shared_signals and alignment.method != "none":
         title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
-        draw_alignment(pair.shared, alignment, title, folder / "alignment.png")
+        draw_alignment(pair.shared_signals, alignment, title, folder / "alignment.png")
         results[folder / "alignment.png"] = "the signals of both recordings, aligned"
     list_files(results, console)
     raise typer.Exit(1 if alignment.verdict == "refused" else 0)
@@ -86,7 +86,7 @@ def print_alignment(pair: "RawRun") -> None:
     if alignment.method != "none":
         start_ns = pair.can.start_ns
         middle = (alignment.at_ns - start_ns) * 1e-9
-        delay_deviation = max((s.latency_uncertainty for s in pair.shared), default=0.0)
+        delay_deviation = max((s.latency_uncertainty for s in pair.shared_signals), default=0.0)
         estimation_deviation = max(alignment.offset_deviation**2 - delay_deviation**2, 0.0) ** 0.5
         table = Table(box=None, padding=(0, 2), show_header=False)
         offset = _format_seconds(alignment.offset_at_ns(start_ns))
@@ -96,7 +96,7 @@ def print_alignment(pair: "RawRun") -> None:
             table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
         if alignment.method != "by hand":
             span = "common time" if alignment.method == "shared signals" else "time span of the INS time messages"
-            if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared):
+            if any(signal.name.startswith(("forward velocity", "yaw")) for signal in pair.shared_signals):
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
@@ -202,8 +202,8 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
     print_findings({source.name: imported.findings}, console)
     alignment = imported.run.alignment
     text = describe_alignment(alignment, imported.run.can.start_ns, absolute=True)
-    if imported.run.shared:
-        draw_alignment(imported.run.shared, alignment, f"{source.name}: {text}", folder / "alignment.png")
+    if imported.run.shared_signals:
+        draw_alignment(imported.run.shared_signals, alignment, f"{source.name}: {text}", folder / "alignment.png")
     style = VERDICT_STYLE[alignment.verdict]
     print_line(f"[bold]{escape(source.name)}[/bold]  [{style}]{text}[/{style}]", console)
     print_line("  " + ", ".join(f"{topic} {count}" for topic, count in imported.counts.items()), console)

@@ -23,12 +23,12 @@ from .run_types import LoadedRun, SteeringField, make_drive_log
 KNOWN_TOPICS = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
 """Prefixes of the topics that the suite or every ROS system publishes."""
-SUITE_RECORDS = {"recording", "configuration"}  # metadata records that recorder and evaluator write first
+SUITE_RECORDS = {"recording", "configuration"}  # metadata records that the recorder and the evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 """Type -> ending of the topic name that is preferred if several topics have this type."""
-MAX_REPEATED_STAMPS = 0.75
-"""If a larger fraction of the stamps repeats the previous one, the clock of the stamps is useless."""
+MAX_REPEATED_SHARE = 0.75
+"""If a larger fraction of the stamps repeats the previous one, the stamps are meaningless."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
                     "twist.twist.linear.x", "twist.twist.linear.y", "twist.twist.angular.z")
@@ -40,7 +40,7 @@ class BagDrive(LoadedRun):
     topics: dict[str, str]  # type -> name of the topic that was read
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     frame: str  # frame_id of the first odometry message, or of reconstructed odometry
-    unknown: tuple[str, ...]  # "topic (type)" of topics that are not read, nor published by suite or ROS
+    unknown_topics: tuple[str, ...]  # "topic (type)" of topics neither read nor published by the suite or ROS
 
 
 def is_bag(path: Path) -> bool:
@@ -50,7 +50,7 @@ def is_bag(path: Path) -> bool:
 
 
 def has_odometry(path: Path) -> bool:
-    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if undecided."""
+    """Whether a bag contains odometry, or INS packets and steering to reconstruct a drive; True if this is unclear."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         try:
             types = {t["topic_metadata"]["type"] for t in read_information(path)["topics_with_message_count"]}
@@ -83,8 +83,7 @@ def may_need_can_frames(path: Path, files: Sequence[Path] = ()) -> bool:
 
 
 def may_carry_steering(topic: Topic) -> bool:
-    """Whether --steering-topic may name a topic: its messages are not odometry, raw data, text or of st_msgs, and its
-    name does not begin with one of KNOWN_TOPICS."""
+    """Whether --steering-topic may name a topic: not odometry, CAN frames or text, nor a topic of the suite or ROS."""
     return not topic.name.startswith(KNOWN_TOPICS) and not topic.type_name.startswith("st_msgs/") and (
         topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
@@ -134,14 +133,14 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
-    unknown = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
+    unknown_topics = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
     provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
     if (origin := reconstruction.read_origin()) is not None:
         latitude, longitude, altitude = origin
         provenance["origin"] = [math.radians(latitude), math.radians(longitude), altitude]
     return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)),
-                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown=unknown)
+                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown_topics=unknown_topics)
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
@@ -169,12 +168,12 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
         repeated = int((np.diff(stamps) == 0).sum())
         values = [np.nan_to_num(np.asarray(v, float)) for name, v in columns[kind].items() if name != "header.stamp"]
         changed = np.any([np.diff(value) != 0 for value in values], axis=0)
-        resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
-        if (repeated > MAX_REPEATED_STAMPS * len(stamps) and not resent) or (len(stamps) == 2 and repeated):
+        are_resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
+        if (repeated > MAX_REPEATED_SHARE * len(stamps) and not are_resent) or (len(stamps) == 2 and repeated):
             columns[kind]["header.stamp"] = storage.read_log_times(topic, stamps)
-            count = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
-                     else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
-            notes.append(f"{count}; the times of reception are used")
+            problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
+                       else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
+            notes.append(f"{problem}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
         if min(map(len, by_kind.values())) > 1 and not _overlap(*by_kind.values()):
@@ -204,7 +203,7 @@ def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:
 
 
 def was_interrupted(path: Path) -> bool:
-    """Whether the recorder of the suite ended before it closed the recording, for example because of a full disk."""
+    """Whether the recorder of the suite stopped before it closed the recording, for example because of a full disk."""
     records = _read_all_metadata_records(path)
     return bool(SUITE_RECORDS & records.keys()) and CLOSING_RECORD not in records
 

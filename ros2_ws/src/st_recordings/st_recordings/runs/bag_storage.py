@@ -51,7 +51,7 @@ class Storage(ABC):
     """
 
     def __init__(self, path: Path):
-        """Called by a subclass when it can count messages."""
+        """A subclass calls this once it can count messages."""
         self.path, self.store = path, load_typestore()
         self.topics = [Topic(name, type_name, count)
                        for (name, type_name), count in self._count_messages().items() if count]
@@ -93,20 +93,20 @@ class Storage(ABC):
         uniform = {}
         for topic, names in fields.items():
             rows = [np.frombuffer(data, np.uint8) for data in self.messages(topic.name)]
-            gathered = _GatheredFields(topic.type_name, names, self.store)
+            collector = _FieldCollector(topic.type_name, names, self.store)
             if rows:
                 sizes = np.array([len(row) for row in rows])
-                gathered.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
-            if gathered.is_uniform and gathered.parts:
-                uniform[topic.name] = gathered.columns()
+                collector.add(np.concatenate(rows), np.cumsum(sizes) - sizes, sizes)
+            if collector.is_uniform and collector.parts:
+                uniform[topic.name] = collector.columns()
         return uniform
 
     def read_fields(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
-        """Numeric fields of all messages of a topic, also if `columns` omits it. Raises RunError."""
+        """Numeric fields of all messages of a topic, even if `columns` omits the topic. Raises RunError."""
         return self.columns({topic: fields}).get(topic.name) or self.read_one_by_one(topic, fields)
 
     def read_one_by_one(self, topic: Topic, fields: Sequence[str]) -> dict[str, np.ndarray]:
-        """As `read_fields`, by deserialising every message."""
+        """The result of `read_fields`, but from deserialising every message."""
         try:
             rows = [[get_field(message, field) for field in fields] for _, message in self.deserialise(topic)]
         except AttributeError as error:
@@ -115,8 +115,8 @@ class Storage(ABC):
         return {field: np.array([row[k] for row in rows]) for k, field in enumerate(fields)}
 
     def read_log_times(self, topic: str, stamps: np.ndarray) -> np.ndarray:
-        """Times of reception of the messages [ns], of a simulation if the bag contains its clock; their header stamps
-        if the number of messages differs."""
+        """Times of reception of the messages [ns], in simulated time if the bag contains its clock; `stamps` if there
+        are not as many messages as stamps."""
         times = np.array([log_ns for log_ns, _ in self.timed_messages(topic)], np.int64)
         if len(times) != len(stamps):
             return stamps
@@ -160,7 +160,7 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     if suffixes == {".db3"}:
         return SqliteStorage(path, files)
     if suffixes == {*EXTENSIONS}:
-        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "move each kind to a folder")
+        raise RunError(path, "this folder has storage files of both kinds (.mcap, .db3)", "use a folder per kind")
     problem = "this is not a bag" if path.is_file() else "this folder contains no storage file of a bag (.mcap, .db3)"
     raise RunError(path, problem, "give the folder that `ros2 bag record` or the recorder wrote")
 
@@ -171,7 +171,7 @@ def _read_listed_files(directory: Path) -> list[str]:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """Storage files of a bag directory, in the order of metadata.yaml if it lists all, else of their numbers."""
+    """Storage files of a bag directory, in the order of metadata.yaml if it lists them all, else by number."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
     order = {name: k for k, name in enumerate(_read_listed_files(directory))}
     return sorted(files, key=lambda f: order.get(f.name, -1)) if {f.name for f in files} <= order.keys() else files
@@ -189,7 +189,7 @@ def describe_missing_files(path: Path) -> list[str]:
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one (drive_1, drive_3); empty if none is, or the time gap does not fit."""
+    """A note on files missing before this one (drive_1, drive_3); empty if the gap in time contradicts that."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
@@ -293,7 +293,7 @@ class McapStorage(Storage):
     def timed_messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         for file, summary in self._files:
             channels = [n for n, c in summary.channels.items() if c.topic == topic] if summary else []
-            if summary is None or len(channels) > 1:  # each publisher has a channel, and their messages alternate
+            if summary is None or len(channels) > 1:  # each publisher has a channel, and their messages are interleaved
                 yield from ((message.log_time, message.data) for _, channel, message in _stream(file)
                             if channel.topic == topic)
                 continue
@@ -304,7 +304,7 @@ class McapStorage(Storage):
     def columns(self, fields: Mapping[Topic, Sequence[str]]) -> dict[str, dict[str, np.ndarray]]:
         if any(summary is None for _, summary in self._files):
             return super().columns(fields)
-        by_topic = {topic.name: _GatheredFields(topic.type_name, names, self.store) for topic, names in fields.items()}
+        by_topic = {topic.name: _FieldCollector(topic.type_name, names, self.store) for topic, names in fields.items()}
         for file, summary in self._files:
             assert summary is not None and summary.statistics is not None  # ensured by read_summary
             channels = {number: by_topic[channel.topic] for number, channel in summary.channels.items()
@@ -351,7 +351,7 @@ class SqliteStorage(Storage):
 
 
 def _decompress(data: bytes) -> bytes:
-    """A message, decompressed if its first bytes mark it as compressed: metadata.yaml may be missing."""
+    """Decompresses a message if its first bytes are those of zstd; metadata.yaml, which states this, may be missing."""
     if data[:4] != ZSTD_MAGIC:
         return data
     try:
@@ -392,8 +392,8 @@ class RosbagsStorage(Storage):
         return {c.msgtype: (forms.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
 
 
-class _GatheredFields:
-    """Collects fields of the messages of one topic. is_uniform: whether all have them in the layout of the first."""
+class _FieldCollector:
+    """Collects fields of the messages of one topic. is_uniform: whether all messages have the layout of the first."""
 
     def __init__(self, type_name: str, fields: Sequence[str], store: Typestore):
         self._type_name, self._fields, self._store = type_name, fields, store

@@ -17,9 +17,9 @@ from .errors import RunError
 from .reconstruct import find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField
 
-ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export its topics as one CSV file with "
+ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export the topics as one CSV file with "
           "PlotJuggler and name the columns in a run.yaml")
-STAMPS = ("header.stamp", "stamp")
+STAMP_FIELDS = ("header.stamp", "stamp")
 STEERING = (ROAD_WHEEL, STEERING_WHEEL)
 UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
 FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
@@ -63,7 +63,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
     try:
         return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
-        problem = f"it contains no message of type {ODOMETRY}, and read as a table: {error.problem}"
+        problem = f"it contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
         has_steering = {*STEERING} & table.sources.keys()
         raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
                        f"--steering-topic; or {ADVICE}") from None
@@ -105,7 +105,7 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
     found = {channel: (names[source.column], paths[source.column], source.factor)
              for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}
-    stamp = next((path for path in STAMPS if path in layout.fields), "")
+    stamp = next((path for path in STAMP_FIELDS if path in layout.fields), "")
     return stamp, found if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
 
 

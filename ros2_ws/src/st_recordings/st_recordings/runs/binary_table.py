@@ -23,12 +23,12 @@ from .mf4 import MDF_OPTIONS, open_mdf
 ARROW_EXTENSIONS = (".parquet", ".feather")
 BINARY_EXTENSIONS = (".mat", *ARROW_EXTENSIONS)
 MAX_MATRIX_COLUMNS = 32
-"""A matrix with more columns and rows is an image or a map; columns or rows of others become signals NAME_1, ..."""
+"""A matrix with more columns and rows is an image or a map; columns or rows of smaller ones become NAME_1, ..."""
 SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit", "Units")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""Name of a channel of raw frames after a block head, which ends with 0; comments of decoded files may contain it."""
+"""A channel name of raw frames directly after a block head, which ends with 0; in comments, the name may occur too."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
@@ -47,7 +47,7 @@ class Signal(NamedTuple):
 
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
-    """(header, rows separated by commas) of a file. Raises RunError if it cannot be read or contains no signals."""
+    """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no signals."""
     frame = _read_arrow(file) if file.suffix.lower() in ARROW_EXTENSIONS else _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 
@@ -178,7 +178,7 @@ def read_names(file: Path) -> list[str]:
 
 
 def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[str], str]:
-    """(header, rows separated by commas) of the signals that are channels of a drive or named by the layout.
+    """(header, comma-separated rows) of the signals that are channels of a drive or named by the layout.
 
     Each time at which a signal was measured has a row, in which the other signals are nan; of several samples at one
     time, the first is used. Times are UTC, or relative to the start of a measurement without a date. An array appears
@@ -190,11 +190,11 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
     with _open_file(file) as mdf:
         signals = _list_signals(mdf)
         names = ["t [s]", *(name for name, _, _, _ in signals)]
-        named = {source.column - 1 for source in find_columns(file, names, layout).values()}
+        named_signals = {source.column - 1 for source in find_columns(file, names, layout).values()}
         start = mdf.header.start_time  # without a time zone it is read as UTC, so that all machines agree
         start_us = round((start if start.tzinfo else start.replace(tzinfo=UTC)).timestamp() * 1e6)
         for number, (name, group, index, occurrences) in enumerate(signals):
-            if not (number in named or find_columns(file, [name], Layout()) or find_ambiguous_steering([name])):
+            if not (number in named_signals or find_columns(file, [name], Layout()) or find_ambiguous_steering([name])):
                 continue
             signal = mdf.get(group=group, index=index)
             samples = signal.samples
@@ -235,8 +235,8 @@ def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
             if length <= lengths.get(name, -1):
                 continue
             unit = mdf.get_channel_unit(group=group, index=index)
-            has_unit = not unit or name.endswith(f"[{unit}]")
-            longest[name], lengths[name] = (name if has_unit else f"{name} [{unit}]", group, index), length
+            lacks_unit = unit and not name.endswith(f"[{unit}]")
+            longest[name], lengths[name] = (f"{name} [{unit}]" if lacks_unit else name, group, index), length
     return [(*signal, occurrences[name]) for name, signal in longest.items()]
 
 

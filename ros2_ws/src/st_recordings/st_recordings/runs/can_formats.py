@@ -50,7 +50,7 @@ class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
     position: number of the last line that was read. last: its text. `unread` puts a line back, to be read next. header:
-    line that replaces the header when a reader restarts after an unreadable line; empty if it parses no header.
+    line that replaces the header when a reader restarts after an unreadable line; empty if it parses none.
     """
 
     header = ""
@@ -97,15 +97,15 @@ class Format:
     messages: Callable[[Path, list[str]], Iterator[Any]]
 
 
-def _read_text(file: Path, notes: list[str], make: Callable[[Lines, list[str]], Any], lines_type: type[Lines] = Lines
-               ) -> Iterator[Any]:
+def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[str]], Any],
+               lines_type: type[Lines] = Lines) -> Iterator[Any]:
     """Yields the messages of a text format and skips lines that python-can cannot read.
 
-    make: makes the python-can reader from the lines and the notes.
+    make_reader: creates the python-can reader from the lines and the notes.
     """
     unreadable: list[int] = []
     with closing(lines_type(file)) as lines:
-        reader = make(lines, notes)
+        reader = make_reader(lines, notes)
         remaining = iter(reader)
         while True:
             try:
@@ -125,7 +125,7 @@ def _read_text(file: Path, notes: list[str], make: Callable[[Lines, list[str]], 
 
 
 def month_number(name: str) -> int | None:
-    """Number of the month (1 to 12) with a name in a European language; None for an unknown name."""
+    """Number (1 to 12) of the month that a European language calls `name`; None for an unknown name."""
     name = name.lower().rstrip(".")
     return _MONTHS.get(name[:4]) or _MONTHS.get(name[:3])
 
@@ -305,12 +305,12 @@ def _is_asc(head: bytes) -> bool:
 
 FORMATS = (
     Format("candump", (".log", ".candump"), _is_candump, partial(
-        _read_text, make=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
+        _read_text, make_reader=lambda lines, notes: import_module("can.io.canutils").CanutilsLogReader(lines),
         lines_type=_CandumpLines)),
-    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make=_read_asc, lines_type=_AscLines)),
+    Format("Vector ASC", (".asc",), _is_asc, partial(_read_text, make_reader=_read_asc, lines_type=_AscLines)),
     Format("Vector BLF", (".blf",), lambda head: head.startswith(b"LOGG"), _read_blf),
-    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make=_read_trc)),
-    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make=_read_csv)),
+    Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_reader=_read_trc)),
+    Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_reader=_read_csv)),
 )
 SHARED_EXTENSIONS = (".log", "", *_TABLE_EXTENSIONS)  # extensions that CAN logs share with files of other programs
 EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TABLE_EXTENSIONS)

@@ -26,7 +26,7 @@ BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
 MIN_DECREASING_SHARE = 0.2
-"""A candump that begins at 0 has times since the previous frame if more of them decrease, or all are equal."""
+"""A candump that begins at 0 has times since the previous frame if a larger fraction decreases, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -110,7 +110,7 @@ def _read_bag(path: Path) -> CanLog:
 
 
 def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> CanLog:
-    """Reads a log with further notes on it. Raises RunError if no frame is usable."""
+    """Reads a log, with `notes` before those of the reader. Raises RunError if no frame is usable."""
     parts, format_notes, n_untimed, n_too_long = list[Frames](), list[str](), 0, 0
     try:
         messages = kind.messages(file, format_notes)
@@ -143,7 +143,7 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
-    """Whether the times of a candump are relative to the previous frame: 0, then many decrease, or all are equal."""
+    """Whether the times of a candump are since the previous frame: first 0, then often decreasing or all equal."""
     steps = np.diff(time_ns[1:])
     return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_SHARE or not steps.any()))
 
@@ -156,7 +156,7 @@ def _build_frames(messages: Sequence[can.Message]) -> Frames:
     payload = b"".join([bytes(m.data).ljust(width, b"\0") for m in messages])
     seconds = np.array([m.timestamp for m in messages])
     return Frames(
-        # Rounding to microseconds removes the error of float seconds since 1970, 0.1 us.
+        # Rounding to microseconds removes the rounding error of float seconds since 1970, 0.1 us.
         time_ns=np.round(seconds * 1e6).astype(np.int64) * 1000,
         id=np.array(ids, np.uint32), payload=np.frombuffer(payload, np.uint8).reshape(-1, width),
         length=np.array([len(m.data) for m in messages], np.uint8),

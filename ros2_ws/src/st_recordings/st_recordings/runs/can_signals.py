@@ -34,9 +34,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class CanSignals:
-    signals: Mapping[tuple[str, str], Signal]  # by names of signal and message
+    signals: Mapping[tuple[str, str], Signal]  # by signal name and message name
     faults: Mapping[str, str]  # message -> description of its faults, with their counts
-    rejected: Mapping[str, np.ndarray] = field(default_factory=dict)  # message -> log times [ns] of rejected frames
+    rejected_times_ns: Mapping[str, np.ndarray] = field(default_factory=dict)  # by message, of rejected frames
 
     def all_of(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
@@ -49,8 +49,8 @@ class CanSignals:
             if rows.start < rows.stop:
                 parts[key] = replace(signal, **{name: getattr(signal, name)[rows]
                                                 for name in ("time_ns", "values", "valid", "rows")})
-        rejected = {name: time[(time >= start_ns) & (time < end_ns)] for name, time in self.rejected.items()}
-        return CanSignals(parts, self.faults, rejected)
+        rejected_times_ns = {name: t[(t >= start_ns) & (t < end_ns)] for name, t in self.rejected_times_ns.items()}
+        return CanSignals(parts, self.faults, rejected_times_ns)
 
     def first_of(self, name: str) -> Signal | None:
         return next(iter(self.all_of(name)), None)
@@ -66,7 +66,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
     """
     signals: dict[tuple[str, str], Signal] = {}
     faults: dict[str, str] = {}
-    rejected: dict[str, np.ndarray] = {}
+    rejected_times_ns: dict[str, np.ndarray] = {}
     # One message at a time, because decoding all signals at once would dominate memory use.
     order = np.argsort(frames.id, kind="stable")
     sorted_ids = frames.id[order]
@@ -88,10 +88,10 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
                 decoded = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, others))))
         if decoded.fault:
             faults[message] = decoded.fault
-        if len(decoded.rejected):
-            rejected[message] = decoded.rejected
+        if len(decoded.rejected_times_ns):
+            rejected_times_ns[message] = decoded.rejected_times_ns
         signals |= {(signal.name, message): signal for signal in decoded.signals}
-    return CanSignals(signals, faults, rejected)
+    return CanSignals(signals, faults, rejected_times_ns)
 
 
 def _describe_similar_id(ids: np.ndarray, key: int) -> str:
@@ -111,12 +111,12 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
 
 @dataclass(frozen=True)
 class _DecodedMessage:
-    """Signals of one message. fault: description of its faults. rejected: log times [ns] of rejected frames. n_frames:
-    number of its frames. n_valid: number of those that are usable and valid."""
+    """Signals of one message. fault: description of its faults. rejected_times_ns: log times of rejected frames.
+    n_frames: number of its frames. n_valid: number of those that are usable and valid."""
 
     signals: tuple[Signal, ...]
     fault: str
-    rejected: np.ndarray
+    rejected_times_ns: np.ndarray
     n_frames: int
     n_valid: int = 0
 
@@ -131,31 +131,31 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
     data, time_ns = stack_bytes(payload[fits], spec.dbc.length), frames.time_ns[rows]
     columns = spec.to_si(data)
     keep, valid, fault = check_frames(spec, data, time_ns, columns)
-    rejected = time_ns[~keep]
+    rejected_times_ns = time_ns[~keep]
     keep &= np.diff(time_ns, prepend=time_ns[0] - 1) > 0
     signals = tuple(Signal(name, spec.name, time_ns[good], values[good], valid[good], rows[good])
                     for name, values in replace_gps_time(columns).items()
                     if (good := keep & np.isfinite(values)).any())
-    return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected, n_frames,
+    return _DecodedMessage(signals, "; ".join(filter(None, (length_fault, fault))), rejected_times_ns, n_frames,
                            int((keep & valid).sum()))
 
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
     sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
-    deviations = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
-                  if size != spec.dbc.length]
-    if not deviations:
+    wrong_lengths = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
+                     if size != spec.dbc.length]
+    if not wrong_lengths:
         return ""
     lost = len(lengths) - n_decoded
     consequence = f"{lost} frames are not used" if lost else "the additional bytes are padding and were ignored"
-    return f"{', '.join(deviations)} instead of {spec.dbc.length} as in the DBC; {consequence}"
+    return f"{', '.join(wrong_lengths)} instead of {spec.dbc.length} as in the DBC; {consequence}"
 
 
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:
     """Finds the signal of the steering wheel angle. Raises RunError if it is not in the log, or if more of its frames
     were rejected than accepted, as with a wrong DBC. notes: warnings about the log."""
     steering = signals.first_of("steering_wheel_angle")
-    if steering is not None and len(signals.rejected.get(steering.message, ())) <= len(steering.time_ns):
+    if steering is not None and len(signals.rejected_times_ns.get(steering.message, ())) <= len(steering.time_ns):
         return steering
     source = table.find_source("steering_wheel_angle")
     if source is None:
@@ -172,7 +172,7 @@ def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, not
 
 def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.ndarray] = np.asarray
                    ) -> tuple[Series | None, Series | None]:
-    """(speed of the car from wheel speeds or speed signal, forward speed of the INS on CAN) [m/s]; None if missing.
+    """(speed of the car from wheel speeds or a speed signal, forward speed of the INS on CAN) [m/s]; None if missing.
 
     to_reference: converts log times [ns] to the clock of the result [ns].
     """
@@ -221,10 +221,10 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
     accepted = keep.copy()
     for signal in spec.signals:
         if signal.is_limited:
-            sent = keep & np.isfinite(values[signal.name]) if signal.extractor.selectors else keep
-            passed = find_plausible(signal, spec, time_ns[sent], values[signal.name][sent])
-            accepted[sent] &= passed
-            if len(bad := values[signal.name][sent][~passed] / signal.factor):
-                worst = float(bad[np.argmax(np.abs(bad))])
-                faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(bad)}")
+            is_present = keep & np.isfinite(values[signal.name]) if signal.extractor.selectors else keep
+            is_plausible = find_plausible(signal, spec, time_ns[is_present], values[signal.name][is_present])
+            accepted[is_present] &= is_plausible
+            if len(implausible := values[signal.name][is_present][~is_plausible] / signal.factor):
+                worst = float(implausible[np.argmax(np.abs(implausible))])
+                faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(implausible)}")
     return accepted, valid & accepted, f"{', '.join(faults)} of {n} frames" if faults else ""

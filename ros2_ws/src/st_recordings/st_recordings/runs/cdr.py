@@ -53,9 +53,9 @@ READ_ERRORS = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, OSEr
 """Exceptions that are raised while reading an MCAP file that is damaged or contradicts its index."""
 _DTYPES = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "uint64": "<u8", "int32": "<i4", "uint32": "<u4",
            "int16": "<i2", "uint16": "<u2", "int8": "i1", "uint8": "u1", "byte": "u1", "char": "u1", "bool": "?"}
-_ENCAPSULATION = 4  # bytes before the body; alignment is relative to the body
-_RECORD_HEAD = 9  # bytes of an MCAP record: opcode, length
-_MESSAGE_HEAD = _RECORD_HEAD + 22  # channel, sequence, log time, publish time
+_ENCAPSULATION_LENGTH = 4  # bytes before the body; alignment is relative to the body
+_RECORD_HEAD_LENGTH = 9  # bytes of an MCAP record: opcode, length
+_MESSAGE_HEAD_LENGTH = _RECORD_HEAD_LENGTH + 22  # channel, sequence, log time, publish time
 
 
 @cache
@@ -70,11 +70,11 @@ def load_typestore() -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """Store in which the recorded definitions of these types replace its own; the given store if none differs, or if
-    they contradict each other.
+    """A type store in which these types have their recorded definitions; the given store if none differs, or if they
+    contradict each other.
 
     definitions: as returned by bag_storage.Storage.definitions. A definition that cannot be parsed is ignored: its type
-    remains as in the store, or unknown.
+    remains as it is in the store, or unknown.
     """
     recorded: dict[str, Any] = {}
     for name in types:
@@ -101,7 +101,7 @@ def _normalise(fields: Any) -> list[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Field:
-    """One number, or `count` consecutive numbers, at byte `offset` of the serialised message. dtype: of numpy."""
+    """One number, or `count` consecutive numbers, at byte `offset` of the serialised message, of a numpy dtype."""
 
     offset: int
     dtype: str
@@ -115,20 +115,20 @@ class Field:
 class CdrLayout:
     """Byte layout of the messages of one type that have the strings and sequence lengths of an example.
 
-    template: the serialised example. fields: path, such as "pose.pose.position.x" -> position of the number. A time is
+    template: the serialised example. fields: path, such as "pose.pose.position.x" -> Field. A time is
     one field of two numbers, sec and nanosec; if its path ends with "stamp", its column contains nanoseconds instead.
     """
 
     def __init__(self, store: Typestore, type_name: str, example: Any):
-        """Raises an exception of rosbags for a type with wide strings, which no message of the suite has."""
+        """Raises KeyError for a type with wide strings, ValueError for one that rosbags serialises differently."""
         self._store = store
         self.template = np.frombuffer(bytes(store.serialize_cdr(example, type_name)), np.uint8)
         self.fields: dict[str, Field] = {}
-        end = self._walk(type_name, example, "", 0) + _ENCAPSULATION
+        end = self._walk(type_name, example, "", 0) + _ENCAPSULATION_LENGTH
         if not end <= len(self.template) < end + 4:
-            raise ValueError(f"{type_name}: laid out {end} bytes, serialised {len(self.template)}")
+            raise ValueError(f"{type_name}: the layout has {end} bytes, but the message {len(self.template)}")
         self._fixed = np.ones(len(self.template), dtype=bool)
-        self._fixed[: _ENCAPSULATION] = self._fixed[end:] = False
+        self._fixed[: _ENCAPSULATION_LENGTH] = self._fixed[end:] = False
         for field in self.fields.values():
             self._fixed[field.offset : field.offset + field.width] = False
 
@@ -136,7 +136,7 @@ class CdrLayout:
         """Adds the fields of a (nested) message at byte `at` of the body; returns the byte after its end."""
         if type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
             at = _align(at, 4)
-            self.fields[path] = Field(at + _ENCAPSULATION, "<i4", 2)
+            self.fields[path] = Field(at + _ENCAPSULATION_LENGTH, "<i4", 2)
             return at + 8
         prefix = f"{path}." if path else ""
         for name, (node, detail) in self._store.fielddefs[type_name][1]:
@@ -160,18 +160,18 @@ class CdrLayout:
         return at
 
     def _add_numbers(self, dtype: str, count: int, path: str, at: int) -> int:
-        field = Field(_align(at, np.dtype(dtype).itemsize) + _ENCAPSULATION, dtype, count)
+        field = Field(_align(at, np.dtype(dtype).itemsize) + _ENCAPSULATION_LENGTH, dtype, count)
         self.fields[path] = field
-        return field.offset - _ENCAPSULATION + field.width
+        return field.offset - _ENCAPSULATION_LENGTH + field.width
 
-    def rows(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    def serialise(self, n: int, columns: Mapping[str, np.ndarray]) -> np.ndarray:
         """Serialises n messages to (n, length) uint8; fields without a column have the values of the example.
 
         columns: path -> (n,) or (n, count); stamps in ns.
         """
         rows = np.repeat(self.template[None, :], n, axis=0)
-        for path, given in columns.items():
-            field, values = self.fields[path], np.asarray(given)
+        for path, column in columns.items():
+            field, values = self.fields[path], np.asarray(column)
             if path.endswith("stamp"):
                 values = np.stack(np.divmod(values, 1_000_000_000), axis=1)
             typed = np.ascontiguousarray(values.reshape(n, field.count), dtype=field.dtype)
@@ -194,7 +194,7 @@ class CdrLayout:
 
 
 def get_field(message: Any, path: str) -> Any:
-    """Gets the field of a deserialised message at a path; a stamp in ns."""
+    """Gets the field at a path of a deserialised message; a stamp in ns."""
     for part in path.split("."):
         message = getattr(message, part)
     return message.sec * 1_000_000_000 + message.nanosec if path.endswith("stamp") else message
@@ -262,18 +262,18 @@ def _decompress_chunks(stream: BinaryIO, chunks: Sequence[ChunkIndex]) -> Iterat
 
 def _read_block(stream: BinaryIO, chunk: ChunkIndex, channel: int, buffer: np.ndarray) -> Block:
     stream.seek(chunk.message_index_offsets[channel])
-    head = stream.read(_RECORD_HEAD + 6)
-    if len(head) < _RECORD_HEAD + 6 or head[0] != Opcode.MESSAGE_INDEX:
+    head = stream.read(_RECORD_HEAD_LENGTH + 6)
+    if len(head) < _RECORD_HEAD_LENGTH + 6 or head[0] != Opcode.MESSAGE_INDEX:
         raise ValueError("a message index is missing")
-    entries = stream.read(struct.unpack_from("<I", head, _RECORD_HEAD + 2)[0])
+    entries = stream.read(struct.unpack_from("<I", head, _RECORD_HEAD_LENGTH + 2)[0])
     times, offsets = np.frombuffer(entries, "<u8").astype(np.int64).reshape(-1, 2).T
     words = np.ndarray((max(len(buffer) - 7, 0),), "<u8", buffer.data, 0, (1,))
-    if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD:
+    if len(offsets) and not 0 <= int(offsets.min()) <= int(offsets.max()) <= len(buffer) - _MESSAGE_HEAD_LENGTH:
         raise ValueError("a message index points outside its chunk")
     sizes = words[offsets + 1].astype(np.int64) - 22
-    if (sizes < 0).any() or (sizes > len(buffer) - _MESSAGE_HEAD - offsets).any():
+    if (sizes < 0).any() or (sizes > len(buffer) - _MESSAGE_HEAD_LENGTH - offsets).any():
         raise ValueError("a message reaches beyond its chunk")
-    return Block(buffer, offsets + _MESSAGE_HEAD, sizes, times)
+    return Block(buffer, offsets + _MESSAGE_HEAD_LENGTH, sizes, times)
 
 
 def _read_chunk(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
@@ -283,7 +283,7 @@ def _read_chunk(stream: BinaryIO, chunk: ChunkIndex) -> bytes:
     if chunk.compression not in ("", "zstd", "lz4"):
         raise ValueError(f"compression {chunk.compression!r} is not known")
     try:
-        content, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(record[_RECORD_HEAD:]))), True)
+        content, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(record[_RECORD_HEAD_LENGTH:]))), True)
     except CRCValidationError:
         raise ValueError(f"the chunk at byte {chunk.chunk_start_offset} is damaged: wrong checksum") from None
     return content.read(size)

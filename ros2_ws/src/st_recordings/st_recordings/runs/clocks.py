@@ -1,4 +1,4 @@
-"""Aligns the clocks of an INS recording and a CAN log by the signals that both contain."""
+"""Aligns the clocks of an INS recording and a CAN log using the signals that both contain."""
 
 from dataclasses import replace
 
@@ -11,11 +11,11 @@ from .can_signals import CanSignals, Signal
 from .ins_log import InsLog
 
 # Delays [s]: (expected value, standard deviation).
-INS_ON_CAN = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
-WHEEL_SPEED = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
+INS_ON_CAN_DELAY = (0.002, 0.002)  # default, from the measurement of an INS value to its frame in the log
+WHEEL_SPEED_DELAY = (0.015, 0.015)  # wheel pulses are counted over a period before the speed is sent
 # Standard deviation of longitudinal slip divided by acceleration [s^2/m], which shifts a wheel speed in time by this
 # value times the speed. The ratio is 0.003 for a braked rear axle, 0.007 for a driven one, 0 for one that rolls freely.
-WHEEL_SLIP_DEVIATION = 0.002
+SLIP_PER_ACCELERATION_DEVIATION = 0.002
 STEERING_DELAY = (-0.06, 0.06)  # negative, because steering leads the yaw rate by the response time of the car
 
 NO_INS_FRAMES = "the DBC describes no INS frames of this log (RT_..., as in the rt.dbc that `st car new` writes)"
@@ -36,13 +36,13 @@ PLAUSIBILITY_CHANNELS = {"ins_velocity_x": "velocity_x", "ins_yaw_rate": "yaw_ra
 
 
 def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, search: tuple[float, float] | None = None,
-                 latency: tuple[float, float] = INS_ON_CAN,
+                 latency: tuple[float, float] = INS_ON_CAN_DELAY,
                  steering_sign: int = 1) -> tuple[Alignment, list[SharedSignal]]:
     """Aligns the clocks with the first available of: a given offset; the INS time frame on CAN, checked with shared
     signals; shared signals; substitute signals, at best doubtful. Without any, the alignment is refused.
 
     offset: INS minus CAN clock [s]. search: bounds of an offset estimated without the time frame [s]. latency: delay of
-    INS values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded sensor is positive to the left.
+    INS values on CAN and its standard deviation [s]. steering_sign: +1 if the decoded angle is positive to the left.
     Returns (alignment, signals that it uses or that can check it).
     """
     ins, can, notes = mask_implausible(ins, can)
@@ -67,7 +67,8 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     return replace(result, reasons=(*notes, *result.reasons)), pairs
 
 
-def pair_shared_signals(ins: InsLog, can: CanSignals, latency: tuple[float, float] = INS_ON_CAN) -> list[SharedSignal]:
+def pair_shared_signals(ins: InsLog, can: CanSignals,
+                        latency: tuple[float, float] = INS_ON_CAN_DELAY) -> list[SharedSignal]:
     """Pairs the INS signals that both recordings contain: forward velocity, yaw rate, yaw.
 
     latency: delay of INS values on CAN and its standard deviation [s].
@@ -87,7 +88,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
     """(pair for a log without INS frames, warning): INS speed and vehicle or rear wheel speed, or else curvature and
     steering wheel angle.
 
-    steering_sign: +1 if the decoded sensor is positive to the left. ([], "") if the log has neither speed nor steering.
+    steering_sign: +1 if the decoded angle is positive to the left. ([], "") if the log has neither speed nor steering.
     """
     velocity_x, yaw_rate = ins.values["velocity_x"], ins.values["yaw_rate"]
     speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
@@ -97,8 +98,8 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
         speed = replace(speed, values=(speed.values + right.values) / 2.0)
     if speed is not None:
         values = _mask_ins_standstill(ins, np.abs(velocity_x))
-        delay, deviation = WHEEL_SPEED
-        slip = WHEEL_SLIP_DEVIATION * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        delay, deviation = WHEEL_SPEED_DELAY
+        slip = SLIP_PER_ACCELERATION_DEVIATION * float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
         latency = delay, float(np.hypot(deviation, slip))
         return ([_make_pair(f"speed ({speed.message})", "speed", ins.time_ns, values, speed, speed, latency)],
                 f"{NO_INS_FRAMES}: aligned by the vehicle or wheel speed with an assumed delay of "
@@ -118,7 +119,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
 def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, list[str]]:
     """(both recordings with NaN for implausible values, a note on each such signal).
 
-    A single sentinel value or spike can exceed the whole signal, and then shifts or hides the correlation peak.
+    A single sentinel value or spike can be larger than the whole signal, and shifts or hides the correlation peak.
     """
     notes: list[str] = []
 

@@ -167,7 +167,7 @@ DOUBTFUL_RANK = 500
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
     r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
-"""Words in a path which show that it does not lead to a measured quantity of this car."""
+"""Words in a path that show that the value is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
            r"actual|raw|filt|filtered|sensor)")  # words that say where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
@@ -199,7 +199,7 @@ class ColumnSource:
     name: str
     kind: str  # a key of UNITS
     unit: str
-    stated: bool  # whether the file or the layout states the unit
+    unit_stated: bool  # whether the file or the layout states the unit
 
     @property
     def factor(self) -> float:
@@ -219,16 +219,17 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
     """Finds the channels in a header. Raises RunError if a column or a channel that the layout names is missing."""
     by_name = {channel: sources[0] for channel, sources in _find_best_columns(names).items() if len(sources) == 1}
     sources = dict(by_name)
-    for channel, named in layout.columns.items():
-        if named not in names and named in by_name:  # a channel instead of a column: {x: y, y: x} interchanges the axes
-            column: int | None = by_name[named].column
+    for channel, column_name in layout.columns.items():
+        if column_name not in names and column_name in by_name:  # names a channel: {x: y, y: x} swaps the axes
+            column: int | None = by_name[column_name].column
         else:  # an exact match, or else one that ignores case, then also punctuation, then also the unit
             column = next((number for form in (str, str.lower, normalise, _without_unit)
-                           for number, name in enumerate(names) if form(name) == form(named)), None)
+                           for number, name in enumerate(names) if form(name) == form(column_name)), None)
         if column is None:
-            raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {named[:60]!r}",
+            raise RunError(layout.source or file, f"columns: {channel}: {file.name} has no column {column_name[:60]!r}",
                            f"its columns are {', '.join(names)[:300]}")
-        unit = find_stated_unit(names[column], COLUMNS[channel].kind) or find_stated_unit(named, COLUMNS[channel].kind)
+        kind = COLUMNS[channel].kind
+        unit = find_stated_unit(names[column], kind) or find_stated_unit(column_name, kind)
         sources[channel] = _make_source(column, names[column], channel, unit)
     if "t" not in sources and (pair := find_stamp_columns(names)):
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
@@ -286,12 +287,12 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:
-    """Sets the units of the layout in the sources. Raises RunError if a channel with a unit has no column."""
+    """Applies the units that the layout states. Raises RunError if a channel with a unit has no column."""
     for channel, unit in layout.units.items():
         if channel not in sources:
             raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for this channel",
                            f"it has columns for {', '.join(sources)}")
-        sources[channel] = replace(sources[channel], unit=unit, stated=True)
+        sources[channel] = replace(sources[channel], unit=unit, unit_stated=True)
     return sources
 
 

@@ -23,8 +23,8 @@ MOTION_SIGNALS = ("velocity_x", "yaw_rate")
 ROAD_WHEEL, STEERING_WHEEL, HEADING, COURSE = "road_wheel_angle", "steering_wheel_angle", "compass_heading", "course"
 COLUMN_ADVICE = ("name the columns as in docs/csv_columns.md, or write a {stem}.run.yaml with the lines `{key}: {name}`"
                  "{can} and `columns: {{{channel}: NAME, ...}}` (for many drives: `each: '*{extension}'`)")
-STEERING_ADVICE = ("name its column by --steering-field NAME --steering-is wheel (or road), with --steering-sign -1 if "
-                   "right is positive; or also give the CAN log that contains the steering angle")
+STEERING_ADVICE = ("name its column with --steering-field NAME --steering-is wheel (or road), and --steering-sign -1 "
+                   "if right is positive; or also give the CAN log that contains the steering angle")
 COMPUTED_FROM = {"time": "t", "x": "longitude", "y": "latitude", "yaw": HEADING}
 """Channel -> channel from which it is computed if the table has no column for it."""
 ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "yaw": f"{HEADING} or {COURSE}"}
@@ -33,8 +33,7 @@ QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_DISAGREEING_ANGLE = 0.3
 """[rad]. If the median difference of a heading and a course is larger, the heading has another unit or direction."""
 MAX_HELD_SHARE = 0.3
-"""If the position repeats the previous one in a larger fraction of the rows in which the car moves, its rate is lower
-than the rate of the rows."""
+"""Positions have a lower rate than the rows if they repeat in a larger fraction of the rows with a moving car."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
@@ -42,7 +41,7 @@ MIN_GAP_RATIO = 2.5  # rows are missing between two rows if their time differenc
 MAX_AFTER_GAP_SHARE = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDING_RATIO = 1.01
-"""A change of position is one unit of the last decimal if the larger is at most this multiple of the smaller."""
+"""A change of position is one unit of the last decimal if their ratio (larger to smaller) is not above this."""
 MIN_REGULAR_SHARE = 0.9
 """Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 
@@ -77,9 +76,9 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     columns, origin = _derive_channels(table, notes, frame_id)
     steering_channels = _choose_steering(table, columns, vehicle, steering, notes)
     missing = _count_missing(table, columns, steering_channels, notes)
-    ins = table.used & all_finite(columns, INS_SIGNALS)
-    steered = table.used & all_finite(columns, steering_channels)
-    if min(ins.sum(), steered.sum()) < 2:
+    has_ins = table.is_usable & all_finite(columns, INS_SIGNALS)
+    has_steering = table.is_usable & all_finite(columns, steering_channels)
+    if min(has_ins.sum(), has_steering.sum()) < 2:
         reason, advice = "", "remove it from the command"
         if missing:
             worst = max(missing, key=lambda name: missing[name])
@@ -89,21 +88,22 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
                 reason = (f": column {table.sources[column].name} has no numbers, but text such as "
                           f"{table.texts[column]!r}")
                 advice = "export it as plain numbers"
-        elif len(table.used) > 1:
-            later = format_share(int(table.used.sum()), len(table.used), "rows")
+        elif len(table.is_usable) > 1:
+            later = format_share(int(table.is_usable.sum()), len(table.is_usable), "rows")
             reason, advice = f": only {later} have a time later than all rows before them", "sort its rows by time"
         raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
-    values = {name: columns[name][ins] for name in INS_SIGNALS}
+    values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
-    values |= {name: columns[name][ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
-    values |= {name: columns[name][steered] for name in {ROAD_WHEEL, *steering_channels}}
-    log = make_drive_log(file, file.stem, ins_time_ns=table.time_ns[ins], steering_time_ns=table.time_ns[steered],
-                         **values)
-    speeds = {name: (table.time_ns[table.used], columns[name][table.used]) for name in SPEEDS if name in columns}
-    first, last = np.flatnonzero(table.used)[[0, -1]]
+    values |= {name: columns[name][has_ins] for name in OPTIONAL_INS_SIGNALS if is_mostly_known(columns.get(name))}
+    values |= {name: columns[name][has_steering] for name in {ROAD_WHEEL, *steering_channels}}
+    log = make_drive_log(file, file.stem, ins_time_ns=table.time_ns[has_ins],
+                         steering_time_ns=table.time_ns[has_steering], **values)
+    speeds = {name: (table.time_ns[table.is_usable], columns[name][table.is_usable])
+              for name in SPEEDS if name in columns}
+    first, last = np.flatnonzero(table.is_usable)[[0, -1]]
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
                            geographic=origin is not None)
-    sources = {channel: f"{source.name} [{source.unit}{'' if source.stated else ', assumed'}]"
+    sources = {channel: f"{source.name} [{source.unit}{'' if source.unit_stated else ', assumed'}]"
                for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
@@ -112,15 +112,15 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
 def build_ins_log(table: Table, needed: Sequence[str], yaw_scale: float = 1.0) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
 
-    needed: channels with a number in every sample; yaw is also one of them if the table has it. Other channels may
-    contain NaN. yaw_scale: as for `build_drive`.
+    needed: channels that must have a number in every sample, to which yaw is added if the table has it. Other channels
+    may contain NaN. yaw_scale: as for `build_drive`.
     """
     _require_columns(table, needed, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
     channels = [name for name in INS_SIGNALS if name in columns
                 and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
-    rows = table.used & all_finite(columns, channels)
+    rows = table.is_usable & all_finite(columns, channels)
     if rows.sum() < 2:
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     counted = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
@@ -145,26 +145,26 @@ def lacks_steering(file: Path) -> bool:
 
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names a position and lacks at most one INS channel."""
-    missing = _missing_in_header(file, INS_SIGNALS, completed=False)
+    missing = _missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
 def _missing_in_header(file: Path, needed: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
-                       completed: bool = True) -> list[str]:
+                       with_derived_motion: bool = True) -> list[str]:
     names = read_header(file)
-    return find_missing_channels(find_columns(file, names, Layout()), names, needed, completed)
+    return find_missing_channels(find_columns(file, names, Layout()), names, needed, with_derived_motion)
 
 
 def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
-                          completed: bool = True) -> list[str]:
-    """Finds the needed channels that have no column and cannot be derived. completed: whether `_complete_motion` may
-    derive velocity_y and yaw_rate."""
+                          with_derived_motion: bool = True) -> list[str]:
+    """Finds the needed channels that have no column and cannot be derived. with_derived_motion: whether
+    `_complete_motion` may derive velocity_y and yaw_rate."""
     channels = set(sources)
     if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
         channels.add("yaw")
     if channels >= {"yaw", "velocity_east", "velocity_north"}:
         channels |= {"velocity_x", "velocity_y"}
-    if completed and channels >= {"velocity_x", "yaw"}:
+    if with_derived_motion and channels >= {"velocity_x", "yaw"}:
         channels |= {"velocity_y", "yaw_rate"}
     if channels >= {"latitude", "longitude"}:
         channels |= {"x", "y"}
@@ -176,7 +176,7 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: 
 def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
     missing = find_missing_channels(table.sources, table.names, ("t", *needed))
-    if "yaw" in missing:  # what can be computed from a heading is not listed
+    if "yaw" in missing:  # do not list channels that can be computed from it
         unknown = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
         missing = [name for name in missing if name == "yaw" or name in unknown]
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
@@ -211,7 +211,7 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
     has x and y, or no fix).
 
     Derives missing channels: yaw from compass heading, quaternion or course; velocities from those over ground,
-    or as `_complete_motion`; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
+    or as in `_complete_motion`; yaw rate from yaw; x, y from latitude, longitude. Interpolates channels of lower rate.
     """
     columns, origin = dict(table.columns), None
     _interpolate_lower_rates(table, columns, notes)
@@ -244,7 +244,7 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
             without = format_share(int((~has_fix).sum()), len(has_fix), "rows")
             notes.append(f"{table.file}: {without} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
-        fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.used)
+        fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.is_usable)
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
         columns["x"], columns["y"], _ = LocalFrame(*(origin or (0.0, 0.0, 0.0))).to_enu(latitude, longitude, 0.0)
         _check_distance(table, columns, latitude, longitude)
@@ -261,7 +261,7 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
         return
     source = table.sources[channel]
     cells = table.columns[channel] / source.factor
-    rows = table.used & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
+    rows = table.is_usable & np.isfinite(cells) & (speed > MIN_COURSE_SPEED)
     if rows.sum() < MIN_COMPARED_SAMPLES:
         return
     errors: dict[tuple[str, str], float] = {}
@@ -269,7 +269,7 @@ def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
         angle = cells[rows] * UNITS["angle"][unit][0]
         for name, yaw in (("yaw", angle), (HEADING, np.pi / 2 - angle)):
             errors[name, unit] = float(np.median(np.abs(wrap_angle(course[rows] - yaw))))
-    name, unit = min(errors, key=lambda reading: errors[reading])
+    name, unit = min(errors, key=lambda candidate: errors[candidate])
     if errors[channel, source.unit] > MIN_DISAGREEING_ANGLE and errors[name, unit] < MAX_AGREEING_ANGLE:
         raise RunError(table.file, f"column {source.name} agrees with the velocities to the east and north only as "
                        f"{name} in {unit}", f"declare it in a run.yaml, as columns: {{{name}: '{source.name}'}} and "
@@ -285,7 +285,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
     """
     if "velocity_x" not in columns:
         return
-    rows = np.flatnonzero(table.used & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
+    rows = np.flatnonzero(table.is_usable & np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(
         columns["velocity_x"]))
     time = (table.time_ns[rows] - table.time_ns[:1]) * 1e-9
     if len(rows) < MIN_COMPARED_SAMPLES:
@@ -309,7 +309,7 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
-    if not table.sources["latitude"].stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
+    if not table.sources["latitude"].unit_stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
                        "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
@@ -323,24 +323,24 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
 
 def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
     """Interpolates INS channels with a lower rate or separate stamps at the rows of the channel with the highest rate.
-    Of several channels with a similar rate, this is the one in whose rows the most channels have numbers.
+    Of several channels with a similar rate, the one whose rows have numbers in the most channels is taken.
 
     Loggers leave the other cells of such channels blank. Missing numbers in the channel with the highest rate, and gaps
     in the other channels, are not filled.
     """
     fixes = [np.isfinite(columns[name]) for name in ("latitude", "longitude") if name in columns]
-    separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in messages of their own
+    are_separate = len(fixes) == 2 and 2 * (fixes[0] & fixes[1]).sum() < fixes[0].sum()  # in different messages
     names = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, HEADING, COURSE, "velocity_east", "velocity_north",
-                               *(("latitude", "longitude") if separate else ())) if name in columns]
-    sample_rows = {name: np.flatnonzero(table.used & np.isfinite(columns[name])) for name in names}
-    filled = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # number of channels with a number, by row
+                               *(("latitude", "longitude") if are_separate else ())) if name in columns]
+    sample_rows = {name: np.flatnonzero(table.is_usable & np.isfinite(columns[name])) for name in names}
+    counts = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # channels with a number in each row
     longest = max(map(len, sample_rows.values()), default=0)
     rows = max((samples for samples in sample_rows.values() if len(samples) > MIN_SIMILAR_RATE * longest),
-               key=lambda samples: filled[samples].sum(), default=np.empty(0, int))
+               key=lambda samples: counts[samples].sum(), default=np.empty(0, int))
     time = (table.time_ns - table.time_ns[:1]) * 1e-9
     if len(rows) < 3:
         return
-    changed = []
+    descriptions = []
     for name, samples in sample_rows.items():
         if len(samples) < 3:
             continue
@@ -358,10 +358,10 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         interpolated[(steps[after - 1] > MIN_GAP_RATIO * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = np.full_like(columns[name], np.nan)
         columns[name][rows] = interpolated
-        changed.append(f"{name} {format_share(len(samples), int(table.used.sum()), 'rows')}")
-    if changed:
-        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(changed)}; their values "
-                     "in the other rows were interpolated")
+        descriptions.append(f"{name} {format_share(len(samples), int(table.is_usable.sum()), 'rows')}")
+    if descriptions:
+        notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(descriptions)}; their "
+                     "values in the other rows were interpolated")
 
 
 def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], notes: list[str]) -> np.ndarray:
@@ -374,12 +374,12 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
         speed = np.hypot(columns["velocity_east"], columns["velocity_north"])
     else:
         return course
-    has_course = table.used & np.isfinite(course) & np.isfinite(speed)
+    has_course = table.is_usable & np.isfinite(course) & np.isfinite(speed)
     slow = has_course & (speed < MIN_COURSE_SPEED)
     if not slow.any():
         return course
     moving = np.flatnonzero(has_course & ~slow) if (has_course & ~slow).any() else np.flatnonzero(has_course)[:1]
-    notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.used.sum()), 'rows')} are slower than "
+    notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.is_usable.sum()), 'rows')} are slower than "
                  f"{MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
     course = course.copy()
     course[slow] = np.interp(table.time_ns[slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
@@ -405,10 +405,10 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates, and at the end extrapolates, positions of a lower rate that are repeated until the next one."""
+    """Interpolates, and at the end extrapolates, positions at a lower rate, which repeat until the next."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
-    rows = np.flatnonzero(table.used & all_finite(columns, ("x", "y", "velocity_x")))
+    rows = np.flatnonzero(table.is_usable & all_finite(columns, ("x", "y", "velocity_x")))
     if len(rows) < 3:
         return
     x, y = columns["x"][rows], columns["y"][rows]
@@ -453,7 +453,7 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
                      steering: SteeringField | None, notes: list[str]) -> tuple[str, ...]:
     """Chooses the steering channels to read, applies the sign of an option, and computes the road wheel angle if there
-    is only the steering wheel angle. Raises RunError if this lacks a vehicle."""
+    is only the steering wheel angle. Raises RunError if this requires a vehicle, but none is given."""
     if steering is not None and not steering.topic:
         named, other = (ROAD_WHEEL, STEERING_WHEEL) if steering.quantity == "road" else (STEERING_WHEEL, ROAD_WHEEL)
         columns[named] = steering.sign * columns[named]
@@ -479,7 +479,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
     """Channel -> number of used rows in which it has no number ("time": of all rows); adds a note on each."""
     channels = [name for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS, *steering) if name in columns]
     counts = {"time": table.rows_without_time,
-              **{name: _count_missing_samples(table.time_ns[table.used], columns[name][table.used])
+              **{name: _count_missing_samples(table.time_ns[table.is_usable], columns[name][table.is_usable])
                  for name in channels}}
     missing = {name: count for name, count in counts.items() if count}
     total = len(table.time_ns) + table.rows_without_time

@@ -17,16 +17,16 @@ from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_st
 from .errors import RunError, check_readable, format_share, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
-ROWS_OF_TIMES = 500  # number of rows in which distinct times are counted, to find the finest time column
+MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING_MARKS = {"", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"}
-_GROUPED = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
+_GROUPED_NUMBER = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:{re.escape(mark)}\d{{3}})+") for mark in ",."}
 _GROUPED_CELL = re.compile(r"(?:^|[;\t])\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\s*(?=[;\t\r\n]|$)", re.MULTILINE)
 _GROUPED_POINTS = re.compile(r"\.(?<=\d.)\d{3}\.\d{3}(?!\d)")  # 1.234.567; fast because it starts with a literal
-_NUMERIC = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
-_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
-_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
+_NUMBER = re.compile(r'[\s"]*[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?[\s"]*')
+_NUMBER_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-].*)")  # 0.02 sec, 12 km/h
+_FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]\d\d)")  # 1.5D-03
 MAX_RADIANS = 6.4  # rad; a column of headings is in degrees if its first value has a larger magnitude
 MAX_YAW_RATE = 3.0  # rad/s; a yaw rate column with larger values is in deg/s, and yaw is not compared with it
 _SEPARATOR = re.compile(r"sep=.\s*$", re.MULTILINE)  # how a spreadsheet marks its delimiter
@@ -45,7 +45,7 @@ class Table:
     columns: Mapping[str, np.ndarray]  # SI values by channel, (n,) each; NaN where a number is missing
     time_ns: np.ndarray  # (n,)
     rows_without_time: int
-    used: np.ndarray  # (n,) whether the time is usable (ins_log.select_usable_rows)
+    is_usable: np.ndarray  # (n,) whether the time is usable (ins_log.select_usable_rows)
     warnings: tuple[str, ...]  # each names the file
     texts: Mapping[str, str] = field(default_factory=dict)  # channel without numbers -> its first cell, shortened
 
@@ -56,10 +56,10 @@ class Table:
 
 
 def read_text(file: Path, size: int = -1) -> str:
-    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell; a row that is
-    one quoted cell with several cells in it becomes a row.
+    """Reads text in UTF-8, UTF-16 or Windows-1252. Line ends become \\n, or a space within a quoted cell. A row
+    exported as one quoted cell is split into its cells.
 
-    size: bytes to read, ignoring those that are not UTF-8; -1: all bytes, or RunError for a binary file.
+    size: number of bytes to read, ignoring any that are not UTF-8; -1: all (RunError for a binary file).
     """
     text = _decode(file, size).replace("\r\n", "\n").replace("\r", "\n")
     text = _LINE_END_IN_CELL.sub(lambda cell: cell[0].replace("\n", " "), text)
@@ -119,13 +119,13 @@ def read_table(file: Path, layout: Layout) -> Table:
 def join_tables(tables: Sequence[Table]) -> Table:
     """Joins the parts of a recording in the order of their start times, with the channels that all parts have.
 
-    Parts without a used row are left out. Raises RunError if parts overlap in time, because their clocks then differ.
+    Parts without a usable row are left out. Raises RunError if parts overlap in time, because their clocks then differ.
     """
-    parts = sorted((table for table in tables if table.used.any()), key=lambda part: part.time_ns[part.used][0])
+    parts = sorted((part for part in tables if part.is_usable.any()), key=lambda part: part.time_ns[part.is_usable][0])
     if len(parts) < 2:
         return parts[0] if parts else tables[0]
     for before, part in pairwise(parts):
-        if part.time_ns[part.used][0] <= before.time_ns[before.used][-1]:
+        if part.time_ns[part.is_usable][0] <= before.time_ns[before.is_usable][-1]:
             raise RunError(part.file, f"it begins before the end of {before.file.name}: parts of one recording must "
                            "follow each other on one clock", "list it as a separate run")
     first = parts[0]
@@ -137,19 +137,19 @@ def join_tables(tables: Sequence[Table]) -> Table:
     sources = {channel: source for channel, source in first.sources.items() if channel in columns or channel == "t"}
     return Table(first.file, first.names, sources, columns,
                  np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),
-                 np.concatenate([part.used for part in parts]), tuple(notes))
+                 np.concatenate([part.is_usable for part in parts]), tuple(notes))
 
 
 def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
                 sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. Raises RunError.
 
-    sources: column of each channel; None: columns and units are found by the names, the first rows and `above`, the
-    lines before the header.
+    sources: column of each channel; None: columns and units are found from the names, the first rows and `above`,
+    the lines before the header.
     """
     body = body.replace("\u2212", "-")
     if "D+" in body or "D-" in body or "d+" in body or "d-" in body:  # the substitution is slow
-        body = _FORTRAN.sub("E", body)
+        body = _FORTRAN_EXPONENT.sub("E", body)
     if sources is None:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
@@ -177,15 +177,16 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
     seconds, time = convert_to_seconds(file, _add_nanoseconds(rows, names, time.column), time, warnings)
-    has_time, time_ns, used = select_usable_times(file, seconds, time, first_time, warnings)
+    has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
-    return Table(file, tuple(names), sources, columns, time_ns, int((~has_time).sum()), used, tuple(warnings), texts)
+    rows_without_time = int((~has_time).sum())
+    return Table(file, tuple(names), sources, columns, time_ns, rows_without_time, is_usable, tuple(warnings), texts)
 
 
 def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
     """One row for each time of a table in which groups of columns have times of their own, in a column of the same name
-    before each group; NaN where a group has no row with this time. The rows, if the times do not differ or decrease."""
+    before each group; NaN where a group has no row with this time. `rows` if the times are equal or do not increase."""
     starts = [number for number in range(time, len(names)) if names[number] == names[time]]
     groups = [rows[np.isfinite(rows[:, start])] for start in starts]
     group_times = [group[:, start] for group, start in zip(groups, starts, strict=True)]
@@ -202,7 +203,7 @@ def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
 
 
 def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times in a column, plus the second column of a ROS stamp [ns] if these fit: whole seconds, and below 1 s."""
+    """Times in a column; if they are whole seconds of a ROS stamp, its nanoseconds are added (unless 1 s or more)."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
@@ -220,9 +221,9 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
         raise RunError(file, "this is a CAN log as a table", "export it as .asc, .blf, .trc, .mf4, "
                        ".log of candump, or with the columns of python-can's CSVWriter")
     warnings += [f"{file}: {sentence}" for sentence in column_names.describe_unknown_units(names, sources).values()]
-    warnings += [f"{file}: columns {' and '.join(rivals)} may each be {channel}; none of them is used"
-                 for channel, rivals in column_names.find_ambiguous(names).items() if channel not in sources]
-    rows = [line.split(delimiter) for line in body.split("\n", ROWS_OF_TIMES)[:ROWS_OF_TIMES]]
+    warnings += [f"{file}: columns {' and '.join(candidates)} may each be {channel}; none of them is used"
+                 for channel, candidates in column_names.find_ambiguous(names).items() if channel not in sources]
+    rows = [line.split(delimiter) for line in body.split("\n", MAX_TIME_ROWS)[:MAX_TIME_ROWS]]
 
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
@@ -233,7 +234,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
             sources["t"] = finest
     first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and parse_stamp(first[0]):
-        sources["t"] = ColumnSource(0, "(without a name)", "time", "s", stated=True)
+        sources["t"] = ColumnSource(0, "(without a name)", "time", "s", unit_stated=True)
     return sources
 
 
@@ -248,15 +249,16 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
     # The checks report a yaw in degrees that contradicts the yaw rate column; a derived yaw rate would hide the error.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
-        if source is None or source.stated or source.unit != "rad":
+        if source is None or source.unit_stated or source.unit != "rad":
             continue
         has_value = np.isfinite(columns[channel])
         values = columns[channel][has_value]
         wraps = np.abs(np.diff(values)).max(initial=0.0) > 180.0
         if not wraps and "yaw_rate" in columns and len(values):
             rate = np.nan_to_num(columns["yaw_rate"])
-            turned = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[has_value]
-            if np.abs(rate).max() < MAX_YAW_RATE and np.ptp(turned) > 0.3 and np.ptp(values) < 3.0 * np.ptp(turned):
+            yaw_change = np.cumsum(rate * np.diff(time_ns * 1e-9, prepend=time_ns[0] * 1e-9))[has_value]
+            yaw_range = np.ptp(yaw_change)
+            if np.abs(rate).max() < MAX_YAW_RATE and yaw_range > 0.3 and np.ptp(values) < 3.0 * yaw_range:
                 continue  # both are in radians
         if len(values) and values.min() > -180.5 and values.max() < 360.5 and (wraps or abs(values[0]) > MAX_RADIANS):
             columns[channel] = columns[channel] * degree
@@ -271,9 +273,9 @@ def _find_header_line(lines: list[str], layout: Layout | None = None) -> int:
     counts, words = [], []
     for line in lines[:MAX_HEADER_LINES]:
         names, _ = _split_header(line)
-        named = set(layout.columns.values()).intersection(names) if layout else ()
-        counts.append(len(find_columns(Path(), names, Layout())) + len(named) if len(names) > 1 else 0)
-        words.append(sum(bool(name) and not _NUMERIC.fullmatch(name) for name in names))
+        layout_names = set(layout.columns.values()).intersection(names) if layout else ()
+        counts.append(len(find_columns(Path(), names, Layout())) + len(layout_names) if len(names) > 1 else 0)
+        words.append(sum(bool(name) and not _NUMBER.fullmatch(name) for name in names))
     counts = counts if max(counts, default=0) > 1 else words
     return counts.index(max(counts)) if counts else 0
 
@@ -293,7 +295,7 @@ def _split_header(header: str) -> tuple[list[str], str]:
 
 def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
-    """(sources with units from a row above or below the names, the body from its first row of data on).
+    """(sources with units from a row above or below the names, the body starting at its first row of data).
 
     The units are in the first row in which all cells are units of their channels; other rows without numbers contain
     types or sources. Raises RunError if there are such rows below the names but no row of units.
@@ -332,7 +334,8 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
 def _apply_stated_units(sources: dict[str, ColumnSource], texts: Mapping[str, str],
                         layout: Layout) -> dict[str, ColumnSource]:
     """Sets the units in `texts` (by channel), except for channels with a unit in the layout."""
-    return {**sources, **{channel: replace(sources[channel], unit=unit, stated=True) for channel, text in texts.items()
+    return {**sources, **{channel: replace(sources[channel], unit=unit, unit_stated=True)
+                          for channel, text in texts.items()
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
 
@@ -354,7 +357,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
 
 def _split_unit(channel: str, cell: str) -> str:
     """The unit after the number in a cell of a channel; empty if there is none."""
-    match = _WITH_UNIT.fullmatch(cell)
+    match = _NUMBER_WITH_UNIT.fullmatch(cell)
     return match[2] if match and find_unit(COLUMNS[channel].kind, match[2]) else ""
 
 
@@ -383,23 +386,24 @@ def _use_decimal_points(file: Path, body: str, delimiter: str) -> str:
     # If a cell contains both marks, as 1.234,5 does, the last one is the decimal mark.
     marks = {"," if cell.rfind(",") > cell.rfind(".") else "." for cell in commas & points}
     for mark, cells_with_mark, other in ((",", commas, "."), (".", points, ",")):
-        single = {cell for cell in cells_with_mark if other not in cell}
-        if any(cell.count(mark) == 1 and not _GROUPED[mark].fullmatch(cell) and
-               np.isfinite(_parse_number(cell.replace(",", "."))) for cell in single):
+        unmixed_cells = {cell for cell in cells_with_mark if other not in cell}
+        if any(cell.count(mark) == 1 and not _GROUPED_NUMBER[mark].fullmatch(cell) and
+               np.isfinite(_parse_number(cell.replace(",", "."))) for cell in unmixed_cells):
             marks.add(mark)  # a single mark, as in 12,5, is the decimal mark
-        elif any(cell.count(mark) > 1 for cell in single if _GROUPED[mark].fullmatch(cell)):
+        elif any(cell.count(mark) > 1 for cell in unmixed_cells if _GROUPED_NUMBER[mark].fullmatch(cell)):
             marks.add(other)  # a repeated mark, as in 1,234,567, separates thousands
-    doubtful = sorted(cell for cell in commas | points if any(form.fullmatch(cell) for form in _GROUPED.values()))
-    if doubtful and (len(marks) > 1 or not marks):
-        why = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
-        raise RunError(file, f"{doubtful[0]} may be a number with a decimal mark or with a thousands separator: {why}",
-                       "export it without thousands separators")
+    ambiguous_cells = sorted(cell for cell in commas | points
+                             if any(form.fullmatch(cell) for form in _GROUPED_NUMBER.values()))
+    if ambiguous_cells and (len(marks) > 1 or not marks):
+        reason = "the file has decimal commas and decimal points" if marks else "no other cell shows which"
+        raise RunError(file, f"{ambiguous_cells[0]} may be a number with a decimal mark or with a thousands separator: "
+                       f"{reason}", "export it without thousands separators")
     decimal = next(iter(marks), ",")
     separator = "." if decimal == "," else ","
     if len(marks) > 1:  # every cell has at most one mark, and it is decimal
         decimal, separator = ",", ""
     return "\n".join(
-        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMERIC.fullmatch(cell)
+        delimiter.join(cell.replace(separator, "").replace(decimal, ".") if _NUMBER.fullmatch(cell)
                        else cell.replace(delimiter, "." if parse_stamp(cell.strip()) else " ") for cell in row)
         for row in table)
 
@@ -412,8 +416,8 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """Parses the rows to an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
-    out. Raises RunError if these are half of the rows or more, or the others cannot be read."""
+    """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
+    out. Raises RunError if they are half of the rows or more, or the others cannot be read."""
     lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
     try:
         return _parse_rows(lines, delimiter, width)
@@ -472,7 +476,7 @@ def all_finite(columns: Mapping[str, np.ndarray], names: Iterable[str]) -> np.nd
 def differentiate_yaw(table: Table, angle: np.ndarray) -> np.ndarray:
     """Derivative [rad/s] of a yaw angle [rad] at the used rows; NaN elsewhere, and if fewer than 3 have an angle."""
     rate = np.full(len(angle), np.nan)
-    rows = np.flatnonzero(table.used & np.isfinite(angle))
+    rows = np.flatnonzero(table.is_usable & np.isfinite(angle))
     if len(rows) > 2:
         rate[rows] = derive_yaw_rate(table.time_ns[rows], np.unwrap(angle[rows]))
     return rate

@@ -112,7 +112,7 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
 
 
 def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
-    """Builds the log in one file, without the steps of its clock. parts: each in the order in which it was written.
+    """Builds the log of one file and removes the steps of its clock. parts: each in the order in which it was written.
     start_ns: by default the time of the first frame."""
     corrected, found = zip(*map(remove_clock_steps, parts), strict=True)
     frames, steps = merge_by_time(corrected), tuple(chain.from_iterable(found))
@@ -140,8 +140,8 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
     offsets: list[np.ndarray] = []
     message_numbers: list[np.ndarray] = []
     message = np.arange(len(parts))
-    while (unread := remaining > 0).any():
-        at, remaining, message = at[unread], remaining[unread], message[unread]
+    while (has_more := remaining > 0).any():
+        at, remaining, message = at[has_more], remaining[has_more], message[has_more]
         length = heads[at, 16:20].copy().view("<u4")[:, 0].astype(np.int64)
         if (length > MAX_DATA_LENGTH).any() or (at + FRAME_HEAD_LENGTH + length > ends[message]).any():
             raise ValueError("a frame reaches beyond its message")

@@ -95,16 +95,16 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
     rows = np.flatnonzero(is_newer(time_ns))
     lost = n - len(rows)
     notes = []
-    back = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
+    backward_steps = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
     longest = rows[:0]
-    if len(back) and lost > max(MAX_LOST_SHARE * n, 1):
+    if len(backward_steps) and lost > max(MAX_LOST_SHARE * n, 1):
         parts = np.split(np.arange(n), np.flatnonzero(np.diff(time_ns) < 0) + 1)
         longest = max(parts, key=len)
         longest = longest[is_newer(time_ns[longest])]
     if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
         rows = longest
-        times = f"{len(back)} times, first " if len(back) > 1 else ""
-        notes.append(f"the clock was set back {times}by {back[0]:.3f} s: "
+        times = f"{len(backward_steps)} times, first " if len(backward_steps) > 1 else ""
+        notes.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
                      f"{format_share(n - len(rows), n, noun)} are not used; split the recording to use them")
     elif lost:
         notes.append(f"{format_share(lost, n, noun)} are not later than those before them; they were left out")

@@ -27,7 +27,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
     vehicle: used for the steering ratio and offset, and for heading and sideslip if the yaw is the course over ground;
     without a vehicle, the recording (bag, CSV) must contain the road wheel angle. Implausible samples are left out or
-    NaN (`st_core.checks.plausibility`), as `auxiliary.implausible` describes. Then the run.yaml corrects the drive.
+    set to NaN (`st_core.checks.plausibility`), see `auxiliary.implausible`; the corrections of the run.yaml come last.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -63,20 +63,20 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
     Label times are relative to the first INS sample, so they are shifted if the first samples are left out.
     """
-    left_out = source.settings.get("leave_out", ())
+    excluded_intervals = source.settings.get("leave_out", ())
     phrases = (*describe_corrections(source.settings.get("correct", {})),
-               *(f"INS left out from {start:g} to {end:g} s" for start, end in left_out))
+               *(f"INS left out from {start:g} to {end:g} s" for start, end in excluded_intervals))
     if not phrases:
         return run
     corrections: dict[str, Correction] = dict(source.settings.get("correct", {}))
     if "yaw" in corrections and READERS[source.kind].is_table:
         corrections["yaw"] = replace(corrections["yaw"], scale=1.0)  # its reader has applied the factor
     try:
-        log = apply_corrections(run.log, corrections, vehicle, left_out)
+        log = apply_corrections(run.log, corrections, vehicle, excluded_intervals)
     except StCoreError as error:
         raise RunError(source.path, str(error)) from None
-    cut = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
-    labels = tuple(replace(label, start=label.start - cut, end=label.end - cut) for label in run.labels)
+    shift = (int(log.ins_time_ns[0]) - int(run.log.ins_time_ns[0])) * 1e-9 if len(log.ins_time_ns) else 0.0
+    labels = tuple(replace(label, start=label.start - shift, end=label.end - shift) for label in run.labels)
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
         warnings=(*run.warnings, f"{source.path}: corrected by its run.yaml: {'; '.join(phrases)}"),
@@ -84,7 +84,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
 
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
-    """Warnings about time that only INS or steering covers. Raises RunError without overlap or two samples of each."""
+    """Warnings about time that only INS or steering covers. Raises RunError if they do not overlap or lack samples."""
     _check_size(source, log, ())
     spans = {"INS": log.ins_time_ns, "steering": log.steering_time_ns}
     if min(time[-1] for time in spans.values()) <= max(time[0] for time in spans.values()):

@@ -44,14 +44,14 @@ class RecordLayout:
 
     start: int  # offset of the first record
     id_size: int  # bytes of a record identifier
-    fixed: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether the payload is in a separate record)
-    variable: set[int]  # identifiers of the separate payload records
+    frame_records: dict[int, tuple[int, bool]]  # identifier -> (size [bytes], whether its payload is separate)
+    payload_records: set[int]  # identifiers of the separate payload records
 
 
 def check_blocks(data: Buffer) -> RecordLayout | None:
     """Checks the blocks that lead to the frames. Raises DamageError if one of them is missing or invalid.
 
-    asammdf does not validate these blocks: it crashes for a channel outside its record, allocates a record of a
+    asammdf does not validate these blocks: it crashes on a channel outside its record, allocates a record of a
     gigabyte, and follows circular links forever. Names, comments and sources may be missing. The data block of an
     unfinalised file may have no length; its end is then not checked.
 
@@ -131,27 +131,29 @@ class _BlockChecker:
     def _check_channel_group(self, offset: int, layout: RecordLayout) -> tuple[int, int]:
         """Adds a channel group to the layout; returns (offset of the next group, bytes of its fixed-size records)."""
         block = self._read_block(offset, (b"##CG",), links=6, content=32)
-        record, count, flags, _, _, size, invalidation_size = struct.unpack_from("<QQHHIII", self._data, block.content)
-        if record in layout.fixed or record in layout.variable:
-            raise DamageError(f"the channel group at byte {offset} has the record identifier {record} of another group")
+        record_id, count, flags, _, _, size, invalidation_size = struct.unpack_from(
+            "<QQHHIII", self._data, block.content)
+        if record_id in layout.frame_records or record_id in layout.payload_records:
+            raise DamageError(f"the channel group at byte {offset} uses the record identifier {record_id} of another")
         if flags & _REMOTE_MASTER or len(block.links) != 6 or block.end != block.content + 32:
             raise DamageError(f"the channel group at byte {offset} describes records that no CAN logger writes")
         if flags & _VARIABLE_LENGTH_GROUP:
             if block.links[1]:
                 raise DamageError(f"the channel group at byte {offset} has channels, but records of variable length")
-            layout.variable.add(record)
+            layout.payload_records.add(record_id)
             return block.links[0], 0
         record_size = size + invalidation_size
         if record_size > _MAX_RECORD_SIZE:
             raise DamageError(f"the channel group at byte {offset} has impossible records of {record_size} bytes")
-        layout.fixed[record] = record_size, self._check_channels(block.links[1], size, invalidation_size, flags)
+        has_separate_payload = self._check_channels(block.links[1], size, invalidation_size, flags)
+        layout.frame_records[record_id] = record_size, has_separate_payload
         return block.links[0], count * (record_size + layout.id_size)
 
     def _check_channels(self, first: int, size: int, invalidation_size: int, group_flags: int) -> bool:
         """Checks the channels of a group; returns whether one of them has variable length."""
-        waiting, has_variable_length = [first], False
-        while waiting:
-            offset = waiting.pop()
+        pending_links, has_variable_length = [first], False
+        while pending_links:
+            offset = pending_links.pop()
             if not offset:
                 continue
             block = self._read_block(offset, (b"##CN",), links=8, content=72)
@@ -159,11 +161,11 @@ class _BlockChecker:
                 raise DamageError(f"the block at byte {offset} is longer than its content")
             self._check_channel(block, size, invalidation_size)
             has_variable_length |= self._data[block.content] == VARIABLE_LENGTH
-            waiting.append(block.links[0])
+            pending_links.append(block.links[0])
             if part := block.links[1]:
                 if self._data[part : part + 4] == b"##CA" and not group_flags & _BUS_EVENT:
                     continue
-                waiting.append(part)
+                pending_links.append(part)
         return has_variable_length
 
     def _check_channel(self, block: _Block, size: int, invalidation_size: int) -> None:
@@ -204,20 +206,20 @@ class _BlockChecker:
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
         """Number of unpacked bytes of records at a link, which leads to one block, packed or not, or a list."""
-        size, lists, waiting = 0, 0, [offset]
-        while waiting:
-            offset = waiting.pop()
+        size, lists, pending_links = 0, 0, [offset]
+        while pending_links:
+            offset = pending_links.pop()
             if not offset:
                 continue
-            packed = self._data[offset : offset + 4] == b"##DZ"
-            block = self._read_block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if packed else 0)
-            if packed:
+            is_packed = self._data[offset : offset + 4] == b"##DZ"
+            block = self._read_block(offset, (b"##" + kind, b"##DZ", b"##DL", b"##HL"), content=24 if is_packed else 0)
+            if is_packed:
                 size += self._measure_unpacked_records(block, kind)
             elif block.name == b"##DL":
-                waiting += block.links
+                pending_links += block.links
                 lists += 1
             elif block.name == b"##HL":
-                waiting += block.links[:1]
+                pending_links += block.links[:1]
             else:
                 size += (self._size if self._unfinished_parts & _LENGTH_UNFINISHED else block.end) - block.content
         if lists > 1 and self._unfinished_parts & (_LIST_UNFINISHED | _LENGTH_UNFINISHED):
@@ -226,12 +228,12 @@ class _BlockChecker:
         return size
 
     def _measure_unpacked_records(self, block: _Block, kind: bytes) -> int:
-        content, method, columns, unpacked, packed = struct.unpack_from("<2sBxIQQ", self._data, block.content)
+        content, method, columns, unpacked_size, packed_size = struct.unpack_from("<2sBxIQQ", self._data, block.content)
         if content != kind or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
             raise DamageError(f"the block at byte {block.offset} is compressed by an unknown method")
-        if block.content + 24 + packed > block.end or unpacked > _MAX_INFLATION * packed:
-            raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked} bytes")
-        return unpacked
+        if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
+            raise DamageError(f"the block at byte {block.offset} is too short to unpack to {unpacked_size} bytes")
+        return unpacked_size
 
 
 def find_end_of_last_frame(data: Buffer, layout: RecordLayout) -> int | None:
@@ -241,15 +243,15 @@ def find_end_of_last_frame(data: Buffer, layout: RecordLayout) -> int | None:
     """
     offset, end, open_payloads = layout.start, None, 0
     while offset + layout.id_size <= len(data):
-        record = int.from_bytes(data[offset : offset + layout.id_size], "little")
-        if record in layout.variable:
+        record_id = int.from_bytes(data[offset : offset + layout.id_size], "little")
+        if record_id in layout.payload_records:
             if offset + layout.id_size + 4 > len(data):
                 break
             size = 4 + struct.unpack_from("<I", data, offset + layout.id_size)[0]
             change = -1
-        elif record in layout.fixed:
-            size, owns_payload = layout.fixed[record]
-            change = int(owns_payload)
+        elif record_id in layout.frame_records:
+            size, has_separate_payload = layout.frame_records[record_id]
+            change = int(has_separate_payload)
         else:
             break
         offset += layout.id_size + size

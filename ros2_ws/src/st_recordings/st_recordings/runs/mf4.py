@@ -103,7 +103,7 @@ def read_mf4(path: Path) -> frames.CanLog:
 
 @contextmanager
 def open_mdf(path: Path, open_file: Callable[[], Any], advice: str) -> Iterator[Any]:
-    """Opens an MDF file with `open_file` and closes it; its errors, and those in the context, become a RunError.
+    """Opens an MDF file with `open_file` and closes it; its errors, and those raised in the context, become a RunError.
 
     The output of asammdf is suppressed, because it also prints the errors that it raises.
     """
@@ -178,13 +178,13 @@ def _has_payloads(log: Any, group: int) -> bool:
             channel=channel, group=content, group_index=group, channel_index=index, dependency_list=None, raster=None,
             data=None, ignore_invalidation_bits=True, record_offset=0, record_count=None, master_is_required=False,
             skip_vlsd=True)[0]
-        stored = np.frombuffer(reader._load_signal_data(content, index), np.uint8)
-        if not len(offsets) or (offsets[1:] < offsets[:-1]).any() or int(offsets[-1]) + 4 > len(stored):
+        payloads = np.frombuffer(reader._load_signal_data(content, index), np.uint8)
+        if not len(offsets) or (offsets[1:] < offsets[:-1]).any() or int(offsets[-1]) + 4 > len(payloads):
             return False
         offsets = offsets.astype(np.int64)
-        length = stored[offsets].astype(np.int64)
-        if ((length > frames.MAX_DATA_LENGTH) | (stored[offsets + 1] | stored[offsets + 2] | stored[offsets + 3] != 0)
-                | (offsets + 4 + length > len(stored))).any():
+        length = payloads[offsets].astype(np.int64)
+        if ((length > frames.MAX_DATA_LENGTH) | (offsets + 4 + length > len(payloads))
+                | (payloads[offsets + 1] | payloads[offsets + 2] | payloads[offsets + 3] != 0)).any():
             return False
     return True
 
@@ -200,7 +200,7 @@ def _read_group_frames(log: Any, group: int, start_ns: int) -> Iterator[frames.F
         raise DamageError("its records have no time channel")
     count = content.channel_group.cycles_nr
     for first in range(0, count, RECORDS_AT_ONCE):
-        # asammdf allocates as many records as are requested. Invalid times only warn here; _build_frames rejects them.
+        # asammdf allocates as many records as are requested. _build_frames rejects invalid times.
         with np.errstate(all="ignore"):
             signal = log.get(name, group=group, raw=True, ignore_invalidation_bits=False, record_offset=first,
                              record_count=min(RECORDS_AT_ONCE, count - first))
@@ -219,7 +219,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     if missing := [member for member in required if member not in members]:
         raise DamageError(f"its frames have no {missing[0]}")
 
-    def column_of(short_name: str, default: int = 0) -> np.ndarray:
+    def get_column(short_name: str, default: int = 0) -> np.ndarray:
         channel = channels.get(short_name)
         if channel is not None and channel.channel_type in VIRTUAL:  # its conversion is 0 * row + constant
             slope, value = getattr(channel.conversion, "a", 1.0), getattr(channel.conversion, "b", 0.0)
@@ -242,26 +242,26 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     if payload.shape[1] not in (8, 64):
         width = 8 if payload.shape[1] < 8 else 64
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
-    identifier = column_of("ID").astype(np.uint32)
-    extended = column_of("IDE").astype(bool) | (identifier > 0x7FF)
-    length = _convert_lengths(column_of("DataLength"), channels["DataLength"]) if "DataLength" in members else \
-        FD_LENGTHS[column_of("DLC", 8) & 15]
+    identifier = get_column("ID").astype(np.uint32)
+    extended = get_column("IDE").astype(bool) | (identifier > 0x7FF)
+    length = _convert_lengths(get_column("DataLength"), channels["DataLength"]) if "DataLength" in members else \
+        FD_LENGTHS[get_column("DLC", 8) & 15]
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
-    flags[column_of("Dir").astype(bool)] |= frames.SENT
-    flags[column_of("EDL").astype(bool)] |= frames.FD
+    flags[get_column("Dir").astype(bool)] |= frames.SENT
+    flags[get_column("EDL").astype(bool)] |= frames.FD
     return frames.Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
         id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(frames.EXTENDED), np.uint32(0)),
-        payload=np.ascontiguousarray(payload), bus=column_of("BusChannel", bus).astype(np.uint8), flags=flags,
+        payload=np.ascontiguousarray(payload), bus=get_column("BusChannel", bus).astype(np.uint8), flags=flags,
         length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )
 
 
-def _convert_lengths(stored: np.ndarray, channel: Any) -> np.ndarray:
+def _convert_lengths(codes: np.ndarray, channel: Any) -> np.ndarray:
     """Converts stored lengths, which are numbers of bytes or CAN FD length codes, to numbers of bytes."""
-    if channel.conversion is None or not len(stored):
-        return FD_LENGTHS[stored & 15] if channel.bit_count <= 4 else stored
-    length = np.asarray(channel.conversion.convert(stored.astype(np.int64)))
+    if channel.conversion is None or not len(codes):
+        return FD_LENGTHS[codes & 15] if channel.bit_count <= 4 else codes
+    length = np.asarray(channel.conversion.convert(codes.astype(np.int64)))
     if length.dtype.kind not in "biuf" or not ((length >= 0) & (length <= frames.MAX_DATA_LENGTH)).all():
         raise DamageError("the lengths of its frames are invalid")
     return length

@@ -42,19 +42,19 @@ def read_ncom(file: Path) -> NcomLog:
         problem = str(error).removeprefix(f"{file}: ")
         raise RunError(file, problem, "remove the file from the command, or name the right one") from None
     warnings = _describe_damage(columns, file)
-    regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
-    fix = regular & ~columns.is_approximate & np.isfinite(columns.latitude) & np.isfinite(columns.heading)
-    fix &= np.isfinite(columns.velocity_ned).all(axis=0) & np.isfinite(columns.angular_rate).all(axis=0)
-    if not fix.any():
+    is_regular = (columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
+    has_fix = is_regular & ~columns.is_approximate & np.isfinite(columns.latitude) & np.isfinite(columns.heading)
+    has_fix &= np.isfinite(columns.velocity_ned).all(axis=0) & np.isfinite(columns.angular_rate).all(axis=0)
+    if not has_fix.any():
         counts = zip(*(a.tolist() for a in np.unique(columns.navigation_status, return_counts=True)), strict=True)
         statuses = ", ".join(f"{status} ({STATUS_RULES[status].text}) in {count} packets" for status, count in counts)
         raise RunError(file, f"no packet has a fix; navigation status: {statuses}",
                        "record again after the unit has locked (status 4), or post-process the raw data")
-    timed = fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
-    if not timed.any():
+    has_time = has_fix & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
+    if not has_time.any():
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it at least every 200 packets")
-    samples, total = np.flatnonzero(timed), int(regular.sum())
+    samples, total = np.flatnonzero(has_time), int(is_regular.sum())
     if (lost := total - len(samples)) > MAX_LOST_SHARE * total:
         warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; "
                         "they were left out")
@@ -63,14 +63,14 @@ def read_ncom(file: Path) -> NcomLog:
     warnings += [f"{file}: {note}" for note in notes]
     motion = Motion.from_packet(columns.take(rows))
     origin = float(motion.latitude[0]), float(motion.longitude[0]), float(motion.altitude[0])
-    stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
+    is_stamped = (columns.kind == file_decoder.REGULAR) & (columns.utc_ns != file_decoder.UNKNOWN_TIME)
     position = motion.locate(LocalFrame(*origin))
     channels = zip((*INS_SIGNALS, *OPTIONAL_INS_SIGNALS), (
         *position[:2], np.unwrap(np.pi / 2 - columns.heading[rows]), *motion.body_velocity[:2],
         motion.angular_velocity[2], *motion.acceleration[:2]), strict=True)
     values = {name: column for name, column in channels if np.isfinite(column).any()}
     return NcomLog(
-        file=file, time_ns=columns.utc_ns[rows], values=values, origin=origin, stamps_ns=columns.utc_ns[stamped],
+        file=file, time_ns=columns.utc_ns[rows], values=values, origin=origin, stamps_ns=columns.utc_ns[is_stamped],
         quality=collect_quality(columns, rows), columns=columns, rows=rows, motion=motion, position=position,
         warnings=tuple(warnings))
 
@@ -86,10 +86,10 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
     if duplicates := np.count_nonzero(columns.order == DUPLICATE):
         faults.append(f"{duplicates} packets are duplicates")
     notes = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
-    regular = columns.kind == file_decoder.REGULAR
-    other = regular & np.isin(columns.order, (SAME, LATE))
-    if other.sum() > MAX_LOST_SHARE * regular.sum():
-        count = format_share(int(other.sum()), int(regular.sum()), "packets")
+    is_regular = columns.kind == file_decoder.REGULAR
+    is_out_of_order = is_regular & np.isin(columns.order, (SAME, LATE))
+    if is_out_of_order.sum() > MAX_LOST_SHARE * is_regular.sum():
+        count = format_share(int(is_out_of_order.sum()), int(is_regular.sum()), "packets")
         notes.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
                      "they were left out; if two units were recorded, export the packets of one "
                      "(tshark -Y 'ip.src == ADDRESS')")
@@ -106,11 +106,11 @@ def decode_status_channel(columns: Columns, channel: int, names: tuple[str, ...]
     return packets, values[inverse]
 
 
-def select_latest_values(sent_in: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
-    """(n, k) latest of the `values` sent in packets `sent_in`, at ascending packets (n,); NaN before the first."""
-    if not len(sent_in):
+def select_latest_values(source_packets: np.ndarray, values: np.ndarray, packets: np.ndarray) -> np.ndarray:
+    """(n, k) latest of the `values` that `source_packets` contain, at ascending packets (n,); NaN before the first."""
+    if not len(source_packets):
         return np.full((len(packets), values.shape[1]), np.nan)
-    newest = np.searchsorted(sent_in, packets, side="right") - 1
+    newest = np.searchsorted(source_packets, packets, side="right") - 1
     return np.where((newest >= 0)[:, None], values[np.maximum(newest, 0)], np.nan)
 
 

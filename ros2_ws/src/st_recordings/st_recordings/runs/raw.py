@@ -18,7 +18,7 @@ from .bag import may_need_can_frames
 from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
-from .clocks import INS_ON_CAN, align_clocks
+from .clocks import INS_ON_CAN_DELAY, align_clocks
 from .errors import RunError, check_readable, format_share
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
@@ -41,7 +41,7 @@ class RawRun:
     signals: CanSignals
     steering: Signal | None  # None for `st align`
     alignment: Alignment
-    shared: list[SharedSignal]  # signals that both contain, for the alignment and its check
+    shared_signals: list[SharedSignal]  # signals that both contain, for the alignment and its check
     latency: str  # description of the delay of INS frames on CAN
     warnings: tuple[str, ...]
 
@@ -66,7 +66,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     if not keep_frames:
         can = replace(can, frames=empty_frames())
     read_ins = READERS[source.kind].read_ins
-    assert read_ins is not None  # every kind of recording that can be combined with CAN logs has it
+    assert read_ins is not None  # set for every kind of recording that can be combined with CAN logs
     ins = read_ins(source, settings)
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
@@ -113,7 +113,7 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
 
 
 def read_raw_run(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
-    """Reads the drive in an INS recording and CAN logs; needs the vehicle. Raises RunError."""
+    """Reads the drive in an INS recording and CAN logs. Raises RunError, also without a vehicle."""
     if vehicle is None:
         raise RunError(source.path, "the road wheel angle of a CAN log needs the steering ratio and offset of the car",
                        "give the vehicle file of the car")
@@ -161,9 +161,9 @@ def _describe_rejected_steering(run: RawRun, settings: ReadSettings) -> tuple[Fi
     """A finding about steering frames that the decoder rejected; empty if there are none, or no INS samples."""
     assert run.steering is not None
     message = run.steering.message
-    if message not in run.signals.rejected or not len(run.ins.time_ns):
+    if message not in run.signals.rejected_times_ns or not len(run.ins.time_ns):
         return ()
-    time_ns = move_to_ins_clock(run, settings, run.signals.rejected[message])
+    time_ns = move_to_ins_clock(run, settings, run.signals.rejected_times_ns[message])
     return (make_rejected_frames_finding(
         (time_ns - run.ins.time_ns[0]) * 1e-9, len(time_ns) + len(run.steering.time_ns), run.signals.faults[message]),)
 
@@ -187,7 +187,7 @@ def choose_clock_settings(source: RunSource, settings: ReadSettings) -> dict[str
     if settings.search and settings.search[0] >= settings.search[1]:
         raise RunError("--search", "the lower bound {:g} is not below the upper bound {:g}".format(*settings.search))
     offset = settings.offset if settings.offset is not None else source.settings.get("offset")
-    latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN
+    latency = settings.ins_can_latency or source.settings.get("ins_can_latency") or INS_ON_CAN_DELAY
     return {"offset": offset, "search": settings.search, "latency": latency, "steering_sign": settings.steering_sign}
 
 
@@ -215,8 +215,8 @@ def _find_pair(files: Sequence[Path], settings: ReadSettings) -> RunSource:
         raise RunError(runs[0].path, "all its messages are on one clock, so there is nothing to align")
     raw = [run for run in runs if run.can]
     if len(raw) != 1:
-        count = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
-        raise RunError(", ".join(map(str, files)), f"{count} of INS recording and CAN logs is among these files",
+        pairs = "no pair" if not raw else f"more than one pair ({', '.join(run.name for run in raw)})"
+        raise RunError(", ".join(map(str, files)), f"{pairs} of INS recording and CAN logs is among these files",
                        "give one INS recording (.ncom, .csv, .vbo or a bag) and its CAN logs")
     files_of_pair = {*raw[0].files, *raw[0].can, raw[0].run_file}
     if unused := [file for file in files if file.is_file() and file not in files_of_pair]:

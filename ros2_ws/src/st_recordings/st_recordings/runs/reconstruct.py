@@ -124,7 +124,7 @@ class Reconstruction:
 
     def collect_auxiliary_data(self, columns: Mapping[str, Mapping[str, np.ndarray]], stamps: Mapping[str, np.ndarray],
                                missing: Mapping[str, int]) -> AuxiliaryData:
-        """Collects the auxiliary data of a bag for the checks; what no topic contains is reconstructed if possible.
+        """Collects the auxiliary data of a bag for the checks; data in no topic is reconstructed if possible.
 
         columns: fields from `choose_auxiliary_fields`, except unreadable ones, by type. stamps: times [ns] of "INS" and
         "steering". missing: channel -> number of messages without a usable value.
@@ -146,7 +146,7 @@ class Reconstruction:
                              quality)
 
     def _read_reported_quality(self) -> InsQuality | None:
-        """INS quality from st_msgs/InsStatus, read one by one as texts vary in length; None if missing or damaged."""
+        """INS quality from st_msgs/InsStatus, read one by one because texts vary in length; None if unavailable."""
         if INS_STATUS not in self._by_type:
             return None
         try:
@@ -180,7 +180,7 @@ class Reconstruction:
 
     @cached_property
     def _signals(self) -> Any:
-        from .can_signals import decode_signals  # importing the CAN libraries takes a second; few bags need them
+        from .can_signals import decode_signals  # here, because importing the CAN libraries takes a second
         from .frames import read_frames
 
         table = self._table
@@ -205,14 +205,14 @@ def _decode_packets(raw: np.ndarray) -> tuple[InsQuality | None, Series | None]:
         columns = file_decoder.decode_file(np.ascontiguousarray(raw, np.uint8).tobytes())
     except NcomError:
         return None, None
-    timed = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
+    timed_packets = np.flatnonzero((columns.kind == file_decoder.REGULAR) & (columns.order == NEW)
                            & (columns.utc_ns != file_decoder.UNKNOWN_TIME))
-    rows = timed[is_newer(columns.utc_ns[timed])]
+    rows = timed_packets[is_newer(columns.utc_ns[timed_packets])]
     if not len(rows):
         return None, None
     forward = Motion.from_packet(columns.take(rows)).body_velocity[0]
-    fix = ~columns.is_approximate[rows]
-    return collect_quality(columns, rows), make_series(columns.utc_ns[rows][fix], forward[fix])
+    has_fix = ~columns.is_approximate[rows]
+    return collect_quality(columns, rows), make_series(columns.utc_ns[rows][has_fix], forward[has_fix])
 
 
 def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:

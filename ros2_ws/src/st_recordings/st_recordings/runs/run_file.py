@@ -52,7 +52,7 @@ def find_described_run(file: Path) -> RunSource | None:
             except RunError as error:
                 if _may_concern(path, file):
                     raise
-                _log_unused(error)
+                _log_unused_run_file(error)
                 continue
             if (run := next((run for run in runs if file in run.files), None)) is not None:
                 return run
@@ -64,15 +64,15 @@ def _read_leniently(path: Path) -> str:
 
 
 def _may_concern(path: Path, file: Path) -> bool:
-    """Whether an invalid run.yaml may be about a recording: by its own name, or a name or pattern in its text, as a
-    word or as the rest of a line; true for a text that is not UTF-8."""
+    """Whether an invalid run.yaml may be about a recording, judging by its own name and by names or patterns in its
+    text (single words or ends of lines); True if the text is not UTF-8."""
     text = _read_leniently(path)
     values = re.findall(r"[^\s'\",\[\]]+", text) + re.findall(r"[:-] +(\S.*)", text)
     return path.name == file.stem + RUN_SUFFIX or file.name in text or "\N{REPLACEMENT CHARACTER}" in text or any(
         fnmatch(file.name, Path(value.strip("'\" \r")).name) for value in values)
 
 
-def _log_unused(error: RunError) -> None:
+def _log_unused_run_file(error: RunError) -> None:
     log_warnings([f"{error}; recordings that this file does not name are read without it"])
 
 
@@ -112,7 +112,7 @@ def _parse_single_run(path: Path, content: Mapping[str, Any]) -> RunSource:
 
 
 def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
-    """One run per file, with the CAN logs of the same stem. A run.yaml of the file alone has priority."""
+    """One run per file, with the CAN logs of the same stem. A run.yaml for the file alone takes priority."""
     if keys := [key for key in content if key in _KEYS_OF_ONE_RUN]:
         raise RunError(path, f"key {keys[0]} describes one run, but `each` describes several",
                        "write a NAME.run.yaml for this run")
@@ -124,8 +124,8 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads another run.yaml, with the stem or in the folder of `file`, that lists it, or is invalid and may be about
-    it; else None."""
+    """Reads another run.yaml, with the stem or in the folder of `file`, that lists `file`, or is invalid and may be
+    about it; else None."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:
@@ -135,7 +135,7 @@ def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
         except RunError as error:
             if _may_concern(own, file):
                 return RunSource(own.name, "", (own,), problem=error, run_file=own)
-            _log_unused(error)
+            _log_unused_run_file(error)
     return None
 
 
@@ -274,8 +274,8 @@ def _parse_units(path: Path, value: Any) -> dict[str, str]:
 
 def _parse_corrections(path: Path, key: str, value: Any) -> dict[str, Correction]:
     corrections = {}
-    for channel, given in _check_mapping(path, key, value, CHANNELS).items():
-        entries = _check_mapping(path, f"{key}: {channel}", given, CHANNELS[channel])
+    for channel, mapping in _check_mapping(path, key, value, CHANNELS).items():
+        entries = _check_mapping(path, f"{key}: {channel}", mapping, CHANNELS[channel])
         corrections[channel] = Correction(**{name: _parse_number(path, f"{key}: {channel}: {name}", number)
                                              for name, number in entries.items()})
     try:
@@ -296,12 +296,12 @@ def _parse_intervals(path: Path, key: str, value: Any) -> tuple[tuple[float, flo
     return intervals
 
 
-def _check_mapping(path: Path, key: str, value: Any, known: Any) -> dict[str, Any]:
+def _check_mapping(path: Path, key: str, value: Any, known_keys: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known)}")
-    unknown = [name for name in value if name not in known]
+        raise RunError(path, f"{key}: expected a mapping", f"known keys are {', '.join(known_keys)}")
+    unknown = [name for name in value if name not in known_keys]
     if unknown:
-        raise RunError(path, f"{key}: unknown key {unknown[0]}", f"known keys are {', '.join(known)}")
+        raise RunError(path, f"{key}: unknown key {unknown[0]}", f"known keys are {', '.join(known_keys)}")
     return value
 
 

@@ -86,11 +86,11 @@ class ReadSettings:
 
     dbc: Path | None = None  # None: as in the run.yaml, or else the file of the Leaf
     signals: Path | None = None  # signal table; None as for dbc
-    steering_sign: int = 1  # +1 if the decoded sensor is positive to the left, else -1
+    steering_sign: int = 1  # +1 if the decoded angle is positive to the left, else -1
     steering_latency: float = 0.0
     offset: float | None = None  # INS minus CAN clock [s]; None: as in the run.yaml, or else estimated
-    search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: none
-    ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN
+    search: tuple[float, float] | None = None  # (lower, upper) bounds of the estimated offset [s]; None: unlimited
+    ins_can_latency: tuple[float, float] | None = None  # None: as in the run.yaml, or else clocks.INS_ON_CAN_DELAY
     accept_doubtful: bool = True
     for_alignment: bool = False
     steering: SteeringField | None = None  # for tables, and for bags without st_msgs/Steering

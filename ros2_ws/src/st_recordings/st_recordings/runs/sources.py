@@ -20,7 +20,7 @@ from .run_file import RUN_FILE, RUN_SUFFIX, find_described_run, find_logs, is_ru
 from .run_types import RunSource
 
 GENERIC_NAMES = ("run", "bag")
-"""Generic names (run.ncom with run.mf4, bag/ of st live); such a run is named after its folder."""
+"""A run with such a file name (run.ncom with run.mf4, bag/ of st live) is named after its folder."""
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
@@ -46,29 +46,29 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     Folders are searched recursively; in them, other files and tables and bags without a drive are ignored.
     """
     runs: list[RunSource] = []
-    loose: list[Path] = []
+    single_files: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
             folder = path.absolute().parent
             others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
             advice = f"looked for in {folder}{yaml_text.suggest_key(path.name, others)}"
-            runs.append(_make_unusable(path, "the file or folder does not exist", advice))
+            runs.append(_report_problem(path, "the file or folder does not exist", advice))
         elif path.is_dir() and find_reader(path) is None:
             found = _search_folder(path)
-            runs += found or _explain_no_run(path)
+            runs += found or _report_folder_without_runs(path)
         elif is_run_file(path):
             runs += _read_run_file_or_problem(path)
         else:
-            loose.append(path)
-    if len(loose) > 1 or runs:
-        loose = [f for f in loose if not _is_document(f)] or loose
-    described = [run for path in loose if (run := _find_described_run(path)) is not None]
-    undescribed = [f for f in loose if not any(f in (*run.files, *run.can) for run in described)]
-    if any(f.suffix.lower() in CAN_EXTENSIONS for f in undescribed):  # CAN logs that no run.yaml describes
-        described = [run for run in described if not run.can]
-        undescribed = [f for f in loose if not any(f in run.files for run in described)]
-    described = [run for run in described if run not in runs]  # its run.yaml is listed, too
-    return _assign_distinct_names([*runs, *described, *_group_files(undescribed, given=True)])
+            single_files.append(path)
+    if len(single_files) > 1 or runs:
+        single_files = [f for f in single_files if not _is_document(f)] or single_files
+    described_runs = [run for path in single_files if (run := _find_described_run(path)) is not None]
+    other_files = [f for f in single_files if not any(f in (*run.files, *run.can) for run in described_runs)]
+    if any(f.suffix.lower() in CAN_EXTENSIONS for f in other_files):  # CAN logs that no run.yaml describes
+        described_runs = [run for run in described_runs if not run.can]
+        other_files = [f for f in single_files if not any(f in run.files for run in described_runs)]
+    described_runs = [run for run in described_runs if run not in runs]  # its run.yaml is listed, too
+    return _assign_distinct_names([*runs, *described_runs, *_group_files(other_files, named_by_user=True)])
 
 
 def _find_described_run(path: Path) -> RunSource | None:
@@ -78,7 +78,7 @@ def _find_described_run(path: Path) -> RunSource | None:
         return RunSource(path.name, "", (path,), problem=error)
 
 
-def _explain_no_run(folder: Path) -> list[RunSource]:
+def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     """Problems of the files in a folder without runs; if there are none, a problem of the folder."""
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
@@ -86,7 +86,7 @@ def _explain_no_run(folder: Path) -> list[RunSource]:
     others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
     binary = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
     return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary),
-            *map(_reject_unknown_file, others)] or [_make_unusable(
+            *map(_reject_unknown_file, others)] or [_report_problem(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
@@ -116,16 +116,16 @@ def _search_folder(folder: Path) -> list[RunSource]:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
-    loose = [path for path in files if path not in used or path.is_dir()]
-    usable = {path for path in loose if _may_be_in_a_run(path, files)}
+    single_files = [path for path in files if path not in used or path.is_dir()]
+    usable = {path for path in single_files if _may_belong_to_run(path, files)}
     # A file of a split bag may lack odometry, for example if the INS was switched on later.
-    bags = [path for path in loose if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]
+    bags = [path for path in single_files if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]
     for group in _group_split_bags(bags):
         usable.update(group if usable.intersection(group) else ())
-    return runs + _group_files([path for path in loose if path in usable], given=False)
+    return runs + _group_files([path for path in single_files if path in usable], named_by_user=False)
 
 
-def _may_be_in_a_run(path: Path, files: Sequence[Path]) -> bool:
+def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
     """Whether a file that was found in a folder may belong to a run; False for tables and bags without a drive."""
     reader = find_reader(path)
     if reader is None or reader.needs_can or is_can_log(path):
@@ -147,11 +147,12 @@ def _is_document(file: Path) -> bool:
         reader and reader.may_contain_drive(file))
 
 
-def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
-    """Groups single files into runs. given: whether the user named the files, so that an unknown type is a problem."""
+def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
+    """Groups single files into runs. If the user named them, a file of unknown type is a problem."""
     readers = {f: reader for f in files if (reader := find_reader(f)) is not None and not is_can_log(f)}
-    logs = [f for f in files if f not in readers and (is_can_log(f) or (given and f.suffix.lower() in CAN_EXTENSIONS))]
-    runs = [_reject_unknown_file(f) for f in files if given and f not in readers and f not in logs]
+    logs = [f for f in files if f not in readers
+            and (is_can_log(f) or (named_by_user and f.suffix.lower() in CAN_EXTENSIONS))]
+    runs = [_reject_unknown_file(f) for f in files if named_by_user and f not in readers and f not in logs]
     for group in _group_split_bags([f for f in readers if f.suffix.lower() in BAG_EXTENSIONS and f.is_file()]):
         runs.append(RunSource(group[0].stem.rpartition("_")[0] or group[0].stem, readers[group[0]].kind, tuple(group)))
         readers = {f: reader for f, reader in readers.items() if f not in group}
@@ -164,7 +165,7 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
             runs.append(_make_single_run(file, reader))
             continue
         notes: tuple[str, ...] = ()
-        if given and not own_logs and not logs and reader.needs_can:
+        if named_by_user and not own_logs and not logs and reader.needs_can:
             own_logs = find_logs(file, sorted(file.parent.iterdir()))
             notes = (f"{file}: its CAN log in the same folder is used: {', '.join(log.name for log in own_logs)}",)
         if own_logs:
@@ -181,7 +182,7 @@ def _group_files(files: Sequence[Path], given: bool) -> list[RunSource]:
 def _reject_unknown_file(file: Path) -> RunSource:
     extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
     usable = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
-    return _make_unusable(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
+    return _report_problem(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
                           UNKNOWN_ADVICE.get(file.suffix.lower(), usable))
 
 
@@ -192,7 +193,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
         if not readers[file].needs_can:
             yield _make_single_run(file, readers[file])  # its reader reports the missing data
             continue
-        why = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same name"
+        reason = "there are several INS recordings and CAN logs" if logs else "no CAN log has the same name"
         advice = "give them the same name, or list the files of each run in a run.yaml"
         others = [f.name for f in sorted(file.parent.glob(f"{glob.escape(file.stem)}.*")) if f not in recordings]
         signals = [name for name in others if Path(name).suffix.lower() in MF4_EXTENSIONS]
@@ -200,7 +201,7 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice = f"{signals[0]} contains signals but no CAN frames: give the log with the frames"
         elif others and not logs:
             advice += f"; if {others[0]} is a CAN log, convert it to .asc, .blf, .log (candump), .trc or .mf4"
-        yield _make_unusable(file, f"no CAN log belongs to it: {why}", advice)
+        yield _report_problem(file, f"no CAN log belongs to it: {reason}", advice)
     for session in dict.fromkeys(parse_session(f)[0] for f in logs) if not recordings else ():
         file = next(f for f in logs if parse_session(f)[0] == session)
         csv = READERS["csv"]
@@ -212,8 +213,8 @@ def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
             advice += f"; the run.yaml can also name unknown columns of {tables[0]}, as columns: {{x: NAME, ...}}"
         advice += "".join(f"; {f.name}: {UNKNOWN_ADVICE[f.suffix.lower()]}" for f in sorted(file.parent.iterdir())
                           if f.name.split(".")[0] == file.stem and f.suffix.lower() in UNKNOWN_ADVICE)
-        yield _make_unusable(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
-            is_can_log(file)) else _make_unusable(file, "this is not a CAN log", "export other recordings as .csv")
+        yield _report_problem(file, "no INS recording (.ncom, .csv, .vbo, bag) belongs to this CAN log", advice) if (
+            is_can_log(file)) else _report_problem(file, "this is not a CAN log", "export other recordings as .csv")
 
 
 def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
@@ -248,14 +249,14 @@ def _read_run_file_or_problem(path: Path) -> list[RunSource]:
         return [RunSource(path.name, "", (path,), problem=error, run_file=path)]
 
 
-def _make_unusable(path: Path, problem: str, advice: str) -> RunSource:
+def _report_problem(path: Path, problem: str, advice: str) -> RunSource:
     return RunSource(path.name, "", (path,), problem=RunError(path, problem, advice))
 
 
 def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
-    """Gives runs distinct names, because results are stored by name; adds folder or number to a name already used."""
+    """Gives runs distinct names, because results are stored by name; adds the folder or a number to repeated names."""
     used: set[str] = set()
-    named = []
+    renamed_runs = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
         name = run.name
         if name in GENERIC_NAMES and run.files:
@@ -266,5 +267,5 @@ def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
         while name in used:
             name, number = f"{run.name}_{number}", number + 1
         used.add(name)
-        named.append(replace(run, name=name))
-    return named
+        renamed_runs.append(replace(run, name=name))
+    return renamed_runs

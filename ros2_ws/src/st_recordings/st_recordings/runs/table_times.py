@@ -20,22 +20,22 @@ _STAMP = re.compile(r"(?:(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)\.(\d\d?)\.(\
                     r"(?:Z|UTC|([+-])(\d\d):?(\d\d))?")
 _COMPACT_STAMP = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)[T_ -](\d\d)[:-]?(\d\d)[:-]?(\d\d)(?!\d)")  # 20260504T101112.5
 _UNDERSCORED_STAMP = re.compile(r"(\d{4})_(\d\d?)_(\d\d?)_(\d\d?)_(\d\d)_(\d\d)(?:_(\d+))?")  # 2026_05_04_10_11_12_500
-_SLASHED = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
+_SLASHED_DATE = re.compile(r"(?<!\d)(\d\d?)/(\d\d?)/(\d{4})(?!\d)")
 _NAMED_MONTH = re.compile(r"(?<!\d)(\d\d?)[- ]([^\W\d]{3,})\.?[- ](\d{4})(?!\d)")  # 04-May-2026, as MATLAB writes it
 ROLLOVER_STEP = 60.0  # s, longest gap between two rows across midnight or across the end of a GPS week
 _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number of 1970-01-01, program)
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
-MAX_DAMAGED_TIMES = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
+MAX_DAMAGED_SHARE = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
 
 def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
                 warnings: list[str]) -> tuple[str, str]:
-    """(rows with dates and times of day as seconds, first time as text). first: cell of the column in the first row."""
-    if (named := _NAMED_MONTH.search(first)) and month_number(named[2]):
+    """(rows with dates and times of day in seconds, first time as text). first: cell of the column in the first row."""
+    if (match := _NAMED_MONTH.search(first)) and month_number(match[2]):
         body = _NAMED_MONTH.sub(_replace_month_name, body)
-        first = _replace_month_name(named) + first[named.end():]
+        first = _replace_month_name(match) + first[match.end():]
     if parse_stamp(first):
         if "/" in first:
             body = _order_dates(file, body, warnings)
@@ -46,7 +46,7 @@ def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
 def _stamps_to_seconds(body: str, delimiter: str, column: int) -> str:
     """Converts the times of the rows to seconds; a time of day continues past midnight."""
     rows = [line.split(delimiter) for line in body.split("\n")]
-    offset, before = 0.0, 0.0
+    offset, previous = 0.0, 0.0
     for row in rows:
         if len(row) <= column or not "".join(row).strip():
             continue
@@ -55,19 +55,19 @@ def _stamps_to_seconds(body: str, delimiter: str, column: int) -> str:
             row[column] = "nan"
             continue
         seconds, period = time
-        if period and before - seconds > period / 2:
+        if period and previous - seconds > period / 2:
             offset += period
-        before = seconds
+        previous = seconds
         row[column] = f"{offset + seconds:.6f}"
     return "\n".join(map(delimiter.join, rows))
 
 
 def _order_dates(file: Path, body: str, warnings: list[str]) -> str:
     """Converts dates such as 25/04/2026 to 2026-04-25 if a date shows which number is the day; otherwise warns."""
-    pairs = {(int(a), int(b)) for a, b, _ in _SLASHED.findall(body) if int(a) <= 31 and int(b) <= 31}
+    pairs = {(int(a), int(b)) for a, b, _ in _SLASHED_DATE.findall(body) if int(a) <= 31 and int(b) <= 31}
     day_first, month_first = any(a > 12 for a, _ in pairs), any(b > 12 for _, b in pairs)
     if day_first != month_first:
-        return _SLASHED.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
+        return _SLASHED_DATE.sub(r"\3-\2-\1" if day_first else r"\3-\1-\2", body)
     if pairs:
         warnings.append(f"{file}: the order of day and month in its dates is ambiguous, so only the time of day is "
                         "used; export dates such as 2026-04-25")
@@ -80,7 +80,7 @@ def _replace_month_name(match: re.Match[str]) -> str:
 
 
 def parse_stamp(text: str) -> tuple[float, float] | None:
-    """(seconds since 1970, midnight or the full hour; period [s] after which they restart, 0 if never) of a time.
+    """(seconds since 1970, since midnight or since the full hour; period [s] after which they restart, or 0) of a time.
     A time without time zone is UTC. None for a text that is not a time."""
     if match := _UNDERSCORED_STAMP.fullmatch(text):
         text = "{}-{}-{} {}:{}:{}.{}".format(*match.groups("0"))
@@ -98,24 +98,24 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
     if not (year or year_2):
         return seconds, DAY if hour else HOUR
     try:
-        dated = date(int(year or year_2), int(month or month_2), int(day or day_2))
+        calendar_date = date(int(year or year_2), int(month or month_2), int(day or day_2))
     except ValueError:
         return None
-    return seconds + (dated - date(1970, 1, 1)).days * DAY, 0.0
+    return seconds + (calendar_date - date(1970, 1, 1)).days * DAY, 0.0
 
 
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]
                        ) -> tuple[np.ndarray, ColumnSource]:
     """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms, us, ns since
-    1970. The source of a column that is declared as HHMMSS but contains other times is seconds, not stated."""
+    1970. A column declared as HHMMSS that contains other times is read as seconds, a unit that is not stated."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
-        source = replace(source, unit="s", stated=False)
+        source = replace(source, unit="s", unit_stated=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
-    if source.unit == HHMMSS or (not source.stated and _is_hhmmss(finite)):
+    if source.unit == HHMMSS or (not source.unit_stated and _is_hhmmss(finite)):
         if source.unit != HHMMSS:
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
         seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
@@ -126,16 +126,16 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
         meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
-    for origin, factor, meaning in meanings if not source.stated else ():
+    for origin, factor, meaning in meanings if not source.unit_stated else ():
         if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor, source
     seconds = times * source.factor
     known = np.flatnonzero(np.isfinite(seconds))
     for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
-        back = np.diff(seconds[known]) < -period + ROLLOVER_STEP
-        if back.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
-            seconds[known[1:]] += period * np.cumsum(back)
+        is_rollover = np.diff(seconds[known]) < -period + ROLLOVER_STEP
+        if is_rollover.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
+            seconds[known[1:]] += period * np.cumsum(is_rollover)
     return seconds, source
 
 
@@ -150,10 +150,10 @@ def is_valid_hhmmss(hhmmss: np.ndarray) -> np.ndarray:
 
 
 def _is_mostly_hhmmss(times: np.ndarray) -> bool:
-    """Whether all numbers but the last, which may be truncated, are valid HHMMSS.ss, except a few damaged ones."""
+    """Whether all numbers but the last, which may be truncated, and a few damaged ones are valid HHMMSS.ss."""
     invalid = ~is_valid_hhmmss(times[:-1])
     three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
-    return bool(invalid.sum() <= MAX_DAMAGED_TIMES * len(invalid) and not three_in_a_row)
+    return bool(invalid.sum() <= MAX_DAMAGED_SHARE * len(invalid) and not three_in_a_row)
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
@@ -167,7 +167,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, the times [ns], whether each is used). Raises RunError if most are unusable."""
+    """(whether each row has a time, the times [ns], whether each is usable). Raises RunError if most are unusable."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
@@ -179,17 +179,18 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
                        f"declare their unit in a run.yaml, as units: {{t: {unit}}}" if unit else "export seconds")
     # A float of seconds since 1970 resolves microseconds only.
     time_ns = np.round(seconds[has_time] * 1e6).astype(np.int64) * 1000
-    usable, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
-    is_used = np.zeros(len(time_ns), dtype=bool)
-    is_used[usable] = True
+    rows, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
+    is_usable = np.zeros(len(time_ns), dtype=bool)
+    is_usable[rows] = True
     warnings += [f"{file}: {note}" for note in notes]
-    if 2 * is_used.sum() < len(is_used) and not (time_ns % 10**9).any():
+    if 2 * is_usable.sum() < len(is_usable) and not (time_ns % 10**9).any():
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
-    if not source.stated and is_used.sum() > 2 and (step := float(np.median(np.diff(time_ns[is_used])) * 1e-9)) > 1.0:
+    step = float(np.median(np.diff(time_ns[is_usable])) * 1e-9) if is_usable.sum() > 2 else 0.0
+    if not source.unit_stated and step > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
                         f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
-    return has_time, time_ns, is_used
+    return has_time, time_ns, is_usable
 
 
 def _guess_time_unit(times: np.ndarray) -> str:

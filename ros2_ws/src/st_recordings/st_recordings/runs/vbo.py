@@ -17,7 +17,7 @@ from .errors import RunError, check_readable
 from .table_times import HHMMSS
 
 _SECTION = re.compile(r"^\[([^\]]*)\][ \t]*\n", re.MULTILINE)
-_CREATED = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
+_CREATION_DATE = re.compile(r"created on (\d{1,2})/(\d{1,2})/(\d{4})", re.IGNORECASE)
 # Standard channels: name in [column names] -> (channel, unit).
 _STANDARD_CHANNELS = {"lat": ("latitude", "min"), "latitude": ("latitude", "min"), "long": ("longitude", "min"),
                       "longitude": ("longitude", "min"), "velocity": ("velocity_x", "km/h"),
@@ -87,16 +87,16 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
     for channel, source in find_columns(file, names, Layout(layout.columns, {}, layout.source)).items():
         if normalise(source.name) == "heading" and channel not in layout.columns:
             continue  # not the yaw angle: "heading" is the course, which is added below from _STANDARD_CHANNELS
-        stated = find_unit(source.kind, units.get(source.name, ""))
-        sources[channel] = replace(source, unit=stated or _DEFAULT_UNITS.get(source.kind, source.unit),
-                                   stated=bool(stated))
+        stated_unit = find_unit(source.kind, units.get(source.name, ""))
+        sources[channel] = replace(source, unit=stated_unit or _DEFAULT_UNITS.get(source.kind, source.unit),
+                                   unit_stated=bool(stated_unit))
     for number, name in enumerate(names):
         is_first = names.index(name) == number  # among columns with the same name
         if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
             channel, unit = standard
             kind = COLUMNS[channel].kind
-            stated = find_unit(kind, units.get(name, "")) if channel != "t" else unit
-            sources[channel] = ColumnSource(number, name, kind, stated or unit, True)
+            stated_unit = find_unit(kind, units.get(name, "")) if channel != "t" else unit
+            sources[channel] = ColumnSource(number, name, kind, stated_unit or unit, True)
         if normalise(name) in TRUE_HEADING_NAMES:
             unit = find_unit("angle", units.get(name, "")) or "deg"
             sources["compass_heading"] = ColumnSource(number, name, "angle", unit, True)
@@ -118,7 +118,7 @@ def _read_units(names: list[str], sections: dict[str, str]) -> dict[str, str]:
 
 def _read_midnight(text: str) -> float:
     """Unix time [s] of the start of the day on which the file was created; 0 if the file does not state the day."""
-    match = _CREATED.search(text[:2000])
+    match = _CREATION_DATE.search(text[:2000])
     try:
         day, month, year = map(int, match.groups()) if match else (1, 1, 1970)
         return datetime(year, month, day, tzinfo=UTC).timestamp()
@@ -134,9 +134,9 @@ def _correct_signs(table: Table) -> Table:
         columns["longitude"] = -columns["longitude"]
     heading = next((columns[name] for name in ("compass_heading", "course") if name in columns), None)
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
-        derived = differentiate_yaw(table, -heading)
-        rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(derived) & (np.abs(columns["velocity_x"]) > 3.0)
-        measured, expected = columns["yaw_rate"][rows], derived[rows]
+        heading_rate = differentiate_yaw(table, -heading)
+        rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
+        measured, expected = columns["yaw_rate"][rows], heading_rate[rows]
         # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
         # steady turn.
         turns = rows.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
@@ -147,5 +147,5 @@ def _correct_signs(table: Table) -> Table:
         elif turns and agreement < MIN_HEADING_AGREEMENT:
             notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
                          f"{agreement:.2f}); the derivative of the heading is used")
-            columns["yaw_rate"] = derived
+            columns["yaw_rate"] = heading_rate
     return replace(table, columns=columns, warnings=tuple(notes))

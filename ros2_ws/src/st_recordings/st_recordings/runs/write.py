@@ -53,7 +53,7 @@ class ImportResult:
 
 
 class Covariances:
-    """Covariances of odometry, from the accuracies in a file. Each accuracy is valid until the next one is sent."""
+    """Covariances of odometry, from the accuracies that the INS reports. Each is valid until the next one is sent."""
 
     def __init__(self, ins: NcomLog):
         self._ins, self._accuracies = ins, dict[int, tuple[np.ndarray, np.ndarray]]()
@@ -64,7 +64,7 @@ class Covariances:
     def compute(self, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """(pose, twist) covariances, (n, 36) each, for rows of the log.
 
-        The axes of the pose are east, north, up, and rotations about these fixed axes; the twist is in body axes.
+        The axes of the pose are east, north, up, and rotations are about these fixed axes; the twist is in body axes.
         Variances of angular rates, and variances that the unit does not report, are UNKNOWN_VARIANCE.
         """
         packets, attitude = self._ins.rows[rows], self._ins.select_attitude(rows)
@@ -90,13 +90,13 @@ class Serialiser:
         self._store = store
         self._layouts: dict[str, CdrLayout] = {}
 
-    def _make_blank(self, type_name: str, **texts: str) -> Any:
+    def _make_zeros(self, type_name: str, **texts: str) -> Any:
         """A message of zeros. texts: name of a string field of the message or of its header -> text."""
         values: dict[str, Any] = {}
         fields: Any = self._store.fielddefs[type_name][1]
         for name, (node, detail) in fields:
             if node == Nodetype.NAME:
-                values[name] = self._make_blank(detail, **texts)
+                values[name] = self._make_zeros(detail, **texts)
             elif node == Nodetype.BASE:
                 values[name] = texts.get(name, "") if detail[0] == "string" else np.zeros(1, detail[0])[0].item()
             else:
@@ -105,11 +105,11 @@ class Serialiser:
         return self._store.types[type_name](**values)
 
     def serialise(self, topic: str, columns: Mapping[str, np.ndarray], **texts: str) -> list[Message]:
-        """Messages with a fixed layout. columns: by field. texts: see `_make_blank`."""
+        """Serialises messages of equal layout. columns: by field. texts: see `_make_zeros`."""
         if topic not in self._layouts:
-            self._layouts[topic] = CdrLayout(self._store, TOPICS[topic], self._make_blank(TOPICS[topic], **texts))
+            self._layouts[topic] = CdrLayout(self._store, TOPICS[topic], self._make_zeros(TOPICS[topic], **texts))
         times = columns["header.stamp"].tolist()
-        rows = self._layouts[topic].rows(len(times), columns)
+        rows = self._layouts[topic].serialise(len(times), columns)
         return [(time_ns, topic, row.tobytes()) for time_ns, row in zip(times, rows, strict=True)]
 
     def serialise_odometry(self, ins: NcomLog, rows: slice, covariances: Covariances) -> list[Message]:
@@ -159,18 +159,18 @@ class Serialiser:
         rows[:, 16] = length
         rows[:, FRAME_HEAD_LENGTH:] = frames.payload
         rows[:, FRAME_HEAD_LENGTH:][np.arange(width - FRAME_HEAD_LENGTH) >= length[:, None]] = 0
-        padded = FRAME_HEAD_LENGTH + (length + 3) // 4 * 4
-        body = rows[np.arange(width) < padded[:, None]]
-        starts = np.concatenate(([0], np.cumsum(padded)))
-        cuts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
-        ends = np.append(cuts[1:], n)
-        head = bytearray(self._store.serialize_cdr(self._make_blank(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
+        padded_length = FRAME_HEAD_LENGTH + (length + 3) // 4 * 4
+        body = rows[np.arange(width) < padded_length[:, None]]
+        starts = np.concatenate(([0], np.cumsum(padded_length)))
+        firsts = np.nonzero(np.diff(time_ns // CAN_PERIOD_NS, prepend=-1))[0]
+        ends = np.append(firsts[1:], n)
+        head = bytearray(self._store.serialize_cdr(self._make_zeros(CAN_FRAMES, frame_id=bus_name), CAN_FRAMES))
         messages = []
-        for first, last, start_ns in zip(cuts.tolist(), ends.tolist(), time_ns[cuts].tolist(), strict=True):
+        for first, last, start_ns in zip(firsts.tolist(), ends.tolist(), time_ns[firsts].tolist(), strict=True):
             struct.pack_into("<II", head, 4, *divmod(start_ns, 1_000_000_000))
             struct.pack_into("<I", head, len(head) - 4, last - first)
             # CDR does not pad the last frame of a message.
-            padding = int(padded[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
+            padding = int(padded_length[last - 1] - FRAME_HEAD_LENGTH - length[last - 1])
             data = bytes(head) + body[starts[first] : starts[last] - padding].tobytes()
             messages.append((start_ns, "/can/frames", data))
         return messages
@@ -233,10 +233,10 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
     packets = np.flatnonzero(columns.navigation_status != 11)  # 11: structure B, a packet without navigation data
     # A packet with no time near the fixes gets the time of the previous one.
     utc_ns = columns.utc_ns[packets]
-    near = (utc_ns >= ins.time_ns[0] - TIME_MARGIN_NS) & (utc_ns <= ins.time_ns[-1] + TIME_MARGIN_NS)
-    near &= utc_ns != file_decoder.UNKNOWN_TIME
-    first_ns = int(utc_ns[near].min()) if near.any() else int(ins.time_ns[0])
-    packet_ns = np.maximum.accumulate(np.where(near, utc_ns, first_ns))
+    is_near_fix = (utc_ns >= ins.time_ns[0] - TIME_MARGIN_NS) & (utc_ns <= ins.time_ns[-1] + TIME_MARGIN_NS)
+    is_near_fix &= utc_ns != file_decoder.UNKNOWN_TIME
+    first_ns = int(utc_ns[is_near_fix].min()) if is_near_fix.any() else int(ins.time_ns[0])
+    packet_ns = np.maximum.accumulate(np.where(is_near_fix, utc_ns, first_ns))
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     angle = settings.steering_sign * steering.values
     to_reference = run.alignment.to_reference_ns

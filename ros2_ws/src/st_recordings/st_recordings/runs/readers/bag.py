@@ -26,8 +26,8 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
             return replace(run, log=replace(run.log, name=source.name), labels=source.labels, provenance={
                 **run.provenance, "reader": "bag", "recorded": bag.read_metadata_records(source.path)})
     drive = bag.read_bag(source.path, source.name, steering, settings.odometry, source.files)
-    imported = json.loads(drive.records.get("import", {}).get("labels", "[]"))
-    return replace(drive, labels=source.labels or tuple(Label(*entry) for entry in imported))
+    recorded_labels = json.loads(drive.records.get("import", {}).get("labels", "[]"))
+    return replace(drive, labels=source.labels or tuple(Label(*entry) for entry in recorded_labels))
 
 
 def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
@@ -35,7 +35,7 @@ def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
 
 
 def has_drive(path: Path) -> bool:
-    """Whether a bag may contain a drive: with odometry, or without it as a table of other messages."""
+    """Whether a bag may contain a drive: in odometry, or else in a table of other messages."""
     if bag.has_odometry(path):
         return True
     from ..bag_table import has_ins_channels

@@ -26,17 +26,17 @@ def _get_yaw_scale(source: RunSource) -> float:
 def register_table(kind: str, extensions: tuple[str, ...], read_one: Callable[[Path, Layout], Table],
                    **tests: Callable[[Path], bool]) -> None:
     """Adds a kind of table. kind: also its key in a run.yaml. read_one: reads one file. tests: fields of `Reader`."""
-    def _read_joined(source: RunSource, layout: Layout) -> Table:
+    def read_and_join(source: RunSource, layout: Layout) -> Table:
         return join_tables([read_one(file, layout) for file in source.files])
 
     def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
         layout = csv.add_steering_column(source.settings.get("layout") or Layout(), settings.steering)
-        run = csv.build_drive(_read_joined(source, layout), vehicle, _get_yaw_scale(source), settings.steering)
+        run = csv.build_drive(read_and_join(source, layout), vehicle, _get_yaw_scale(source), settings.steering)
         return replace(run, log=replace(run.log, name=source.name), labels=source.labels,
                        provenance={"reader": kind, **run.provenance})
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
-        table = _read_joined(source, source.settings.get("layout") or Layout())
+        table = read_and_join(source, source.settings.get("layout") or Layout())
         needed = csv.MOTION_SIGNALS if settings.for_alignment else INS_SIGNALS
         return csv.build_ins_log(table, needed, _get_yaw_scale(source))
 
