@@ -8,13 +8,13 @@ from st_core.types import wrap_angle
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
 """Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure no other."""
 MIN_COURSE_SPEED = 1.0
-"""Lowest speed [m/s] at which the course is used; here, velocity noise of 0.05 m/s is a course noise of 3 degrees."""
+"""Lowest speed [m/s] at which the course is used: 0.05 m/s of velocity noise then cause 3 degrees of course noise."""
 MIN_COMPARED_SAMPLES = 20
 """Minimum number of samples for comparing positions with the integrated speed, or a heading with the course."""
 MAX_COMPARED_SAMPLES = 10_000
 MAX_AGREEING_ANGLE = 0.1
-"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller; they agree only in one
-reading if that of the other reading is larger by this."""
+"""[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller; of two
+interpretations, only one agrees if the difference of the other is larger by this."""
 
 
 def find_words(frame_id: str) -> set[str]:
