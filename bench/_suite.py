@@ -40,8 +40,9 @@ def run_suite(duration: float, ncom_rate: int = 250, can_rate: str = "full") -> 
                 suite.start_node(package, executable)
             with Monitor(domain) as monitor:
                 missing = monitor.wait_for_nodes({executable for _, executable in nodes}, 30)
-            if missing or suite.denied:
-                raise RuntimeError(f"nodes that did not start: {missing}; real-time scheduling denied: {suite.denied}")
+            if missing or suite.realtime_denied:
+                raise RuntimeError(f"nodes that did not start: {missing}; real-time scheduling denied: "
+                                   f"{suite.realtime_denied}")
             for number in range(int(os.environ.get("ST_BENCH_BUSY", "0"))):
                 suite.start(f"busy_{number}", [sys.executable, "-c", "while True: pass"])
             car.start(suite)

@@ -25,7 +25,7 @@ from .suite import Parameters, Suite, SuiteError, find_executable, find_free_udp
 T = TypeVar("T")
 REPLAY_NODES = ("recorder", "evaluator", "predictor")  # in the order of their start: subscribers first
 TRUNCATION_WARNING = "{} is truncated: the recorder was killed; later data are not {}"
-LEAF_TIMEOUT = 20.0  # s until the virtual Leaf must have started to send
+LEAF_TIMEOUT = 20.0  # s within which the virtual Leaf must start to send
 
 
 def resolve_vehicle_file(given: Path | None) -> Path:
@@ -179,17 +179,18 @@ def find_bag(path: Path) -> Path:
 class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated: vehicle file of
+    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated_vehicle: that of
     the simulated car, by default `vehicle`. Raises SimulationError for invalid options.
     """
 
-    def __init__(self, vehicle: Path, options: Sequence[str], simulated: Path | None = None):
+    def __init__(self, vehicle: Path, options: Sequence[str], simulated_vehicle: Path | None = None):
         self.vehicle = vehicle
         self.port = find_free_udp_port()
         self.channel = f"239.74.163.2:{self.port}"
-        own = {"--vehicle": simulated or vehicle, "--config": project_root() / "config", "--ncom-port": self.port,
-               "--can-interface": "udp_multicast", "--can-channel": self.channel}
-        self._arguments = [*options, *(str(part) for option in own.items() for part in option)]
+        own_options = {
+            "--vehicle": simulated_vehicle or vehicle, "--config": project_root() / "config", "--ncom-port": self.port,
+            "--can-interface": "udp_multicast", "--can-channel": self.channel}
+        self._arguments = [*options, *(str(part) for option in own_options.items() for part in option)]
         check_arguments(self._arguments)
 
     def make_bridge_parameters(self) -> dict[str, dict[str, Any]]:

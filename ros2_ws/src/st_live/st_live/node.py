@@ -29,7 +29,7 @@ TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
-COMPARED_INTERVALS = 3  # the longest of so many reporting intervals counts, since a change is reported at once
+COMPARED_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
 LEVELS = ("ok", "warning", "error", "stale")
 ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
 
@@ -42,7 +42,7 @@ class Status:
     level: int
     message: str
     received_at: float  # s, monotonic
-    intervals: tuple[float, ...] = ()  # s between the last ones with this name, newest last
+    intervals: tuple[float, ...] = ()  # s between the last statuses with this name, newest last
 
     def is_silent(self, now: float) -> bool:
         return now - self.received_at > max(STATUS_TIMEOUT, MISSED_REPORTS * max(self.intervals, default=0.0))
@@ -214,7 +214,7 @@ def render_ticks(status: PredictorStatus | None) -> Text:
 
 
 def render_health(state: SuiteState) -> Text:
-    """Statuses that are silent or not OK, highest level first, or that all are OK; empty before the first status."""
+    """Statuses that are silent or not OK, highest level first, or "all nodes OK"; empty before the first status."""
     now = time.monotonic()
     text = Text()
     for status in sorted(state.health.values(), key=lambda s: (-s.level, s.name)):

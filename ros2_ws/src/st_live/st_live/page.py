@@ -42,7 +42,7 @@ SEND_BUFFER = 32_768  # bytes, about 0.5 s of frames: a slow client then skips f
 REQUEST_TIMEOUT = 30.0  # s until Rerun's server must respond
 RERUN_MISSING = ("rerun-sdk is not installed (its numpy 2 conflicts with a sourced ROS); "
                  "RViz, Foxglove and PlotJuggler show the same data, see docs/manual/viewing.md")
-NOT_FORWARDED = {"connection", "keep-alive", "transfer-encoding", "date", "server"}  # headers the proxy sets itself
+PROXY_HEADERS = {"connection", "keep-alive", "transfer-encoding", "date", "server"}  # headers set by the proxy
 RERUN_POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
                 "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
                 "worker-src 'self' blob:")
@@ -50,7 +50,7 @@ RECORDING = "/recording.rrd"
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler of requests, which does not log them."""
+    """Request handler without a log."""
 
     def send_head(self, headers: Mapping[str, str], status: int = 200) -> None:
         self.send_response(status)
@@ -74,7 +74,7 @@ class PageServer(ThreadingHTTPServer):
         super().__init__((address, port), _PageHandler)
         script = json.dumps(settings).replace("<", "\\u003c")  # so that no title can end the script
         self.page = PAGE.read_text(encoding="utf-8").replace("/*SETTINGS*/null", script).encode()
-        self.ended = False
+        self.is_stopped = False
         self.condition = threading.Condition()
         self._frame, self._frame_number = b"", 0
         self.clients = 0  # number of open pages, protected by `condition`
@@ -93,7 +93,7 @@ class PageServer(ThreadingHTTPServer):
     def wait_for_frame(self, after: int) -> tuple[bytes, int]:
         """Wait for a frame newer than `after`; (frame, number), or a comment after KEEP_ALIVE_PERIOD or at the end."""
         with self.condition:
-            if self.condition.wait_for(lambda: self._frame_number > after or self.ended, KEEP_ALIVE_PERIOD):
+            if self.condition.wait_for(lambda: self._frame_number > after or self.is_stopped, KEEP_ALIVE_PERIOD):
                 return self._frame, self._frame_number
             return b":\n\n", after
 
@@ -102,7 +102,7 @@ class PageServer(ThreadingHTTPServer):
 
     def stop(self) -> None:
         with self.condition:
-            self.ended = True
+            self.is_stopped = True
             self.condition.notify_all()
         self.shutdown()
         self.server_close()
@@ -144,7 +144,7 @@ class _PageHandler(_Handler):
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             self.send_head({"Content-Type": "text/event-stream", "Cache-Control": "no-store"})
             number = 0
-            while not server.ended:
+            while not server.is_stopped:
                 data, number = server.wait_for_frame(number)
                 self.wfile.write(data)
         except OSError:
@@ -190,7 +190,7 @@ class LiveView:
     def finish(self, folder: Path, console: Console) -> None:
         """Stop the page server, and write the Rerun file of --view-save from the recording of the run."""
         if self._server and self._server.process.poll() is not None:
-            text = f"the page ended before the run: {self._server.read_last_lines()}"
+            text = f"the page server stopped during the run: {self._server.read_last_lines()}"
             console.out(text, style="yellow", highlight=False)
         self.close()
         if self._save:
@@ -235,9 +235,9 @@ class _RerunHandler(_Handler):
             connection.request("GET", self.path, headers={"Accept-Encoding": self.headers.get("Accept-Encoding", "")})
             response = connection.getresponse()
         except OSError as error:
-            self.send_error(502, f"the server of Rerun does not respond: {error}")
+            self.send_error(502, f"Rerun's server does not respond: {error}")
             return
-        headers = {name: value for name, value in response.getheaders() if name.lower() not in NOT_FORWARDED}
+        headers = {name: value for name, value in response.getheaders() if name.lower() not in PROXY_HEADERS}
         if response.length is None:
             headers["Connection"] = "close"
             self.close_connection = True

@@ -26,7 +26,7 @@ from .node import render_ticks
 
 TIMELINE = "measured"
 PLOT_SPAN = 40.0  # s
-AHEAD, BEHIND, SIDEWAYS = 44.0, 16.0, 34.0  # m shown around the car, heading up; 5 s at 30 km/h are 42 m
+RANGE_AHEAD, RANGE_BEHIND, RANGE_SIDEWAYS = 44.0, 16.0, 34.0  # m shown, heading up; 5 s at 30 km/h are 42 m
 MAP_RANGE, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
     "lateral": "mean lateral error over the last horizon, m (+ predicted left)",
@@ -38,7 +38,7 @@ PLOTS = {
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
 LIGHT_GREY = (228, 228, 228)
-GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, less with age; 1: full colour, 0: white
+GHOST_STRENGTH = 0.4  # colour strength of earlier predictions, decreasing with age; 1: full colour, 0: white
 GHOST_STRIDE, TRACK_STRIDE, RIBBON_STRIDE = 5, 2, 2  # every n-th point is drawn
 RIBBON_STRENGTH = {0.9: 0.13, 0.5: 0.28}  # colour strength by level of the band
 # Half the line width in screen points, the same at every zoom.
@@ -65,18 +65,20 @@ def make_blueprint() -> rrb.Blueprint:
         return rrb.TimeSeriesView(origin=f"plots/{name}", name=PLOTS[name], time_ranges=[window],
                                   plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop))
 
-    ahead = rrb.Spatial2DView(
+    heading_up_view = rrb.Spatial2DView(
         origin="ahead", name="Heading up (10 m rings)", background=WHITE,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-SIDEWAYS, SIDEWAYS], y_range=[-AHEAD, BEHIND]))
-    around = rrb.Spatial2DView(
+        visual_bounds=rrb.VisualBounds2D(x_range=[-RANGE_SIDEWAYS, RANGE_SIDEWAYS],
+                                           y_range=[-RANGE_AHEAD, RANGE_BEHIND]))
+    map_view = rrb.Spatial2DView(
         origin="map", name=f"Map (north up, {GRID_SPACING:.0f} m grid)", background=WHITE,
         visual_bounds=rrb.VisualBounds2D(x_range=[-MAP_RANGE, MAP_RANGE], y_range=[-MAP_RANGE, MAP_RANGE]))
     text = rrb.TextDocumentView(origin="text", name="Errors so far, and health")
     motion = rrb.Tabs(plot("steering"), plot("speed"), plot("lateral_acceleration"))
     errors = rrb.Tabs(plot("lateral"), plot("longitudinal"))
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(ahead, motion, row_shares=[3, 1]),
-                       rrb.Vertical(rrb.Horizontal(around, text), errors, row_shares=[2, 1]), column_shares=[1, 1.35]),
+        rrb.Horizontal(rrb.Vertical(heading_up_view, motion, row_shares=[3, 1]),
+                       rrb.Vertical(rrb.Horizontal(map_view, text), errors, row_shares=[2, 1]),
+                       column_shares=[1, 1.35]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
         rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), auto_views=False)
 
@@ -112,8 +114,8 @@ class Scene:
         self._ticks = render_ticks(None).plain
         self._health: dict[str, tuple[int, str, str]] = {}
         self._text_due_ns = 0
-        self._labelled: list[str] = []  # models whose name is shown
-        self._plotted: set[str] = set()  # models with error plots
+        self._labelled_models: list[str] = []
+        self._plotted_models: set[str] = set()  # models with error plots
         angle = np.linspace(0.0, 2.0 * math.pi, 73)
         rings = [np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1) for r in RINGS]
         recording.log("ahead/rings", rr.LineStrips2D(rings, colors=[LIGHT_GREY], radii=THIN_LINE, draw_order=-1.0),
@@ -153,10 +155,10 @@ class Scene:
         model, means = message.model, {"lateral": message.lateral_mean, "longitudinal": message.longitudinal_mean}
         self._set_time(to_nanoseconds(message.header.stamp) + round(message.horizon[-1] * 1e9))
         for quantity, mean in means.items():
-            if model not in self._plotted:
+            if model not in self._plotted_models:
                 self._add_series(f"plots/{quantity}/{model}", model, colour_of(model))
             self._stream.log(f"plots/{quantity}/{model}", rr.Scalars([mean]))
-        self._plotted.add(model)
+        self._plotted_models.add(model)
 
     def draw(self) -> bool:
         """Draw the state at the newest INS sample; False without a sample since the previous call."""
@@ -227,9 +229,9 @@ class Scene:
 
     def _log_name(self, model: str) -> None:
         """Show colour and name of a model in the lower left corner; next to the paths, names would overlap."""
-        if model not in self._labelled:
-            corner = (-SIDEWAYS + 6.0, BEHIND - 7.0 - 5.0 * len(self._labelled))
-            self._labelled.append(model)
+        if model not in self._labelled_models:
+            corner = (-RANGE_SIDEWAYS + 6.0, RANGE_BEHIND - 7.0 - 5.0 * len(self._labelled_models))
+            self._labelled_models.append(model)
             self._stream.log(f"ahead/names/{model}", rr.Points2D(
                 [corner], colors=[rgb(colour_of(model))], radii=rr.Radius.ui_points(5.0), labels=[model],
                 show_labels=True), static=True)
@@ -248,7 +250,7 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
     """
     bag = find_bag(path)
     if not any(f"/{topic.name}".endswith("/ins/odometry") for topic in open_bag(bag).topics):
-        raise RunError(bag, "it contains no topic ins/odometry, which the view shows",
+        raise RunError(bag, "it has no topic ins/odometry, which the view requires",
                        "play it with `st replay`, and show the folder of that run")
     car, recorded, _ = find_configuration(read_metadata_records(bag), vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)

@@ -1,4 +1,4 @@
-"""Plays a recording through predictor, evaluator and recorder, with the time of the recording."""
+"""Plays a recording through predictor, evaluator and recorder, on the clock of the recording."""
 
 import json
 import sys
@@ -73,7 +73,7 @@ def describe_omissions(bag: Path, unknown: Sequence[str]) -> list[str]:
 
 
 def _play(suite: Suite, settings: Mapping[str, Any]) -> session.Progress:
-    """Start the player; its progress is in time of the recording."""
+    """Start the player; the progress is in recording time."""
     command = [sys.executable, "-m", "st_live.nodes.player", json.dumps(settings)]
     player = suite.start("player", command, may_end=True)
 

@@ -55,11 +55,11 @@ def report_results(folder: Path, outcome: Outcome, extra: dict[str, Any], consol
     for name, content in (("bag", "measurements and predictions"), ("errors", "every score"),
                           ("summary.json", "this table"), ("paths.png", "the figure")):
         console.print(f"  {escape(str(folder / name))}  [dim]{content}[/dim]", highlight=False, soft_wrap=True)
-    scored = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
-    if not scored:
-        console.print("[yellow]nothing was scored: the run is shorter than a horizon, or an input is missing[/yellow]")
+    has_scores = any(modes["hindsight"]["n_starts"] for modes in summary["models"].values())
+    if not has_scores:
+        console.print("[yellow]no prediction was scored: the run is shorter than a horizon, or an input is missing")
         console.print(escape(outcome.health.rstrip()), highlight=False, soft_wrap=not console.is_terminal)
-    return 0 if outcome.ok and (scored or outcome.interrupted) else 1
+    return 0 if outcome.ok and (has_scores or outcome.interrupted) else 1
 
 
 def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
@@ -85,12 +85,12 @@ def draw_paths(results: Results, title: str, file: Path) -> None:
         figure = plt.figure(figsize=(13, 5.4))
         grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1, 1))
         _draw_map(figure.add_subplot(grid[:, 0]), results)
-        for column, (mode, meaning) in enumerate(INPUTS_OF_MODE.items(), start=1):
+        for column, (mode, inputs) in enumerate(INPUTS_OF_MODE.items(), start=1):
             upper = figure.add_subplot(grid[0, column])
             lower = figure.add_subplot(grid[1, column], sharex=upper)
             _draw_errors(upper, results, mode, "longitudinal")
             _draw_errors(lower, results, mode, "lateral")
-            upper.set_title(f"{mode.capitalize()}: {meaning}", fontsize=9)
+            upper.set_title(f"{mode.capitalize()}: {inputs}", fontsize=9)
             upper.tick_params(labelbottom=False)
             lower.set_xlabel("start of the prediction, s")
             if column == 1:

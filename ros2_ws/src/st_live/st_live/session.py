@@ -49,8 +49,8 @@ class _SupervisedNode:
 
     package: str
     name: str
-    started: float
-    responded: bool = False
+    started_at: float
+    has_responded: bool = False
     restart_at: float | None = None
     back_off: float = BACK_OFF_FIRST
     restarts: int = 0
@@ -66,8 +66,8 @@ class Supervisor:
     def __init__(self, suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]]):
         self._suite, self._monitor = suite, monitor
         now = time.monotonic()
-        self._nodes = [_SupervisedNode(package, name, now, responded=True) for package, name in nodes]
-        self._updated = now
+        self._nodes = [_SupervisedNode(package, name, now, has_responded=True) for package, name in nodes]
+        self._updated_at = now
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -76,20 +76,20 @@ class Supervisor:
 
     def update(self) -> None:
         now = time.monotonic()
-        delayed, self._updated = now - self._updated > MAX_OWN_DELAY, now
+        is_delayed, self._updated_at = now - self._updated_at > MAX_OWN_DELAY, now
         for node in self._nodes:
-            if delayed:
-                node.started = now
+            if is_delayed:
+                node.started_at = now
             if node.restart_at is None:
                 self._check_node(node, now)
             elif now >= node.restart_at:
                 self._suite.start_node(node.package, node.name)
-                node.started, node.responded, node.restart_at = now, False, None
+                node.started_at, node.has_responded, node.restart_at = now, False, None
             if node.cause:
                 times = "once" if node.restarts == 1 else f"{node.restarts} times"
-                running = node.restart_at is None and node.responded
+                is_running = node.restart_at is None and node.has_responded
                 text = f"failed {times}; the last time, it {node.cause}"
-                level, text = (WARN, text) if running else (ERROR, f"not running; {text}")
+                level, text = (WARN, text) if is_running else (ERROR, f"not running; {text}")
                 self._monitor.add_statuses([Status(f"suite: {node.name}", level, text, now)])
 
     def _check_node(self, node: _SupervisedNode, now: float) -> None:
@@ -99,14 +99,14 @@ class Supervisor:
             return
         statuses = self._monitor.state.health.values()
         last = max((s.received_at for s in statuses if s.name.startswith(f"{node.name}: ")), default=-math.inf)
-        node.responded = node.responded or last > node.started
-        silence = now - max(last, node.started)
-        if silence > (SILENCE_TIMEOUT if node.responded else FIRST_STATUS_TIMEOUT):
+        node.has_responded = node.has_responded or last > node.started_at
+        silence = now - max(last, node.started_at)
+        if silence > (SILENCE_TIMEOUT if node.has_responded else FIRST_STATUS_TIMEOUT):
             self._suite.stop(node.name, timeout=0.0)
             self._schedule_restart(node, now, f"was silent for {silence:.0f} s and was killed")
 
     def _schedule_restart(self, node: _SupervisedNode, now: float, cause: str) -> None:
-        if now - node.started > BACK_OFF_RESET_TIME:
+        if now - node.started_at > BACK_OFF_RESET_TIME:
             node.back_off = BACK_OFF_FIRST
         node.cause, node.restart_at = cause, now + node.back_off
         node.back_off = min(2 * node.back_off, BACK_OFF_LAST)
@@ -153,8 +153,8 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
                 return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
             console.out(f"{len(nodes)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
-            if suite.denied:
-                names = ", ".join(sorted(suite.denied))
+            if suite.realtime_denied:
+                names = ", ".join(sorted(suite.realtime_denied))
                 console.out(f"real-time scheduling is not permitted for {names}; to permit it: {REALTIME_PERMISSION}",
                             style="yellow", highlight=False)
             view.open(folder, domain, parameters["predictor"], title, console)

@@ -68,13 +68,13 @@ class Child:
 class Processes:
     """Processes with their logs in folder/logs; leaving the `with` block ends them.
 
-    realtime: request REALTIME_PRIORITIES. denied: names of the processes for which this was not permitted.
+    realtime: request REALTIME_PRIORITIES. realtime_denied: processes for which this was not permitted.
     """
 
     def __init__(self, folder: Path, domain_id: int | None = None, realtime: bool = False):
         self.folder = folder
         self._realtime = realtime
-        self.denied: set[str] = set()
+        self.realtime_denied: set[str] = set()
         self.children: list[Child] = []
         self.environment = dict(os.environ)
         if domain_id is not None:
@@ -90,7 +90,7 @@ class Processes:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT,
                                        env=self.environment, start_new_session=True)
         if self._realtime and not _set_realtime(process.pid, name):
-            self.denied.add(name)
+            self.realtime_denied.add(name)
         child = Child(name, process, log, may_end)
         self.children.append(child)
         return child
@@ -240,4 +240,5 @@ def claim_domain(requested: int | None = None) -> Iterator[int]:
                 continue
             yield domain
             return
-    raise SuiteError("ROS domains 1 to 101 are in use on this computer: set ROS_DOMAIN_ID to another, or to share one")
+    raise SuiteError("ROS domains 1 to 101 are in use on this computer: set ROS_DOMAIN_ID to one of them "
+                     "or to a higher one")

@@ -56,7 +56,7 @@ def test_bag_without_steering_is_drawn_and_one_without_odometry_refused(tmp_path
                 writer.write(connection, k * 50_000_000, serialised_odometry(
                         k * 50_000_000, 0.1 * k, 0.0, 0.0, 2.0))
     assert draw_recording(tmp_path / "ins", tmp_path / "view.rrd", LEAF) == 10
-    with pytest.raises(RunError, match="it contains no topic ins/odometry, which the view shows; play it with"):
+    with pytest.raises(RunError, match="it has no topic ins/odometry, which the view requires; play it with"):
         draw_recording(tmp_path / "odo", tmp_path / "other.rrd", LEAF)
 
 

@@ -36,7 +36,7 @@ PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
 MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
-COMPARED_INTERVALS = 3  # the longest of so many reporting intervals counts, since a node reports a change at once
+COMPARED_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
 BAND_LEVEL = 0.9
 LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
@@ -50,15 +50,15 @@ FRAME_PERIOD = 0.1  # s
 
 
 class NodeHealth(NamedTuple):
-    """Newest status of a node. received: time [s]. intervals: between its last reports [s]. checks: (level, text)."""
+    """Newest status of a node. received_at [s]. intervals: between its last reports [s]. checks: (level, text)."""
 
-    received: float
+    received_at: float
     intervals: tuple[float, ...]
     checks: dict[str, tuple[int, str]]
 
     def is_silent(self, now: float) -> bool:
         timeout = max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * max(self.intervals, default=0.0))
-        return now - self.received >= timeout
+        return now - self.received_at >= timeout
 
 
 class PassengerFrames:
@@ -70,7 +70,7 @@ class PassengerFrames:
     def __init__(self, car: VehicleParameters, map_frame: str):
         self._car, self._map_frame = car, map_frame
         self._sample: InsSample | None = None
-        self._received: float | None = None  # time of the newest odometry
+        self._received_at: float | None = None  # time of the newest odometry
         self._steering: tuple[float | None, float] = None, -math.inf  # [rad], received [s]
         self._reason = ""
         self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
@@ -110,7 +110,7 @@ class PassengerFrames:
         current_modes = [mode for mode, predictions in self._predictions.items()
                          if mode == "forecast" or any(now - time < MAX_AGE for time, _ in predictions.values())]
         frame: dict[str, Any] = {
-            "received": self._received and round(self._received, 4), "light": level, "text": text, "mode": mode,
+            "received": self._received_at and round(self._received_at, 4), "light": level, "text": text, "mode": mode,
             "mode_age": round(now - mode_time, 1), "reason": self._reason,
             "errors": {model: error | {"age": round(now - received, 1)} for mode in current_modes
                        for model, (received, error) in self._errors[mode].items()},
@@ -146,7 +146,7 @@ class PassengerFrames:
     def _find_worst_check(self, now: float) -> tuple[str, str]:
         """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
         checks = [(level, f"{node}: {text}") for node, health in self._health.items()
-                  for level, text in ([(ERROR, f"silent for {now - health.received:.0f} s")] if health.is_silent(now)
+                  for level, text in ([(ERROR, f"silent for {now - health.received_at:.0f} s")] if health.is_silent(now)
                                       else health.checks.values())]
         if not checks:
             return "none", "no diagnostics"
@@ -160,21 +160,21 @@ class PassengerFrames:
         sample = convert.read_ins_sample(message, self._map_frame)
         if isinstance(sample, str):
             return
-        measured = sample.time_ns * 1e-9
-        if self._track and measured < self._track[-1][0]:  # a replay has restarted
+        measured_at = sample.time_ns * 1e-9
+        if self._track and measured_at < self._track[-1][0]:  # a replay has restarted
             self._track.clear()
             for errors in self._errors.values():
                 errors.clear()
-        self._sample, self._received = sample, now
-        if not self._track or measured - self._track[-1][0] >= TRACK_STEP:
-            self._track.append((measured, *self._find_cg(sample)))
-            while measured - self._track[0][0] > TRACK_SPAN:
+        self._sample, self._received_at = sample, now
+        if not self._track or measured_at - self._track[-1][0] >= TRACK_STEP:
+            self._track.append((measured_at, *self._find_cg(sample)))
+            while measured_at - self._track[0][0] > TRACK_SPAN:
                 self._track.popleft()
 
     def _take_diagnostics(self, message: Any, now: float) -> None:
         for node in {status.name.partition(": ")[0] for status in message.status}:
             earlier = self._health.get(node)
-            intervals = (*earlier.intervals, now - earlier.received)[-COMPARED_INTERVALS:] if earlier else ()
+            intervals = (*earlier.intervals, now - earlier.received_at)[-COMPARED_INTERVALS:] if earlier else ()
             self._health[node] = NodeHealth(now, intervals, {})
         for status in message.status:
             node, _, check = status.name.partition(": ")
@@ -204,8 +204,8 @@ class PassengerNode(Node):
         received_any = False
         for topic, subscription in self._subscriptions_by_topic.items():
             for message, received_ns, _ in subscription.take():
-                waited = max((time.time_ns() - received_ns) * 1e-9, 0.0)  # in the queue
-                self._frames.take(topic, message, time.monotonic() - waited)
+                queue_time = max((time.time_ns() - received_ns) * 1e-9, 0.0)
+                self._frames.take(topic, message, time.monotonic() - queue_time)
                 received_any = True
         if received_any and len(self._subscriptions_by_topic) == 1:
             # Subscribe only now, because the player of `st replay` counts the subscribers of its topics at its start.

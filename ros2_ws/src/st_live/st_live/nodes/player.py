@@ -2,7 +2,7 @@
 
 Messages are published byte for byte in the order of their log times, except that an external steering topic is
 converted to st_msgs/Steering; /clock advances in steps. At a rate of 0 the clock waits until predictor and evaluator
-have followed, as the stamps in their messages show.
+have caught up, judging by the stamps in their messages.
 """
 
 import json
@@ -53,11 +53,11 @@ class Follower:
         self._sources = [(PolledSubscription(node, message_type, topic, qos, raw=True), read_stamp)
                          for topic, (message_type, read_stamp) in sources.items()]
         self._newest_ns = 0
-        self._progresses = True
+        self._has_progressed = True
 
     def wait(self, clock_ns: int) -> None:
         """Wait until the node is at most `lead` behind the clock, but no longer than the timeout."""
-        end = time.monotonic() + (TIMEOUT if self._progresses else SHORT_TIMEOUT)
+        end = time.monotonic() + (TIMEOUT if self._has_progressed else SHORT_TIMEOUT)
         previous_ns = self._newest_ns
         subscriptions = [subscription for subscription, _ in self._sources]
         while True:
@@ -66,7 +66,7 @@ class Follower:
                     self._newest_ns = max(self._newest_ns, read_stamp(data))
             reached = self._newest_ns >= clock_ns - self._lead_ns
             if reached or time.monotonic() > end:
-                self._progresses = reached or self._newest_ns > previous_ns  # progress restores the long timeout
+                self._has_progressed = reached or self._newest_ns > previous_ns  # progress restores the long timeout
                 return
             wait_for_any(self._node, subscriptions, max(end - time.monotonic(), 0.0))
 
@@ -118,10 +118,10 @@ class Player:
                 return 1
             connections = [c for c in reader.connections if c.topic in publishers]
             first_ns = clock_ns = self._advance(reader.start_time, reader.start_time, time.monotonic())
-            started, duration = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
+            start_time, duration = time.monotonic(), (reader.end_time - reader.start_time) * 1e-9
             for connection, log_ns, data in reader.messages(connections=connections):
                 while clock_ns + CLOCK_STEP_NS <= log_ns and not self._stop.requested:
-                    clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
+                    clock_ns = self._advance(clock_ns + CLOCK_STEP_NS, first_ns, start_time)
                     self._report((clock_ns - first_ns) * 1e-9, duration)
                 if self._stop.requested:
                     break
@@ -130,8 +130,8 @@ class Player:
                     publishers[connection.topic].publish(self._convert_steering(message, self._steering_field, log_ns))
                 else:
                     publishers[connection.topic].publish(bytes(data))
-            self._advance(clock_ns + CLOCK_STEP_NS, first_ns, started)
-        self._report(duration, duration, time.monotonic() - started)
+            self._advance(clock_ns + CLOCK_STEP_NS, first_ns, start_time)
+        self._report(duration, duration, time.monotonic() - start_time)
         time.sleep(DRAIN_TIME)
         return 0
 
@@ -172,9 +172,9 @@ class Player:
             time.sleep(0.05)
         return True
 
-    def _advance(self, clock_ns: int, first_ns: int, started: float) -> int:
+    def _advance(self, clock_ns: int, first_ns: int, start_time: float) -> int:
         if self._rate > 0:
-            wait = started + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
+            wait = start_time + (clock_ns - first_ns) * 1e-9 / self._rate - time.monotonic()
             if wait > 0:
                 time.sleep(wait)
         self._clock.publish(Clock(clock=from_nanoseconds(clock_ns)))
@@ -182,15 +182,15 @@ class Player:
             follower.wait(clock_ns)
         return clock_ns
 
-    def _report(self, played: float, duration: float, wall_time: float = 0.0) -> None:
+    def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
         """Print the progress as a line of JSON, at most every STATUS_PERIOD; at once with the `wall_time` of the end.
 
-        played, duration: of the recording; wall_time: taken for it; all in s.
+        played_time, duration: of the recording; wall_time: taken to play it; all in s.
         """
         now = time.monotonic()
         if wall_time or now - self._reported_at > STATUS_PERIOD:
             self._reported_at = now
-            status = {"played": round(played, 2), "duration": round(duration, 2), "wall": round(wall_time, 2)}
+            status = {"played": round(played_time, 2), "duration": round(duration, 2), "wall": round(wall_time, 2)}
             print(json.dumps(status), flush=True)
 
 

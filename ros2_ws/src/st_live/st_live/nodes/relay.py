@@ -24,20 +24,20 @@ TOPIC_SCAN_PERIOD = 0.5  # s between searches for new topics
 class RelayNode(Node):
     def __init__(self) -> None:
         super().__init__("foxglove_relay")
-        self._open: dict[str, tuple[PolledSubscription, Channel] | None] = {}
+        self._relays: dict[str, tuple[PolledSubscription, Channel] | None] = {}
         create_steady_timer(self, FORWARD_PERIOD, self._forward)
         create_steady_timer(self, TOPIC_SCAN_PERIOD, self._open_new_topics)
 
     def _forward(self) -> None:
-        for subscription, channel in filter(None, self._open.values()):
+        for subscription, channel in filter(None, self._relays.values()):
             for data, received_ns, _ in subscription.take(QUEUE_DEPTH):
                 channel.log(bytes(data), log_time=received_ns)
 
     def _open_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            is_new = topic not in self._open and any(fnmatchcase(topic, f"*{pattern}") for pattern in TOPICS)
+            is_new = topic not in self._relays and any(fnmatchcase(topic, f"*{pattern}") for pattern in TOPICS)
             if is_new and (publishers := self.get_publishers_info_by_topic(topic)):
-                self._open[topic] = self._relay(topic, types[0], publishers)
+                self._relays[topic] = self._relay(topic, types[0], publishers)
 
     def _relay(self, topic: str, type_name: str, publishers: list) -> tuple[PolledSubscription, Channel] | None:
         message_type = find_message_class(type_name)
