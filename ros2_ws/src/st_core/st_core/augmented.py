@@ -77,8 +77,8 @@ class AugmentedModel(Model):
 
     def input_dependencies(self, p: Any) -> tuple:
         """Cache key: the parameters in p on which `inputs` depends."""
-        acting = compose(self.base, self.effects).acting
-        return (p.base, *(t for e, t in zip(acting, p.effects, strict=True) if e.inputs or e.prepare)) if acting else p
+        effects = compose(self.base, self.effects).effects
+        return (p.base, *(t for e, t in zip(effects, p.thetas, strict=True) if e.inputs or e.prepare)) if effects else p
 
     def effective_vehicle(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle with the active effects applied. Raises ConfigurationError if a parameter leaves its limits."""
@@ -113,9 +113,9 @@ class AugmentedModel(Model):
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
         """Road wheel angle [rad] that the equations use for a recorded one (float or array): with the effects of ratio,
         offset and map, but without effects that need signals or act in `steering`."""
-        acting = compose(self.base, self.effects).acting
-        hooks = [(index, e.inputs, ()) for index, e in enumerate(acting) if e.inputs and not e.signals]
-        return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).effects)[0] if hooks else angle
+        effects = compose(self.base, self.effects).effects
+        hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
+        return change_inputs(hooks, angle, 0.0 * angle, (), self.parameters(vehicle).thetas)[0] if hooks else angle
 
     def observe(self, measured: Measured) -> Measured:
         """INS readings of true values at the INS point."""
@@ -186,10 +186,10 @@ def _compose(base: Model, effects: tuple[type[Effect], ...], values: Values) -> 
     def parameters(vehicle: VehicleParameters) -> Any:
         vehicle = model.effective_vehicle(vehicle)
         base_parameters = base.parameters(vehicle)
-        if not composed.acting:
+        if not composed.effects:
             return base_parameters
         return AugmentedParameters(base_parameters, tuple(
-            e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.acting))
+            e.Theta(**values[e.name], constants=e.constants(vehicle) if e.constants else ()) for e in composed.effects))
 
     model = AugmentedModel("augmented", parameters, composed.inputs, composed.rhs, composed.extra_states,
                            composed.start, composed.signals, base=base, effects=effects, values=values)

@@ -25,17 +25,17 @@ N_STATES = 6  # number of states of every base model
 
 
 class AugmentedParameters(NamedTuple):
-    """Parameters p of an augmented model. effects: theta of each effect in `Composition.acting`."""
+    """Parameters p of an augmented model. thetas: theta of each effect in `Composition.effects`."""
 
     base: Any
-    effects: tuple
+    thetas: tuple
 
 
 @dataclass(frozen=True)
 class Composition:
     """Functions of an augmented model."""
 
-    acting: tuple[type[Effect], ...]  # effects with a theta in p
+    effects: tuple[type[Effect], ...]  # those with a theta in p
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
     start: Callable[[tuple, tuple, Any], tuple] | None = None
@@ -57,21 +57,22 @@ class _Layout:
 @cache
 def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
     """The functions of a base model with effects, which are given in the order in which they act; cached."""
-    acting = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
-    if not acting:
+    effects = tuple(e for e in effects if e.converts or any(getattr(e, hook) for hook in ("inputs", *EQUATION_HOOKS)))
+    if not effects:
         return Composition((), base.inputs, base.rhs)
     layouts: list[_Layout] = []
     w, state = 2, N_STATES
-    for index, effect in enumerate(acting):
+    for index, effect in enumerate(effects):
         layout = _Layout(effect, index, (w, w + len(effect.prepared or effect.signals)),
                          (state, state + len(effect.extra_states)))
         w, state = layout.prepared[1], layout.extra[1]
         layouts.append(layout)
-    signals = tuple(dict.fromkeys(name for effect in acting for name in effect.signals))
-    base_rhs, only_inputs = base.rhs, not any(e.converts or getattr(e, hook) for e in acting for hook in EQUATION_HOOKS)
-    inputs = _make_inputs(base.inputs, acting, signals, only_inputs)
+    signals = tuple(dict.fromkeys(name for effect in effects for name in effect.signals))
+    base_rhs = base.rhs
+    only_inputs = not any(e.converts or getattr(e, hook) for e in effects for hook in EQUATION_HOOKS)
+    inputs = _make_inputs(base.inputs, effects, signals, only_inputs)
     if only_inputs:
-        return Composition(acting, inputs, lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
+        return Composition(effects, inputs, lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
     base_begin = layouts[-1].prepared[1]
     geometric_slips, base_forces, base_rates = _make_dynamics(base, layouts, base_begin)
     slips = _chain(lambda front, rear, state, instant: (front, rear), _add_slip_angles, layouts, "slip_angles")
@@ -80,10 +81,10 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
                     _chain(_no_rates, _add_rates, layouts, "rates"))
     if base.axle_forces is None:
         rhs = _blend(base_rhs, rhs, base_begin, _conversion_layout(layouts).index)
-    extra_states = tuple(f"{e.name}.{name}" for e in acting for name in e.extra_states)
+    extra_states = tuple(f"{e.name}.{name}" for e in effects for name in e.extra_states)
     with_states, with_force = ([layout for layout in layouts if getattr(layout.effect, attribute)]
                                for attribute in ("extra_states", "specific_force"))
-    return Composition(acting, inputs, rhs, _make_start(with_states, geometric_slips) if with_states else None,
+    return Composition(effects, inputs, rhs, _make_start(with_states, geometric_slips) if with_states else None,
                        _make_specific_force(with_force) if with_force else None, extra_states, signals)
 
 
@@ -98,7 +99,7 @@ def change_inputs(hooks: Iterable[tuple[int, Callable, Sequence[int]]], angle: A
     return angle, acceleration
 
 
-def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], ...], signals: tuple[str, ...],
+def _make_inputs(base_inputs: Callable[..., tuple], effects: tuple[type[Effect], ...], signals: tuple[str, ...],
                  only_inputs: bool) -> Callable[..., tuple]:
     """Function inputs(road_wheel_angle, velocity_x_dot, p, *values of the signals) -> w.
 
@@ -106,19 +107,19 @@ def _make_inputs(base_inputs: Callable[..., tuple], acting: tuple[type[Effect], 
     """
     # Each effect receives the signals that it declares.
     hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])
-             for index, effect in enumerate(acting)]
+             for index, effect in enumerate(effects)]
     changing = [(index, change, rows) for index, change, _, rows in hooks if change]
     preparing = [(index, prepare, rows) for index, _, prepare, rows in hooks if prepare or rows]
 
     def inputs(angle, acceleration, p, *values):
         if changing:
-            angle, acceleration = change_inputs(changing, angle, acceleration, values, p.effects)
+            angle, acceleration = change_inputs(changing, angle, acceleration, values, p.thetas)
         if only_inputs:
             return base_inputs(angle, acceleration, p.base)
         prepared: list[Any] = []
         for index, prepare, rows in preparing:
             declared = tuple([values[row] for row in rows])
-            prepared += prepare(angle, acceleration, declared, p.effects[index]) if prepare else declared
+            prepared += prepare(angle, acceleration, declared, p.thetas[index]) if prepare else declared
         return angle, acceleration, *prepared, *base_inputs(angle, acceleration, p.base)
     return inputs
 
@@ -129,7 +130,7 @@ def _make_start(layouts: list[_Layout], geometric_slips):
         slips = geometric_slips(instant)
         for layout in layouts:
             hook, (begin, end) = layout.effect.start, layout.prepared
-            values += (hook(slips, instant, w[begin:end], p.effects[layout.index]) if hook else
+            values += (hook(slips, instant, w[begin:end], p.thetas[layout.index]) if hook else
                        [0.0 * instant.velocity_x] * len(layout.effect.extra_states))
         return tuple(values)
     return start
@@ -141,7 +142,7 @@ def _make_specific_force(layouts: list[_Layout]):
         a_x = a_y = 0.0 * instant.velocity_x
         for layout in layouts:
             begin, end = layout.prepared
-            added_x, added_y = layout.effect.specific_force(instant, w[begin:end], p.effects[layout.index])
+            added_x, added_y = layout.effect.specific_force(instant, w[begin:end], p.thetas[layout.index])
             a_x, a_y = a_x + added_x, a_y + added_y
         return a_x, a_y
     return specific_force
@@ -176,7 +177,7 @@ def _make_dynamics(base: Model, layouts: list[_Layout], base_begin: int):
         index, (begin, end) = conversion.index, conversion.prepared
 
         def select_w_and_p(instant):
-            return instant.w[begin:end], instant.p.effects[index].constants
+            return instant.w[begin:end], instant.p.thetas[index].constants
     else:
         def select_w_and_p(instant):
             return instant.w[base_begin:], instant.p.base
@@ -210,7 +211,7 @@ def _make_rhs(geometric_slips, changed_slips, forces, base_rates, acceleration, 
 
 def _blend(kinematic, dynamic, base_begin, index):
     def rhs(state, w, p):
-        share = p.effects[index].share
+        share = p.thetas[index].share
         remainder = 1.0 - share
         k = kinematic(state[:N_STATES], w[base_begin:], p.base)
         d = dynamic(state, w, p)
@@ -225,7 +226,7 @@ def _add_slip_angles(previous, layout):
 
     def slips(slip_front, slip_rear, state, instant):
         front, rear = previous(slip_front, slip_rear, state, instant)
-        return hook(front, rear, state[first:last], instant, instant.w[begin:end], instant.p.effects[index])
+        return hook(front, rear, state[first:last], instant, instant.w[begin:end], instant.p.thetas[index])
     return slips
 
 
@@ -233,7 +234,7 @@ def _add_axle_forces(previous, layout):
     hook, index, (begin, end) = layout.effect.axle_forces, layout.index, layout.prepared
 
     def forces(slip_front, slip_rear, instant):
-        return hook(previous, slip_front, slip_rear, instant, instant.w[begin:end], instant.p.effects[index])
+        return hook(previous, slip_front, slip_rear, instant, instant.w[begin:end], instant.p.thetas[index])
     return forces
 
 
@@ -247,7 +248,7 @@ def _add_acceleration(previous, layout):
 
     def acceleration(instant):
         x, y, yaw = previous(instant)
-        a_x, a_y, a_yaw = hook(instant, instant.w[begin:end], instant.p.effects[index])
+        a_x, a_y, a_yaw = hook(instant, instant.w[begin:end], instant.p.thetas[index])
         return x + a_x, y + a_y, yaw + a_yaw
     return acceleration
 
@@ -260,6 +261,6 @@ def _add_rates(previous, layout):
     hook, index, (begin, end), (first, last) = layout.effect.rates, layout.index, layout.prepared, layout.extra
 
     def rates(state, slips, forces, instant):
-        added = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.effects[index])
+        added = hook(state[first:last], slips, forces, instant, instant.w[begin:end], instant.p.thetas[index])
         return *previous(state, slips, forces, instant), *added
     return rates

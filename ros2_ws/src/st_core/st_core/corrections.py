@@ -100,7 +100,7 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
             if not abs(value) <= MAX_VALUES[name]:
                 raise StCoreError(f"{channel}: {name}: {value!r} is not within +-{MAX_VALUES[name]:g}")
             if value != neutral and name not in CHANNELS[channel]:
-                raise StCoreError(f"{channel}: {name} does not apply here; valid are {', '.join(CHANNELS[channel])}")
+                raise StCoreError(f"{channel}: {name} does not apply here; use {', '.join(CHANNELS[channel])}")
         if correction.scale == 0.0:
             raise StCoreError(f"{channel}: scale: must not be 0")
     if all(name in corrections for name in STEERING):

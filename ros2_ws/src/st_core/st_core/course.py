@@ -95,7 +95,7 @@ class Course:
                 for k in sorted(nearest, key=distance.__getitem__)]
 
     def exclude(self, digests: Sequence[str]) -> "Course":
-        """The course without the passes of recordings with these sha256, so that no run is predicted from itself."""
+        """The course without the passes of recordings with these digests, so that no run is predicted from itself."""
         return Course(tuple(p for p in self.passes if not set(p.digests) & set(digests)), self.origin)
 
     def shift(self, east: float, north: float) -> "Course":

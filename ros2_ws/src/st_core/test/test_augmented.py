@@ -93,7 +93,7 @@ def test_new_values_reuse_the_same_functions(leaf):
         assert other.rhs is model.rhs and other.inputs is model.inputs and other.start is model.start
         p, q = model.parameters(leaf), other.parameters(leaf)
         assert type(p) is type(q) is AugmentedParameters
-        assert [type(theta) for theta in p.effects] == [type(theta) for theta in q.effects]
+        assert [type(theta) for theta in p.thetas] == [type(theta) for theta in q.thetas]
 
 
 @pytest.mark.parametrize("names", [["mass"], ["friction", "steering_delay"], ["sensor_lever_arm", "yaw_rate_bias"]])
@@ -111,7 +111,7 @@ def test_parameters_contain_only_floats_and_can_be_pickled(car):
         p = augment(base, find_applicable_effects(base)).parameters(car)
         assert all(type(x) is float for x in leaves(p))
         assert pickle.loads(pickle.dumps(p)) == p
-        assert all(type(a) is type(b) for a, b in zip(pickle.loads(pickle.dumps(p)).effects, p.effects, strict=True))
+        assert all(type(a) is type(b) for a, b in zip(pickle.loads(pickle.dumps(p)).thetas, p.thetas, strict=True))
 
 
 @pytest.mark.parametrize("base", [pytest.param(m, marks=[] if m == "kinematic" else pytest.mark.slow) for m in MODELS])

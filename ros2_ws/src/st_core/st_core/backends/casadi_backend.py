@@ -92,7 +92,7 @@ def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, fre
             raise ConfigurationError(f"free: {name!r} is not a parameter of an effect in the equations of model "
                                      f"{model.name}; those are: {', '.join(known) or 'none'}")
     parameters = (*(known[name] for name in free), *(Variable(name, "") for name in model.signals))
-    units = [unit for e in _find_acting_effects(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
+    units = [unit for e in _find_composed_effects(model) for unit in (e.extra_units or ("",) * len(e.extra_states))]
     states = tuple(Variable(name, unit, *_BOUNDS.get(name, ())) for name, unit in zip(
         (*STATE_NAMES, *model.extra_states), (*STATE_UNITS, *units), strict=True))
 
@@ -134,15 +134,15 @@ def list_free_parameters(model: str | Model) -> dict[str, Variable]:
     if not isinstance(model, AugmentedModel):
         return {}
     return {f"{e.name}.{q.name}": Variable(f"{e.name}.{q.name}", q.unit, *q.bounds, model.values[e.name][q.name])
-            for e in _find_acting_effects(model) for q in e.parameters}
+            for e in _find_composed_effects(model) for q in e.parameters}
 
 
-def _find_acting_effects(model: Model) -> tuple[type[Effect], ...]:
+def _find_composed_effects(model: Model) -> tuple[type[Effect], ...]:
     """The effects that have parameters in p, in the order of p."""
-    return compose(model.base, model.effects).acting if isinstance(model, AugmentedModel) else ()
+    return compose(model.base, model.effects).effects if isinstance(model, AugmentedModel) else ()
 
 
 def _insert_symbols(model: Model, p: Any, symbols: Mapping[str, casadi.SX]) -> Any:
-    return p._replace(effects=tuple(
+    return p._replace(thetas=tuple(
         theta._replace(**{q.name: symbols[key] for q in e.parameters if (key := f"{e.name}.{q.name}") in symbols})
-        for e, theta in zip(_find_acting_effects(model), p.effects, strict=True)))
+        for e, theta in zip(_find_composed_effects(model), p.thetas, strict=True)))

@@ -64,7 +64,7 @@ CAUSES = {
                      "by the cosine of another latitude?"),
     "y_scale": Cause(("y",), "y", "scale", "1", "y is {value:.4f} ± {half:.4f} times the integrated velocity: "
                      "projected with another earth radius?"),
-    "map_shear": Cause(("x",), "", "", "1", "x {grows} by {size:.4f} ± {half:.4f} m per metre north: projected far "
+    "map_shear": Cause(("x",), "", "", "1", "x {change} by {size:.4f} ± {half:.4f} m per metre north: projected far "
                        "from its origin?"),
     "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
                             "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions"),
@@ -262,7 +262,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
         axis=name[0], value=reported.value, size=abs(reported.value), half=reported.half_width,
         degrees=np.rad2deg(abs(reported.value)), side="left" if positive else "right",
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
-        grows="grows" if positive else "shrinks", high="high" if positive else "low")
+        change="increases" if positive else "decreases", high="high" if positive else "low")
     severity = LIMITS.severity(effect, cause.unit == "s" and abs(estimate.value) >= LIMITS.severe_lag)
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
     advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")}) if cause.key else

@@ -174,8 +174,8 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
         text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals "
                 f"exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
-                        advice=Advice("look", f"record the {signal} at a higher rate, or find why most of its samples "
-                                      "are not used"))]
+                        advice=Advice("look", f"record the {signal} at a higher rate, or find out why most of its "
+                                      "samples are not used"))]
     gaps = [k for k in np.flatnonzero(spacing > MAX_GAP)
             if not any(time[k] < begin and end < time[k + 1] for begin, end in excluded_times)]
     if not gaps:
