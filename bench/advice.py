@@ -29,19 +29,19 @@ def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
                 output: FigureOutput) -> None:
     """Draws the lateral error and the half-width of the band over processor time, one panel for each prediction time.
     """
-    known = max((one.second for one in accuracies.values()), default=())
+    known = max((one.seconds for one in accuracies.values()), default=())
     seconds = [s for s in known if s in (1, 2, 3, 5)] or known[:1]
     steps = sorted({step for _, step in accuracies})
     with apply_style():
         drawn, panels = plt.subplots(1, len(seconds), figsize=(WIDTH, 3.4), sharey=True, squeeze=False)
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), one in accuracies.items():
-                k, marker = one.second.index(second), MARKERS[steps.index(step) % len(MARKERS)]
+                k, marker = one.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
                 cost, colour = 1e6 * advice_report.get_processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
                 axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
-                if one.width is not None:
-                    axes.plot([cost, cost], [one.rms[k], one.width[k]], color=colour, lw=0.7)
-                    axes.plot(cost, one.width[k], marker, color=colour, ms=5, mfc="none")
+                if one.half_widths is not None:
+                    axes.plot([cost, cost], [one.rms[k], one.half_widths[k]], color=colour, lw=0.7)
+                    axes.plot(cost, one.half_widths[k], marker, color=colour, ms=5, mfc="none")
             axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
             axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -48,22 +48,22 @@ def make_error_samples(count: int, size: float) -> list[ErrorSamples]:
 
 def test_error_quantile_is_per_speed_bin_and_increases_with_time():
     accuracy = measure_accuracy(make_error_samples(10, 0.5), "linear", SETTINGS)
-    assert accuracy.second == (1, 2, 3, 4, 5) and accuracy.level == 0.9
-    assert set(accuracy.within) == {6.0, 12.0}
+    assert accuracy.seconds == (1, 2, 3, 4, 5) and accuracy.level == 0.9
+    assert set(accuracy.error_quantiles) == {6.0, 12.0}
     # 90 % of normal errors have a magnitude below 1.645 standard deviations. Both speeds pooled, the standard deviation
     # is sqrt((1 + 16) / 2) times the smaller one.
-    assert accuracy.within[6.0][4] == pytest.approx(1.645 * 0.5, rel=0.15)
-    assert accuracy.within[12.0][4] == pytest.approx(4.0 * 1.645 * 0.5, rel=0.15)
+    assert accuracy.error_quantiles[6.0][4] == pytest.approx(1.645 * 0.5, rel=0.15)
+    assert accuracy.error_quantiles[12.0][4] == pytest.approx(4.0 * 1.645 * 0.5, rel=0.15)
     assert accuracy.rms[4] == pytest.approx(0.5 * np.sqrt(8.5), rel=0.15)
-    assert all(np.diff(values).min() >= 0.0 for values in accuracy.within.values())
+    assert all(np.diff(values).min() >= 0.0 for values in accuracy.error_quantiles.values())
     # The band covers three axes and both speeds simultaneously: it is wider than the quantile of one axis.
-    assert accuracy.width[4] > 1.645 * 0.5 * 2.5
+    assert accuracy.half_widths[4] > 1.645 * 0.5 * 2.5
 
 
 @pytest.mark.parametrize(("count", "level"), [(2, None), (3, 0.5), (8, 0.5), (9, 0.9)])
 def test_band_level_is_limited_by_number_of_runs(count, level):
     accuracy = measure_accuracy(make_error_samples(count, 0.5), "linear", SETTINGS)
-    assert accuracy.level == level and (accuracy.width is None) == (level is None)
+    assert accuracy.level == level and (accuracy.half_widths is None) == (level is None)
 
 
 def test_cheapest_configuration_within_tolerance_is_chosen_or_none():

@@ -137,7 +137,7 @@ def test_live_and_offline_agree_for_every_start(bag):
     found = verify(bag)
     assert [c.model for c in found.comparisons] == list(MODELS) and found.same_configuration
     for comparison in found.comparisons:
-        assert comparison.n_starts == 53 and comparison.n_disagree == comparison.n_cut == 0
+        assert comparison.n_starts == 53 and comparison.n_one_sided == comparison.n_truncated == 0
         assert comparison.n_settling == 7
         # One second of horizon at the end is incomplete on both sides.
         assert comparison.n_scores == {"hindsight": 43, "forecast": 43}
@@ -162,7 +162,7 @@ def test_deviation_of_yaw_alone_is_found(live):
     live.shifted_column, live.path_shift = "yaw", 0.002
     assert verify(live.write()).largest < 1e-9
     result = st_verify(live.folder)
-    assert result.exit_code == 1 and "of yaw 2 mrad (limit 1 mrad)" in " ".join(result.output.split())
+    assert result.exit_code == 1 and "in yaw 2 mrad (limit 1 mrad)" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize("unreceived", [range(17), range(250, 400)], ids=["discovered late", "restarted"])

@@ -1,4 +1,4 @@
-"""Implements `st verify`: recomputes recorded predictions and scores of the nodes with the library; compares both."""
+"""Implements `st verify`: compares the recorded predictions and scores of the nodes with those of the library."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ from .suite import SuiteError
 # Each node starts its filter of the forward acceleration with the first sample it receives, and nodes may receive
 # different first samples. The effect on the filter's output decays to 2e-9 after this number of time constants.
 SETTLING_TIME_CONSTANTS = 20.0
-# A longer time without a prediction [s] may be a restart of the predictor; a busy computer causes shorter pauses.
+# A longer pause between predictions [s] may be a restart of the predictor; a busy computer causes shorter ones.
 RESTART_PAUSE = 1.0
 
 
@@ -49,8 +49,8 @@ class Comparison:
     worst_start_ns: int = 0  # start of the prediction with the largest path difference
     n_scores: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MODES, 0))  # complete live and offline
     score_difference: dict[str, float] = field(default_factory=lambda: dict.fromkeys(MODES, 0.0))  # by mode [m]
-    n_cut: int = 0  # scores that are incomplete only because the nodes stopped
-    n_disagree: int = 0  # scores complete on one side only, without n_cut and position jumps
+    n_truncated: int = 0  # scores that are incomplete only because the nodes stopped
+    n_one_sided: int = 0  # scores complete on one side only, except truncated ones and those across a position jump
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
 
     @property
@@ -61,7 +61,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """Comparisons of all models. same_configuration: whether all recorded predictions are of this car and settings."""
+    """Comparisons of all models. same_configuration: whether all recorded predictions used this car and settings."""
 
     comparisons: list[Comparison]
     vehicle: str
@@ -178,32 +178,32 @@ def _compare_scores(result: Comparison, mode: str, scores: Scores, starts_ns: np
     _, computed, recorded = np.intersect1d(starts_ns, scores.starts_ns, assume_unique=True, return_indices=True)
     complete = np.isfinite(errors[computed]).all(axis=(1, 2))
     both = complete & scores.complete[recorded]
-    cut = complete & scores.signal_ends[recorded]
-    result.n_cut += int(cut.sum())
+    truncated = complete & scores.signal_ends[recorded]
+    result.n_truncated += int(truncated.sum())
     # The evaluator does not score across a position jump; the library does, unless the jump is excluded from the run.
-    excluded = cut | scores.has_jump[recorded]
-    result.n_disagree += int(((complete != scores.complete[recorded]) & ~excluded).sum())
+    excluded = truncated | scores.has_jump[recorded]
+    result.n_one_sided += int(((complete != scores.complete[recorded]) & ~excluded).sum())
     result.n_scores[mode] = result.n_scores.get(mode, 0) + int(both.sum())
     if both.any():
         difference = np.abs(errors[computed][both][..., :2] - scores.errors[recorded][both][..., :2])
         result.score_difference[mode] = max(result.score_difference.get(mode, 0.0), float(difference.max()))
 
 
-def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replayed: bool, output: Path | None,
+def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bool, output: Path | None,
                    console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
     0: no difference exceeds `tolerance` [m; rad for yaw angles], and the reason is known for every score that is
-    complete on one side only; 1: any other result; 2: nothing to compare. replayed: play the recording through the
-    nodes and compare their output.
+    complete on one side only; 1: any other result; 2: nothing to compare. replay: whether to play the recording
+    through the nodes and compare their output, even if it contains predictions.
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
-    result = None if replayed else _verify_with_progress(bag, vehicle, console, read_settings)
+    result = None if replay else _verify_with_progress(bag, vehicle, console, read_settings)
     if result is None:
-        reason = "--replay" if replayed else "it contains no predictions"
+        reason = "--replay" if replay else "it contains no predictions"
         folder = new_folder(output, f"verify-{bag.stem}")
-        console.out(f"{bag.name} is played through the nodes ({reason}); recordings in {folder}", highlight=False)
+        console.out(f"playing {bag.name} through the nodes ({reason}); recordings in {folder}", highlight=False)
         outcome, _ = replay_bag(find_bag(bag), folder, vehicle, 0.0, console, settings=read_settings)
         if not outcome.ok:
             raise SuiteError(outcome.problem or f"a node failed: {outcome.statuses}; see {folder / 'logs'}")
@@ -245,18 +245,19 @@ def _make_table(result: Verification) -> Table:
     for c in result.comparisons:
         scores = [f"{c.n_scores[mode]}, {c.score_difference[mode] * 1000:.2g}" for mode in MODES]
         table.add_row(Text(c.model, style=MODEL_COLOUR.get(c.model, "")), str(c.n_starts),
-                      f"{c.start_difference * 1000:.2g}", f"{c.path_difference * 1000:.2g}", *scores, str(c.n_disagree))
+                      f"{c.start_difference * 1000:.2g}", f"{c.path_difference * 1000:.2g}", *scores,
+                      str(c.n_one_sided))
     return table
 
 
 def _print_conclusion(result: Verification, tolerance: float, console: Console) -> int:
     n_scores = sum(sum(c.n_scores.values()) for c in result.comparisons)
-    n_disagree = sum(c.n_disagree for c in result.comparisons)
-    n_cut = sum(c.n_cut for c in result.comparisons)
+    n_one_sided = sum(c.n_one_sided for c in result.comparisons)
+    n_truncated = sum(c.n_truncated for c in result.comparisons)
     n_settling = sum(c.n_settling for c in result.comparisons)
     n_planned = sum(c.n_planned for c in result.comparisons)
     yaw_difference = max(c.yaw_difference for c in result.comparisons)
-    passed = max(result.largest, yaw_difference) <= tolerance and not n_disagree
+    passed = max(result.largest, yaw_difference) <= tolerance and not n_one_sided
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(result.comparisons, key=lambda c: c.path_difference)
     location = ""
@@ -265,9 +266,9 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
         location = f"; the path that differs most: {worst.model} at {time} UTC"
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
     console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
-                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), of yaw "
-                  f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_disagree} scores complete "
-                  f"on one side only, {n_cut} incomplete because the nodes stopped{location}",
+                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
+                  f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_one_sided} scores complete "
+                  f"on one side only, {n_truncated} incomplete because the nodes stopped{location}",
                   highlight=False, soft_wrap=True)
     console.print(f"[dim]{n_settling} predictions not compared: the filter of the forward acceleration had not settled "
                   "after the first sample that each node received[/dim]", highlight=False, soft_wrap=True)

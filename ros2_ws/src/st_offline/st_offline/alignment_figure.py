@@ -41,8 +41,9 @@ def _draw_signal(ax: plt.Axes, signal: SharedSignal, alignment: Alignment, whole
     values = signal.other
     if "curvature" in signal.name:  # `other` is a steering angle: scaled to the curvature by a linear fit
         curvature = np.interp(other, reference, signal.reference, left=np.nan, right=np.nan)
-        known = np.isfinite(curvature) & np.isfinite(values)
-        values = np.polyval(np.polyfit(values[known], curvature[known], 1), values) if known.any() else values
+        is_finite = np.isfinite(curvature) & np.isfinite(values)
+        if is_finite.any():
+            values = np.polyval(np.polyfit(values[is_finite], curvature[is_finite], 1), values)
     start = -np.inf
     if not whole:  # the section, within the overlap of both recordings, where the signal varies most
         low, high = max(reference[0], other[0]), min(reference[-1], other[-1]) - CLOSE_UP_DURATION

@@ -17,7 +17,7 @@ from .checking.gate import RUN_ERRORS, describe_problem
 from .terminal import format_count, print_line, report_problem
 
 
-def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: ReadSettings, output: Path,
+def build_course(runs: Sequence[Path], vehicle: VehicleParameters, read_settings: ReadSettings, output: Path,
                  console: Console) -> int:
     """Run the command; returns the exit status: 0 if every run was used, else 1. Raises ConfigurationError or
     OutputError if no course can be built or written."""
@@ -30,7 +30,7 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     for source in find_runs(runs):
         try:
             with console.status(escape(source.name)):
-                run = read(source, vehicle, reading)
+                run = read(source, vehicle, read_settings)
                 run_passes: Sequence[Pass] = split_into_passes(run.log, list(run.provenance["files"].values()))
                 if "origin" in run.provenance:
                     latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
@@ -49,8 +49,8 @@ def build_course(runs: Sequence[Path], vehicle: VehicleParameters, reading: Read
     if not passes:
         raise ConfigurationError("no run can be used for a course, for the reasons above")
     if origin and without_origin:
-        print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin; not shifted, so "
-                   "correct only if recorded in the map of the first run with an origin[/yellow]", console)
+        print_line(f"[yellow]warning: {escape(', '.join(without_origin))}: without a map origin, therefore not "
+                   "shifted; correct only if recorded in the map of the first run with an origin[/yellow]", console)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(Course(tuple(passes), origin).to_yaml(), encoding="utf-8")

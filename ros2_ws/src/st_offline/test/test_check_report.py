@@ -17,9 +17,9 @@ from st_offline.checking.check_command import append_corrections, check_file_nam
 from st_offline.checking.check_page import page_summary, page_title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
+    build_document,
     describe_effect,
-    describe_stretches,
-    document,
+    describe_intervals,
     group_findings,
     print_findings,
     print_run,
@@ -87,11 +87,11 @@ def test_estimates_are_rounded_to_the_digits_of_their_interval(value, interval, 
 
 
 def test_time_ranges_and_effect_of_a_finding():
-    assert describe_stretches(DEGREES) == "whole run" and describe_stretches(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
+    assert describe_intervals(DEGREES) == "whole run" and describe_intervals(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
     short = Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))
-    assert describe_stretches(short) == "0.7 s, 3.0 to 3.2 s"
+    assert describe_intervals(short) == "0.7 s, 3.0 to 3.2 s"
     many = tuple((float(k), k + 0.5) for k in range(9))
-    assert describe_stretches(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
+    assert describe_intervals(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
     assert describe_effect(DEGREES) == "shifts the position after 5 s by about 130 m" and describe_effect(COARSE) == ""
 
 
@@ -130,7 +130,7 @@ def test_other_commands_print_each_finding_once_with_its_runs():
 
 def test_opposite_steering_sign_comes_first_with_its_correction():
     console = make_console()
-    print_run(replace(make_run("drive", (DEGREES, OPPOSITE_SIGN)), where="logs/drive.csv"), console)
+    print_run(replace(make_run("drive", (DEGREES, OPPOSITE_SIGN)), arguments="logs/drive.csv"), console)
     first = console.file.getvalue().splitlines()[0]
     assert "opposite sign" in first and "--steering-sign -1" in first and "CAN" not in first
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
@@ -151,8 +151,8 @@ def test_clock_offsets_of_many_runs_are_one_sentence():
     found = {str(n): summarise_alignment(Alignment(0, -n * 100_000_000, 0.0, 0.001 * n, 0.1, "shared signals", verdict))
              for n, verdict in enumerate((Verdict.GOOD, Verdict.GOOD, Verdict.DOUBTFUL), 1)}
     assert check_report.describe_clocks({**found, "csv": {"method": "none"}}) == (
-        "INS minus steering clock of 3 runs: -0.300 to -0.100 s, found from the data, standard deviation up to 3.0 ms, "
-        "1 of them doubtful")
+        "INS minus steering clock of 3 runs: -0.300 to -0.100 s, estimated from the data, standard deviation up to 3.0 "
+        "ms, 1 of them doubtful")
     assert check_report.describe_clocks({**found, "set": {**found["1"], "method": "by hand"}}).endswith(
         "; set: INS minus steering clock: -0.100 s, set by hand")
     found["2"] = found["2"] | {"offset_deviation_s": None}
@@ -163,8 +163,8 @@ def test_clock_offsets_of_many_runs_are_one_sentence():
 
 @pytest.mark.parametrize(("method", "text"), [
     ("none", ""), ("by hand", "INS minus steering clock: -0.430 s, set by hand"),
-    ("shared signals", "INS minus steering clock: -0.430 s, found from the data (by shared signals, standard deviation "
-     "1.2 ms, good)")])
+    ("shared signals", "INS minus steering clock: -0.430 s, estimated from the data (by shared signals, "
+     "standard deviation 1.2 ms, good)")])
 def test_clock_offset_of_the_steering_is_printed(method, text):
     alignment = summarise_alignment(Alignment(0, -430_000_000, 0.0, 0.0012, 0.1, method, Verdict.GOOD))
     assert check_report.describe_clock(alignment) == text
@@ -176,7 +176,7 @@ def test_clock_offset_of_the_steering_is_printed(method, text):
 
 
 def test_document_contains_only_finite_numbers():
-    content = json.loads(json.dumps(document([make_run()], {}), allow_nan=False))
+    content = json.loads(json.dumps(build_document([make_run()], {}), allow_nan=False))
     entry = content["runs"]["drive"]
     assert content["schema"] == 2 and entry["vehicle"] == "leaf.yaml" and "leaf.yaml" in content["vehicle"]
     assert set(entry["findings"][0]) == {"name", "severity", "channels", "value", "unit", "interval", "text", "where",
@@ -186,7 +186,7 @@ def test_document_contains_only_finite_numbers():
 
 def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
     runs, failed = [make_run(HOSTILE), make_run("second", [])], {"third": "it is <b>broken</b>"}
-    write_page(tmp_path / "p.html", runs, failed, document(runs, failed))
+    write_page(tmp_path / "p.html", runs, failed, build_document(runs, failed))
     text = (tmp_path / "p.html").read_text()
     assert "<script" not in text and "&lt;script&gt;alert(1)" in text and "it is &lt;b&gt;broken" in text
     assert not re.findall(r'(?:src|href)="(?!#|data:)[^"]+"|url\((?!#)|@import', text)
@@ -200,7 +200,7 @@ def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
 
 def test_page_of_many_runs_is_small(tmp_path):
     runs = [make_run(f"drive {number}") for number in range(60)]
-    write_page(tmp_path / "p.html", runs, {}, document(runs, {}))
+    write_page(tmp_path / "p.html", runs, {}, build_document(runs, {}))
     assert (tmp_path / "p.html").stat().st_size < 6_000_000
 
 
@@ -300,7 +300,7 @@ def test_many_runs_print_each_finding_once_and_runs_without_findings_in_one_line
 
 def test_clock_offset_of_a_time_zone_is_explained():
     zone = summarise_alignment(Alignment(0, 7198_588_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
-    text = "+7198.588 s (about +2 h: one of the two clocks shows local time), found"
+    text = "+7198.588 s (about +2 h: one of the two clocks shows local time), estimated"
     assert text in check_report.describe_clock(zone)
     other = summarise_alignment(Alignment(0, 900_000_000_000, 0.0, 0.001, 0.1, "shared signals", Verdict.GOOD))
     assert "local time" not in check_report.describe_clock(other)
@@ -309,7 +309,7 @@ def test_clock_offset_of_a_time_zone_is_explained():
 def test_correction_is_offered_only_if_one_exists():
     without_correction = replace(COARSE, severity=Severity.WARNING)
     assert len(page_summary([make_run("drive", (without_correction,))])) == 1
-    (_, correct) = page_summary([replace(make_run("drive", (JUMPS,)), where="a/run.yaml")])
+    (_, correct) = page_summary([replace(make_run("drive", (JUMPS,)), arguments="a/run.yaml")])
     assert correct.startswith("To correct the recording, run `st check a/run.yaml --propose-correction run.yaml` with")
 
 

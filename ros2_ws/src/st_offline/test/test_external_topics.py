@@ -93,7 +93,7 @@ def test_invalid_steering_field_is_refused_with_its_name(tmp_path, topic, field,
 
 
 def test_bag_of_ros_1_is_not_replayed(tmp_path):
-    with pytest.raises(RunError, match="the nodes receive no messages of ROS 1; convert the bag with rosbags"):
+    with pytest.raises(RunError, match="the nodes cannot receive ROS 1 messages; convert the bag with rosbags"):
         check_bag(tmp_path / "drive.bag", None, True)
 
 

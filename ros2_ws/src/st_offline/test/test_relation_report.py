@@ -115,7 +115,7 @@ def test_variation_between_runs_is_reported_and_relation_of_time_writes_no_file(
     search = RelationSearch(relation, "it reduces the errors by 10 %", {})
     lines = format_report(search)
     sizes = "lap 1.2 ± 0.2, other 0.1 ± 0.2, third 0.9 ± 1.0"
-    assert f"less than half as large in other (relative size by run, 95 %: {sizes})" in lines
+    assert f"less than half the overall size in other (relative size by run, 95 %: {sizes})" in lines
     assert "no effect file is written" in lines and "once from another starting point" in lines
     assert write_files(search, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 

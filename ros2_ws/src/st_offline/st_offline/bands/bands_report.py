@@ -36,23 +36,23 @@ class Scorer:
     adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: sha256 of each file of
     the run, by path."""
 
-    LATE = 120.0  # s after the first start; the coverage of adaptive bands from then on is counted separately
+    ADAPTATION_TIME = 120.0  # s; the coverage of adaptive bands is also counted for starts at least this much later
 
     def __init__(self, bands: Bands | None, adaptive: bool, signals: LogSignals, files: Mapping[str, str],
                  prediction: PredictionSettings):
         self._bands, self._is_adaptive, self._signals = bands, adaptive, signals
         self._time = make_times(prediction.horizon, prediction.step)
         self._adaptive: dict[tuple[str, str], AdaptiveBand] = {}
-        self._first: int | None = None
+        self._first_start_ns: int | None = None
         used = set(bands.recordings.values()) if bands else set()
         self._sums: list[Sums] = [{"known_recordings": [name for name, digest in files.items() if digest in used]}]
 
     def add(self, starts_ns: np.ndarray, block: Block) -> None:
-        """Add one block of an evaluation, without incomplete horizons; starts outside the domain are only counted.
-        Blocks must be added in time order."""
+        """Add the starts of one block of an evaluation that have a complete horizon; those outside the domain are only
+        counted. Blocks must be added in time order."""
         if not len(starts_ns) or not (self._bands or self._is_adaptive):
             return
-        self._first = int(starts_ns[0]) if self._first is None else self._first
+        self._first_start_ns = int(starts_ns[0]) if self._first_start_ns is None else self._first_start_ns
         conditions = conditions_at(self._signals, starts_ns)
         inside = np.isfinite(conditions).all(axis=1) if self._bands is None else self._bands.domain.contains(conditions)
         starts_ns, conditions = starts_ns[inside], conditions[inside]
@@ -69,13 +69,13 @@ class Scorer:
                 factors, scales = adaptive.replay(starts_ns, conditions, rotated)
                 score = np.abs(rotated[scored] / scales[scored]).max(axis=(1, 2), initial=0.0)
                 covered = {f"{nominal:g}": score <= factor[scored] for nominal, factor in factors.items()}
-                late = (starts_ns[scored] - self._first) * 1e-9 >= self.LATE
+                late = (starts_ns[scored] - self._first_start_ns) * 1e-9 >= self.ADAPTATION_TIME
                 entry = _count_coverage(np.ones(len(score), bool), covered)
                 entry |= {f"late_{key}": value for key, value in _count_coverage(late, covered).items()}
                 self._sums.append({"adaptive": {model: {mode: entry}}})
 
     def get_sums(self) -> Sums:
-        """Sums over all blocks; known_recordings: files that were used in the calibration."""
+        """Sums over all blocks. known_recordings: files of the run that were used in the calibration."""
         return pool_sums(self._sums)
 
 
@@ -89,8 +89,8 @@ def summarise_adaptive(sums: Sums) -> dict[str, Any]:
 def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> Sums:
     """Scores of a band, summed over starts. conditions: (n, 4). errors: (n, points, 3) [m, m, rad], predicted frame.
 
-    Counts by level: coverage: paths entirely inside; axes: the same for each axis alone; conditions: the same by one
-    driving condition; seconds: paths inside during the whole of each second; cells: the same by speed, lateral
+    Counts by level: coverage: paths entirely inside; axes: the same for each axis alone; conditions: as coverage, by a
+    single driving condition; seconds: paths inside throughout each second; cells: the same by speed, lateral
     acceleration and second; reliability: as coverage, but for every level of the band. The other counts are for those
     of LEVELS that the band has, and for its highest level up to LEVELS[-1]. By axis [m, m, rad]: interval_score: mean
     over the horizon; crps: mean over the whole seconds; half_width: at each whole second.
@@ -105,14 +105,14 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     second = np.ceil(np.round(time, 6)).astype(int)
     at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
-    highest, within = by_point.max(axis=1, initial=0.0), {}
+    largest_ratio, within = by_point.max(axis=1, initial=0.0), {}
     sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
                   "conditions": {}, "cells": {},
-                  "reliability": {f"{level:g}": int((highest <= c).sum()) for level, c in band.factors.items()},
+                  "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()},
                   "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
-        within[key] = highest <= c
+        within[key] = largest_ratio <= c
         sums["coverage"][key] = int(within[key].sum())
         sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
@@ -234,7 +234,8 @@ def draw_bands(content: Mapping[str, Any], output: FigureOutput) -> list[PageFig
 
 
 def make_band_rows(content: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Table row by column title of each model and mode of `summarise_bands`; half-widths at the last whole second."""
+    """Table row of each model and mode in the result of `summarise_bands`, by column title; half-widths at the last
+    whole second."""
     rows, top = [], _find_top_level(content)
     for model, modes in content.get("models", {}).items():
         for mode, scores in modes.items():
@@ -282,7 +283,7 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         for title, columns in (
                 ("Bands: share of paths entirely inside", ("starts", "no band", "50 % covers", f"{level} covers")),
                 (f"Bands: conditions with the lowest coverage of the {level} band", ("worst cell",)),
-                ("Bands: scores and size, along | across", (
+                ("Bands: scores and half-width, along | across", (
                     f"interval score {level}, along | across, m", "CRPS, along | across, m",
                     f"half-width {level}, along | across, m"))):
             reported = [{column: row[column] for column in ("model", "inputs", *columns)} for row in rows]
@@ -296,8 +297,8 @@ def print_tables(sums: Sequence[Sums], tested: bool, adaptive: bool, console: Co
         console.print(make_table(make_adaptive_rows(summarise_adaptive(pooled)), width=min(console.width, 140),
                                  title="Adaptive bands: share of paths entirely inside"))
     if rows := make_share_rows(summarise_shares(pooled)):
-        console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of its mean "
-                                 "square, along | across", width=min(console.width, 140)))
+        console.print(make_table(rows, title="Decomposition of the error with measured inputs: shares of the mean "
+                                 "square error, along | across", width=min(console.width, 140)))
 
 
 def _format_share(value: float | None) -> str:
@@ -333,9 +334,9 @@ def _name_seconds(values: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 def summarise_shares(sums: Sums) -> dict[str, Any]:
-    """By model: number of starts, RMS of the error and of each cause [m, m, rad], shares of the mean square error. The
-    shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated: parameters with a
-    stated uncertainty."""
+    """By model: number of starts, RMS of the error and of the contribution of each cause [m, m, rad], shares of the
+    mean square error. The shares of the kinds of causes (parameters, sensors) and of the residual add up to 1. stated:
+    parameters with a stated uncertainty."""
     summary = {}
     for model, sums_of_model in sums.get("shares", {}).items():
         count, total, causes = sums_of_model["starts"], sums_of_model["total"], sums_of_model["causes"]

@@ -75,7 +75,7 @@ def collect_errors(sources: Sequence[RunSource], task: Task, models: Sequence[Mo
 
 def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Model], recordings: dict[str, str],
                levels: Sequence[float], console: Console) -> Bands:
-    """Calibrate the bands of all models. Raises StCoreError as `calibrate`."""
+    """Calibrate the bands of all models. Raises StCoreError as `calibrate` does."""
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
@@ -91,7 +91,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recorded car has another name; its other parameters may differ, as updates change them."""
+    """Raise RunError if the recorded car has another name. Its parameters may differ, because updates change them."""
     text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

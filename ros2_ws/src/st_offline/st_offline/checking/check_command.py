@@ -27,7 +27,7 @@ from st_recordings.runs.run_file import RUN_FILE, RUN_SUFFIX, TABLE_KEYS
 from ..terminal import list_files, make_progress_bars, print_line, report_problem
 from . import check_report
 from .check_page import write_page
-from .check_report import CheckedRun, document, print_runs
+from .check_report import CheckedRun, build_document, print_runs
 from .gate import RUN_ERRORS, check_log, describe_problem
 
 MODELS = ("linear", "nonlinear")  # checked for stable integration
@@ -51,7 +51,7 @@ class CheckJob:
 
 def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str], None] | None = None) -> int:
     """Run the command; returns the exit status: 1 if a run has an error or could not be read, else 0. report_vehicle:
-    called with each vehicle file in use, if none was given. Raises ConfigurationError, OutputError."""
+    called with each vehicle file in use, if the user named none. Raises ConfigurationError, OutputError."""
     sources = find_runs(job.paths)
     if job.correction_file is not None:
         check_file_name(job.correction_file)
@@ -76,7 +76,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     for number, quantity in enumerate(compare_runs([run.checked for run in checked_runs])):
         print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
     if report_vehicle and not job.vehicle_is_given:
-        for file in sorted({run.vehicle_from for run in checked_runs}):
+        for file in sorted({run.vehicle_source for run in checked_runs}):
             report_vehicle(file)
     files = write_results(checked_runs, unreadable, folder, job.json, console)
     if target := job.correction_file:
@@ -89,19 +89,19 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
 
 def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     """Read and check one run. Raises one of gate.RUN_ERRORS for a run that cannot be read."""
-    car, car_from = job.vehicle, job.vehicle_file
+    car, car_source = job.vehicle, job.vehicle_file
     if source.kind == "bag" and not job.vehicle_is_given:
-        car, _, car_from = find_configuration(read_metadata_records(source.path), None)
+        car, _, car_source = find_configuration(read_metadata_records(source.path), None)
     run = read(source, car, job.read)
     checked = check_log(run.log, car, run.auxiliary, MODELS)
-    return CheckedRun(source.name, checked, car, car_from, run.log.duration, run.warnings, run.provenance["files"],
+    return CheckedRun(source.name, checked, car, car_source, run.log.duration, run.warnings, run.provenance["files"],
                       summarise_alignment(run.alignment), source.arguments)
 
 
 def write_results(checked_runs: Sequence[CheckedRun], unreadable: Mapping[str, str], folder: Path, json: Path | None,
                   console: Console) -> dict[Path, str]:
     """Write page and JSON file; returns their descriptions by path."""
-    content = document(checked_runs, unreadable)
+    content = build_document(checked_runs, unreadable)
     page, numbers = folder / "report.html", json or folder / "check.json"
     with console.status("drawing, writing the page"):
         write_page(page, checked_runs, unreadable, content)
@@ -192,7 +192,7 @@ def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
 
 
 def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
-    """`known` with the values of a further entry; None if a value contradicts it. Lists are joined."""
+    """`known` with the values of a further entry, lists joined; None if a key would get two different values."""
     merged = {**known}
     for key, value in entry.items():
         present = known.get(key)

@@ -24,8 +24,8 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 @drawing.apply_style()
-def draw_panel(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
-    """Draw one comparison, with the stretches of its findings shaded. prefix: start of the title."""
+def draw_comparison(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
+    """Draw one comparison, with the time intervals of its findings shaded. prefix: start of the title."""
     findings = sorted((finding for finding in run.checked.findings if finding.name in pair.findings),
                       key=check_report.severity_rank)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
@@ -83,8 +83,8 @@ def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
     refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
     meaning = check_report.describe_meaning(findings)
     sign = next(filter(None, (check_report.advise_steering_sign(
-        run.checked.findings, run.where, run.alignment["method"] != "none") for run in runs)), "")
-    correct = (f"To correct the recording, run `st check {runs[0].where if len(runs) == 1 else 'RUN'} "
+        run.checked.findings, run.arguments, run.alignment["method"] != "none") for run in runs)), "")
+    correct = (f"To correct the recording, run `st check {runs[0].arguments if len(runs) == 1 else 'RUN'} "
                "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
                "writes instead of the recording.")
     is_correctable = any(finding.advice is not None and finding.advice.kind == "run.yaml" for finding in findings
@@ -96,7 +96,7 @@ def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
 
 
 def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
-    """Write the page. content: of check.json."""
+    """Write the page. content: that of check.json."""
     text = load_template("checking/check.html.jinja").render(
         title=page_title(runs), summary=page_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
         problems=unreadable, groups=check_report.group_findings({run.name: run.checked.findings for run in runs}))
@@ -112,4 +112,5 @@ def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
         return worst, -max((finding.effect or 0.0 for finding in findings), default=0.0)
 
     pairs = sorted(((comparison, run) for run in runs for comparison in run.checked.comparisons), key=rank)
-    return [draw_panel(*pair, f"{pair[1].name}: " if len(runs) > 1 else "") for pair in pairs[:MAX_FIGURES]]
+    return [draw_comparison(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
+            for comparison, run in pairs[:MAX_FIGURES]]

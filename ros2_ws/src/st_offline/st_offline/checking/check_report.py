@@ -22,9 +22,9 @@ from st_recordings.runs.raw import summarise_alignment
 from ..terminal import format_count, print_line
 
 MAX_ZONE_DEVIATION = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
-MAX_STRETCHES = 4  # time intervals of a finding that are listed
+MAX_INTERVALS = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
-MAX_RUNS = 8  # runs that are printed one by one; of more, each error and warning is printed once
+MAX_RUNS = 8  # runs that are printed one by one; with more runs, each error and warning is printed once
 SEVERITY_ORDER = (Severity.ERROR, Severity.WARNING, Severity.NOTE)
 MEANING = {Severity.ERROR: "an evaluation would be meaningless", Severity.WARNING: "an evaluation would be biased",
            Severity.NOTE: "negligible here"}
@@ -98,18 +98,18 @@ def format_quantity(name: str, value: Sequence[float]) -> str:
     return format_estimate(value[0], value[1:], unit)
 
 
-def describe_stretches(finding: Finding) -> str:
+def describe_intervals(finding: Finding) -> str:
     """Time intervals of a finding, or "whole run"."""
     if not finding.where:
         return "whole run"
     text = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
-                      for start, end in finding.where[:MAX_STRETCHES])
-    more = len(finding.where) - MAX_STRETCHES
+                      for start, end in finding.where[:MAX_INTERVALS])
+    more = len(finding.where) - MAX_INTERVALS
     return text + (f" and {more} more" if more > 0 else "")
 
 
 def describe_effect(finding: Finding) -> str:
-    """Effect of a finding on predictions or fits; empty if unknown, except for an error."""
+    """Effect of a finding on predictions or fits; empty if it is unknown and the finding is not an error."""
     if finding.concerns_only_acceleration:
         return "no effect on predictions, but results of identify and discover are biased"
     if finding.effect is None:
@@ -147,7 +147,7 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
     unknown = f" (unknown in {len(deviations) - len(known)} of them)" if len(known) < len(deviations) else ""
     doubtful = sum(alignment["verdict"] != "good" for alignment in estimated)
     of_all = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-              f"{_zone_note(offsets[0])}, found from the data, standard deviation up to "
+              f"{_zone_note(offsets[0])}, estimated from the data, standard deviation up to "
               f"{_describe_deviation(max(known, default=None))}{unknown}, "
               f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
@@ -156,11 +156,11 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
-    """Text on the steering clock of a run, from the result of `summarise_alignment`; empty for a single clock."""
+    """Text on the steering clock of a run, from the result of `summarise_alignment`; empty if it is the INS clock."""
     if alignment["method"] == "none":
         return ""
     origin = "set by hand" if alignment["method"] == "by hand" else (
-        f"found from the data (by {alignment['method']}, standard deviation "
+        f"estimated from the data (by {alignment['method']}, standard deviation "
         f"{_describe_deviation(alignment['offset_deviation_s'])}, {alignment['verdict']})")
     return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_zone_note(alignment['offset_s'])}, {origin}"
 
@@ -180,35 +180,35 @@ def _zone_note(offset: float) -> str:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """One run of `st check`. vehicle_from: file or recording with the vehicle parameters. duration: [s]. warnings: of
-    the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`. where:
-    arguments of `st check` that read this run."""
+    """One run of `st check`. vehicle_source: file or recording with the vehicle parameters. duration: [s]. warnings:
+    those of the reader, including its corrections. files: sha256 by path. alignment: from `summarise_alignment`.
+    arguments: those of `st check` that read this run."""
 
     name: str
     checked: DriveCheck
     vehicle: VehicleParameters
-    vehicle_from: str
+    vehicle_source: str
     duration: float
     warnings: tuple[str, ...]
     files: Mapping[str, str]
     alignment: Mapping[str, Any] = field(default_factory=lambda: summarise_alignment(Alignment()))
-    where: str = "RUN"
+    arguments: str = "RUN"
 
 
 def findings_as_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     return [json_ready(finding.as_dict()) for finding in findings]
 
 
-def document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) -> dict[str, Any]:
+def build_document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) -> dict[str, Any]:
     """The content of check.json. unreadable: problem by name of each run that could not be read."""
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": collect_versions(),
         "vehicle": {source: {"name": car.name, "hash": car.hash}
-                    for source, car in {run.vehicle_from: run.vehicle for run in runs}.items()},
+                    for source, car in {run.vehicle_source: run.vehicle for run in runs}.items()},
         "runs": {run.name: {
-            "verdict": verdict(run.checked), "vehicle": run.vehicle_from, "duration": run.duration,
+            "verdict": verdict(run.checked), "vehicle": run.vehicle_source, "duration": run.duration,
             **json_ready(run.checked.as_dict()),
             "comparisons": [json_ready({
                 "name": comparison.name, "title": comparison.title, "unit": comparison.unit,
@@ -233,16 +233,16 @@ def print_run(run: CheckedRun, console: Console) -> None:
     """Print the verdict on a run, its clock, and each finding with its correction."""
     worst = min((finding.severity for finding in run.checked.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
-    if hint := advise_steering_sign(run.checked.findings, run.where, run.alignment["method"] != "none"):
+    if hint := advise_steering_sign(run.checked.findings, run.arguments, run.alignment["method"] != "none"):
         print_line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
     print_line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
-               f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_from)}[/dim]", console)
+               f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_source)}[/]", console)
     if text := describe_clock(run.alignment):
         print_line(f"  {escape(text)}", console)
     for finding in run.checked.findings:
         print_line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] "
                    f"[bold]{escape(finding.name)}[/bold]: {escape(finding.text)}", console)
-        details = "; ".join(filter(None, (describe_stretches(finding), describe_effect(finding))))
+        details = "; ".join(filter(None, (describe_intervals(finding), describe_effect(finding))))
         print_line(f"    [dim]{escape(details)}[/dim]", console)
         if finding.advice:
             print_line(f"    {'correction, ' if ADVICE_PLACE[finding.advice.kind] else 'advice: '}"

@@ -57,7 +57,7 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     instead of the recorded vehicle (the default vehicle if none is recorded). Raises RefusedRunError, and RunError for
     a bag that cannot be read or has no steering topic."""
     if bag.suffix.lower() == ROS1_EXTENSION:
-        raise RunError(bag, "the nodes receive no messages of ROS 1",
+        raise RunError(bag, "the nodes cannot receive ROS 1 messages",
                        "convert the bag with rosbags-convert; st check, evaluate and discover read it as it is")
     if not (settings and settings.steering) and may_need_can_frames(bag):
         has_other = any(map(may_carry_steering, open_bag(bag).topics))
@@ -88,7 +88,7 @@ def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters,
 
 
 def describe_problem(error: Exception, source: RunSource) -> str:
-    """One line on an exception that is one of RUN_ERRORS."""
+    """One-line text of an exception that is one of RUN_ERRORS."""
     if isinstance(error, MemoryError):
         return f"{source.path}: too large for the memory of this machine"
     if isinstance(error, OSError):

@@ -35,8 +35,8 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 
 def run_command(request: Request, console: Console) -> int:
-    """Run the command. Returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
-    wrong options and unusable recordings, StCoreError if a search is not possible, OutputError for the folder."""
+    """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
+    invalid options and unusable recordings, StCoreError if a search is not possible, OutputError for the folder."""
     check_formats(request.formats)
     base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")
@@ -108,7 +108,7 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
 
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raise ConfigurationError for a drive given both as run and as reference, and for a reference of another car."""
+    """Raise ConfigurationError for a drive that is both a run and a reference, and for a reference of another car."""
     used = {digest for d in suspect if d.log is not None for digest in d.metadata["files"].values()}
     cars = {d.metadata["vehicle"]: d.name for d in suspect if d.log is not None and d.metadata["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
@@ -152,7 +152,7 @@ def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, f
 
 
 def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
-    """The figures of a discovery, without those that lack data."""
+    """Draw the figures of a discovery for which there are data."""
     runs = _logs(request.drives)
     # discovery.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))
@@ -169,7 +169,8 @@ def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[P
 def write_results(discovery: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
                   drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
                   relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; returns their paths by kind. drawn: figures, None for no page. report: of `relations`."""
+    """Write all files; returns their paths by kind. drawn: figures of the page; None: no page. report: report on
+    `relations`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = build_model_file(discovery, request, update)

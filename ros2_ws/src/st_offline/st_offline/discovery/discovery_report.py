@@ -112,8 +112,8 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
 
 def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, recordings: Sequence[Drive],
                content: dict[str, Any], figures: Sequence[PageFigure], relation: RelationReport | None = None) -> None:
-    """Write the page. recordings: all runs, including those that cannot be used. content: of discovery.json. relation:
-    report of the search for a relation beyond the library."""
+    """Write the page. recordings: all runs, including those that cannot be used. content: that of discovery.json.
+    relation: report of the search for a relation beyond the library."""
     findings = {drive.name: drive.findings for drive in recordings}
     text = load_template("discovery/discovery.html.jinja").render(
         title=report_text.format_title(discovery), discovery=discovery, content=content, figures=figures,
@@ -123,7 +123,7 @@ def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, r
 
 
 def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
-    """Tables of the page by layout (narrow, wide), without empty ones; all but the changed entries are sorted."""
+    """Tables of the page by layout (narrow, wide), without empty ones."""
     metres = quantities.format_metres
     channels = []
     for name, error in sorted(discovery.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):

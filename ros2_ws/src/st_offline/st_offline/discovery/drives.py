@@ -115,7 +115,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         try:
             car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
         except StCoreError:
-            car = ""  # an earlier version allowed other values; only its name is needed
+            car = ""  # recorded by an earlier version, with a value that is refused now
         metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
                     "alignment": run.alignment.verdict.value,
                     "clock_deviation_s": json_ready(run.alignment.offset_deviation),
@@ -129,7 +129,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
 
 
 def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
-    """Standard deviation of the offset of the steering clock [s], by run whose offset was estimated."""
+    """Standard deviation of the offset of the steering clock [s], by name of each run with an estimated offset."""
     return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
 
 

@@ -50,8 +50,8 @@ class FigureData:
         """Channel of the region with the highest lower 95 % limit of the ratio of error to expected error; the first
         channel if there are no regions."""
         channels = list(self.before.squares)
-        known = [w for w in self.discovery.where if w.channel in channels]
-        return max(known, key=lambda w: w.interval[0]).channel if known else channels[0]
+        regions = [region for region in self.discovery.where if region.channel in channels]
+        return max(regions, key=lambda region: region.interval[0]).channel if regions else channels[0]
 
 
 @apply_style()
@@ -145,8 +145,8 @@ def draw_axle_curves(data: FigureData) -> PageFigure | None:
 
 @apply_style()
 def draw_maps(data: FigureData) -> PageFigure | None:
-    """Draw the track of the run with the largest errors, and its predictions with base and complete model, coloured by
-    their error."""
+    """Draw the track of the run with the largest errors and the starts of its predictions, coloured by the error of the
+    base model and of the complete model."""
     run = _find_worst_run(data)
     if run is None:
         return None

@@ -76,8 +76,8 @@ def format_metres(value: float) -> str:
 
 
 def format_decimal(number: float, decimals: int) -> str:
-    """A number with this number of decimals, or with an exponent if it would need more than MAX_DECIMALS; with one
-    significant digit if it would be rounded to 0."""
+    """Text of a number with the given decimals, or with an exponent for more than MAX_DECIMALS; with one significant
+    digit if it would be rounded to 0."""
     if decimals <= MAX_DECIMALS:
         text = f"{number:.{decimals}f}"
         return text if float(text) else f"{number + 0.0:.1g}"  # neither "-0.0" nor "× 0" for a small number
@@ -101,7 +101,7 @@ def format_parameter(p: FittedParameter, parameter: Parameter | None = None, int
 
 
 def format_parameters(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
-    """Text for each parameter of an effect; starts with the name of the parameter if there are several."""
+    """Text for each parameter of an effect, starting with its name if there are several."""
     definitions = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
     return [f"{to_words(name) + ' ' if len(parameters) > 1 else ''}"
             f"{format_parameter(p, definitions.get(name), interval)}" for name, p in parameters.items()]
@@ -114,7 +114,7 @@ def format_briefly(effect: str, parameters: Mapping[str, FittedParameter]) -> st
 
 def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
     """Values of an effect without intervals, to two significant digits; factors to two decimals, or more if the
-    deviation from 1 is below 0.1."""
+    difference from 1 is below 0.1."""
     definitions = {p.name: p for p in EFFECTS[name].parameters} if name in EFFECTS else {}
     texts = []
     for key, number in numbers.items():
@@ -141,7 +141,7 @@ def axis_label(c: Candidate) -> str:
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:
-    """Force or moment on this car that corresponds to one unit of y; "" if none does."""
+    """Force or moment on this car that corresponds to one unit of y; "" if y is neither."""
     loads = {"yaw_moment": ("1 rad/s²", f"moment of {vehicle.yaw_inertia:.4g} N m", "yaw inertia"),
              "side_force": ("1 m/s²", f"force of {vehicle.mass:.4g} N", "mass"),
              "front_force": ("1", f"force of {2.0 * vehicle.static_tyre_load_front:.4g} N", "axle load"),

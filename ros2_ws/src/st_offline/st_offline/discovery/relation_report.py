@@ -19,7 +19,7 @@ from st_core.vehicle import VehicleParameters
 
 from ..pages import Table
 from . import quantities, report_text
-from .vehicle_update import changed_keys
+from .vehicle_update import find_changed_entries
 
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
 REPEAT_ELSEWHERE = ("repeat the drive twice, once from another starting point and once in the opposite direction, and "
@@ -45,7 +45,7 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
                              )] if terms else []
     if relation is None:
         why = search.reason
-        for name in sorted(search.statistics, key=len, reverse=True):  # a name may begin with another
+        for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of another
             why = why.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {why}"]), *not_excluded])
     without, with_it = relation.position_5s
@@ -107,8 +107,8 @@ def _uncertainty(relation: Relation) -> list[str]:
     if weak and relation.agreement.p_equal < SIGNIFICANCE_LEVEL:
         sizes = ", ".join(f"{name} {ratio:.1f} ± {Z95 * deviation:.1f}" for name, (ratio, deviation) in
                           relation.agreement.ratios.items())
-        lines.append(f"varies between runs: less than half as large in {', '.join(weak)} (relative size by run, "
-                     f"95 %: {sizes})")
+        lines.append(f"varies between runs: less than half the overall size in {', '.join(weak)} (relative size by "
+                     f"run, 95 %: {sizes})")
     return lines
 
 
@@ -168,14 +168,14 @@ def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: 
         cells = [quantities.to_words(effect.name)]
         for values in (original, refitted):
             texts = (quantities.format_fitted(effect.name, {p.name: values[p.name] for p in fitted}),
-                     report_text.format_changes(changed_keys(vehicle, effect, values)))
+                     report_text.format_changes(find_changed_entries(vehicle, effect, values)))
             cells.append("; ".join(filter(None, texts)))
         rows.append(tuple(cells))
     return [Table("Values without and with the relation",
-                  "Two fits of the same car. The values without the relation are those of vehicle.yaml and model.yaml; "
-                  "the values with it are for proposed.yaml only; they differ because the relation explains a part of "
-                  "the errors. A factor and the entry of the vehicle file after it are the same correction of the "
-                  "original value.",
+                  "Two fits to the same drives. The values without the relation are those of vehicle.yaml and "
+                  "model.yaml; the values with it are for proposed.yaml only, and differ because the relation explains "
+                  "a part of the errors. A factor and the entry of the vehicle file after it are the same correction "
+                  "of the original value.",
                   ("quantity", "without the relation", "with the relation"), rows)] if rows else []
 
 

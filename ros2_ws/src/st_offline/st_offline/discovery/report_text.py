@@ -125,8 +125,8 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
     combinations = [f"{format_combination(c)}: {', '.join(map(to_words, c.effects[:-1]))} or "
                     f"{to_words(c.effects[-1])}, which these drives do not separate"
                     for c in discovery.unseparated_combinations]
-    contradicted = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in discovery.reasons if r.rule == FILE}
-    advice = [*contradicted.values(), recommend(discovery, update)[0], describe_next_drive(discovery)]
+    contradictions = {r.subject: f"{to_words(r.subject)}: {r.text}" for r in discovery.reasons if r.rule == FILE}
+    advice = [*contradictions.values(), recommend(discovery, update)[0], describe_next_drive(discovery)]
     pairs = [("only the combination is identifiable", "; ".join(combinations)),
              ("unresolved", "; ".join(filter(None, unresolved))), ("recordings", _describe_findings(findings)),
              ("to do", "; ".join(filter(None, advice)))]
@@ -134,7 +134,7 @@ def summarise(discovery: Discovery, update: VehicleUpdate | None,
 
 
 def _describe_findings(findings: Mapping[str, Sequence[Finding]]) -> str:
-    """Sentences on the most serious error or warning of the recordings; "" without any."""
+    """Sentences on the most serious error or warning of the recordings; "" if there is none."""
     serious = [(finding, names) for finding, names in group_findings(findings) if finding.severity is not Severity.NOTE]
     if not serious:
         return ""
@@ -251,7 +251,7 @@ def list_undetectable(discovery: Discovery) -> str:
     """Effects that are not detectable in these drives, with the largest size tried, vehicle parameters first."""
     largest = {p.effect: f" of {format_deviation(p.size, p.unit)}"
                for p in sorted(discovery.certificate.powers, key=lambda p: abs(p.size))}
-    # Of these effects, the combination is identifiable.
+    # The combination of these effects is detectable.
     combined = {name for c in discovery.unseparated_combinations for name in c.effects}
     ranked = sorted((n.name for n in discovery.not_testable if n.name not in combined), key=rank_by_kind)
     names = ", ".join(f"{to_words(name)}{largest.get(name, '')}" for name in ranked[:MAX_UNDETECTABLE])
@@ -355,7 +355,7 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
 
 
 def _list_other_causes(discovery: Discovery, name: str) -> str:
-    """Causes outside the library of an effect; none with reference drives, as both drives then have the same causes."""
+    """Causes outside the library with the same effect; "" with reference drives, which these causes affect equally."""
     return "" if discovery.start == "reference" else get_effect(name).imitated_by
 
 
@@ -412,16 +412,16 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
 
 
 def list_details(discovery: Discovery, update: VehicleUpdate | None) -> list[tuple[str, list[str]]]:
-    """(heading, sentences) below the summary; headings without sentences are left out."""
+    """(heading, sentences) of the sections below the summary, without empty sections."""
     reasons = {r.subject: r.text for r in discovery.reasons if r.rule in (MINOR, FORCES, IMPLAUSIBLE)}
-    decided = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
+    decisions = [reason.text for reason in discovery.reasons if reason.subject == "outcome"]
     if discovery.certificate.measured:
-        decided.append(f"false alarms: an effect was named in {discovery.certificate.alarms} of "
-                       f"{discovery.certificate.simulated_drives} simulated drives without any")
+        decisions.append(f"false alarms: an effect was named in {discovery.certificate.alarms} of "
+                         f"{discovery.certificate.simulated_drives} simulated drives without any")
     minor = [f"{name_with_alternatives(discovery, e)}: {reasons[e.name]}" for e in sort_by_size(discovery.minor)
              if e.name in reasons]
     sections = [*((role, [text]) for role, text in describe_drives(discovery)), ("meaning", explain_effects(discovery)),
-                ("decision rule", decided), ("not named", minor),
+                ("decision rule", decisions), ("not named", minor),
                 ("to do", recommend(discovery, update)[1:]),
                 ("effective corrections", describe_effective(discovery)),
                 ("taken from the vehicle file", list_priors(discovery)),

@@ -72,7 +72,7 @@ class VehicleUpdate:
 
 
 def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | None:
-    """`fold_named_effects`, but with the original file if the updated one predicts worse; None without a model."""
+    """Update by `fold_named_effects`, or the original file if the updated one predicts worse; None without a model."""
     update = fold_named_effects(discovery, request)
     if update is None or not update.text or update.improves:
         return update
@@ -81,7 +81,7 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
 
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
-    """Fold the named effects into the vehicle file, whether or not it then predicts better; None without a model.
+    """Fold the named effects into the vehicle file, whether or not this improves its predictions; None without a model.
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
     exceed the limits of the file or if predictions would change: for recordings of the road-wheel angle, and for an
     effect that does not commute with an earlier one (steering play). Minor and effective corrections are not folded."""
@@ -135,8 +135,8 @@ def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded:
 
 
 def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
-    """minimum_slip_speed [m/s] at which the base models and this model are stable; models that no value stabilises are
-    ignored; the value of the car if all are."""
+    """Lowest minimum_slip_speed [m/s] at which the base models and this model are stable. Models that no value
+    stabilises are ignored; if that leaves none, the value of the car."""
     step = PredictionSettings().step
     required = [slip_speed_needed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
@@ -144,8 +144,8 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`, for each drive with values fitted without it, if there are others; (0,
-    inf) and the drive, if these values are outside the limits of a vehicle file."""
+    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if any.
+    (0, inf) and the drive if these values are outside the limits of a vehicle file."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
@@ -166,8 +166,8 @@ def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Se
 
 def _remaining_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
                      drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
-    """Model for the updated vehicle; without effective corrections if its predictions differ from those of the complete
-    model by more than MAX_POSITION_DIFFERENCE."""
+    """Model for the updated vehicle. Effective corrections are dropped if with them its predictions differ from those
+    of the complete model by more than MAX_POSITION_DIFFERENCE."""
     assert discovery.model is not None and discovery.named is not None
     values: dict[str, dict[str, float]] = {}
     for effect in folded:
@@ -179,8 +179,8 @@ def _remaining_model(discovery: Discovery, car: VehicleParameters, folded: Seque
     model = discovery.model.with_values(values)
     difference = np.concatenate([a - b for a, b in zip(
         _final_errors(model, car, drives), _final_errors(discovery.model, vehicle, drives), strict=True)])
-    similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
-    return model if similar else without_effects(discovery.named, folded)
+    is_similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
+    return model if is_similar else without_effects(discovery.named, folded)
 
 
 def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -189,9 +189,9 @@ def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dic
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
-def changed_keys(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
-                 ) -> dict[str, tuple[float, float]]:
-    """(before, after) of each key of the vehicle file that an effect changes; empty if it cannot be folded."""
+def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], values: Mapping[str, float]
+                         ) -> dict[str, tuple[float, float]]:
+    """(before, after) of each entry of the vehicle file that an effect changes; empty if it cannot be folded."""
     if not effect.fold:
         return {}
     try:

@@ -35,8 +35,8 @@ MIN_MEASUREMENT_TIME = 0.02  # s; a measurement repeats the call until it has us
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
 LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
-WITHIN_SHARE = 0.9  # fraction of the starts that must be within the tolerance
-MIN_STARTS = 100  # in a speed bin; 10 s of driving with 10 starts per second
+REQUIRED_SHARE = 0.9  # fraction of the starts that must be within the tolerance
+MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 Key = tuple[str, float]  # model, step [s]
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
 TABLE_STYLE: Mapping[str, Any] = {"title_justify": "left", "title_style": "bold", "padding": (0, 1)}
@@ -90,16 +90,16 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of one model and step with measured inputs, for each whole `second` ahead. rms: lateral error [m].
-    level, width: level and mean lateral half-width [m] of the calibrated band, None with too few runs. within: lateral
-    error [m] that WITHIN_SHARE of the starts do not exceed up to each second, by lower edge of the speed bin [m/s]; all
-    runs have the same weight."""
+    """Accuracy of one model and step with measured inputs, for each of the `seconds` ahead. rms: lateral error [m].
+    level, half_widths: level and mean lateral half-width [m] of the calibrated band, None with too few runs.
+    error_quantiles: lateral error [m] that REQUIRED_SHARE of the starts do not exceed up to each second, by lower edge
+    of the speed bin [m/s]; all runs have the same weight."""
 
-    second: tuple[int, ...]
+    seconds: tuple[int, ...]
     rms: tuple[float, ...]
     level: float | None
-    width: tuple[float, ...] | None
-    within: dict[float, tuple[float, ...]]
+    half_widths: tuple[float, ...] | None
+    error_quantiles: dict[float, tuple[float, ...]]
 
 
 def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: EvaluationSettings) -> Accuracy:
@@ -112,22 +112,22 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     rms = np.sqrt(np.mean([np.square(errors[:, at]).mean(axis=0) for errors in lateral], axis=0))
     highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_CALIBRATION_RUNS else 0.0
     level = next((level for level in BAND_LEVELS if level <= highest), None)
-    width = None
+    half_widths = None
     if level is not None:
         # The mean includes starts outside the calibration domain.
         band = calibrate(runs, pair, time, (level,))
-        width = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0) for run in runs],
-                              axis=0).tolist())
+        half_widths = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0)
+                                     for run in runs], axis=0).tolist())
     largest = [np.maximum.accumulate(errors, axis=1)[:, at] for errors in lateral]
-    within = {}
+    error_quantiles = {}
     for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
         parts = [errors[(v >= low) & (v < high)] for errors, v in zip(largest, speed, strict=True)]
         if sum(map(len, parts)) >= MIN_STARTS:
             # The same number of quantiles represents each run, whatever its length.
             quantiles = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
-            within[low] = tuple(np.quantile(np.concatenate(quantiles), WITHIN_SHARE, axis=0).tolist())
-    return Accuracy(tuple(seconds), tuple(rms.tolist()), level, width, within)
+            error_quantiles[low] = tuple(np.quantile(np.concatenate(quantiles), REQUIRED_SHARE, axis=0).tolist())
+    return Accuracy(tuple(seconds), tuple(rms.tolist()), level, half_widths, error_quantiles)
 
 
 def get_processor_time(cost: Cost) -> float:
@@ -137,13 +137,13 @@ def get_processor_time(cost: Cost) -> float:
 
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
                   tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in WITHIN_SHARE of
-    the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model and step reach it."""
+    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_SHARE of
+    the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
     order = sorted(accuracies, key=lambda key: get_processor_time(costs[key]))
-    speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.within})
-    seconds = max((len(accuracy.second) for accuracy in accuracies.values()), default=0)
-    return {low: tuple(next((key for key in order if low in accuracies[key].within
-                             and accuracies[key].within[low][k] <= tolerance), None) for k in range(seconds))
+    speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles})
+    seconds = max((len(accuracy.seconds) for accuracy in accuracies.values()), default=0)
+    return {low: tuple(next((key for key in order if low in accuracies[key].error_quantiles
+                             and accuracies[key].error_quantiles[low][k] <= tolerance), None) for k in range(seconds))
             for low in speeds}
 
 
@@ -188,8 +188,8 @@ def measure_runs(sources: Sequence[RunSource],
             for step, variant in settings.items():
                 for model in models:
                     try:
-                        found = compute_error_samples([model], task.vehicle, signals, variant)
-                        samples.setdefault((model.name, step), []).append(found)
+                        errors = compute_error_samples([model], task.vehicle, signals, variant)
+                        samples.setdefault((model.name, step), []).append(errors)
                     except NotFiniteError as error:
                         unusable[model.name, step] = f"{log.name}: {error}"
                     except StCoreError:  # no start with a complete horizon, for any model and step
@@ -222,14 +222,14 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
     times_by_kind = {kind: [time for cost in costs.values() if (time := getattr(cost, kind)) is not None]
                      for kind in ("interpreted", "compiled", "batch")}
     least = {kind: min(times) for kind, times in times_by_kind.items() if times}
-    seconds = max((accuracy.second for accuracy in accuracies.values()), default=())
+    seconds = max((accuracy.seconds for accuracy in accuracies.values()), default=())
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
         row |= {f"{kind}, µs (x)": f"{1e6 * spent:.3g} ({spent / least[kind]:.1f})"
                 if (spent := getattr(cost, kind)) is not None else "-" for kind in least}
         accuracy = accuracies.get((model, step))
-        for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.width)):
+        for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.half_widths)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
                     for k, second in enumerate(seconds)}
         rows.append(row)
@@ -237,7 +237,7 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
 
 
 def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
-    """One row for each speed, one column for each second ahead."""
+    """One row for each speed bin, one column for each second ahead."""
     return [{"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
                                            for k, key in enumerate(keys)} for low, keys in chosen.items()]
@@ -268,4 +268,4 @@ def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:
 
 def make_choice_title(tolerance: float) -> str:
     return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
-            f"{WITHIN_SHARE:.0%} of the starts, with measured inputs")
+            f"{REQUIRED_SHARE:.0%} of the starts, with measured inputs")

@@ -25,14 +25,14 @@ def in_background(work: Callable[[], T]) -> Iterator[Callable[[], T]]:
     child.start()
     sender.close()
 
-    def result() -> T:
+    def wait_for_result() -> T:
         try:
             return receiver.recv()
         except EOFError:
             return work()
 
     try:
-        yield result
+        yield wait_for_result
     finally:
         receiver.close()
         child.terminate()  # if its result was not fetched

@@ -66,13 +66,13 @@ def check_formats(formats: Sequence[str]) -> None:
 
 @contextmanager
 def apply_style() -> Iterator[None]:
-    """Matplotlib settings of all figures, as a context manager or as a decorator of functions that draw."""
+    """Apply the Matplotlib settings of all figures; a context manager, or a decorator of functions that draw."""
     with plt.rc_context(RC_SETTINGS):
         yield
 
 
 def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, caption: str) -> PageFigure:
-    """Save the figure as files with its title and as SVG for the page without it, and close the figure."""
+    """Save a figure as files with its title, and as an SVG without the title for the page; close the figure."""
     lines = textwrap.wrap(title, round(TITLE_CHARACTERS * figure.get_figwidth() / WIDTH))
     heading = figure.suptitle("\n".join(lines), x=0.01, ha="left", fontweight="bold", fontsize=10)
     # The layout is computed once, because it takes longer than the drawing. The context and `None` remove the layout
@@ -124,17 +124,17 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
     if len(time) <= MAX_POINTS:
         return time, values
     edges = np.linspace(0, len(time), MAX_POINTS // 2 + 1).astype(int)
-    keep = []
+    rows: list[int] = []
     for a, b in itertools.pairwise(edges.tolist()):
         part = values[a:b]
-        unknown = np.isnan(part)
-        chosen = {int(unknown.argmax())} if unknown.any() else set()
-        chosen |= set() if unknown.all() else {int(np.nanargmin(part)), int(np.nanargmax(part))}
-        keep += [a + k for k in sorted(chosen)]
-    return time[keep], values[keep]
+        is_nan = np.isnan(part)
+        indices = {int(is_nan.argmax())} if is_nan.any() else set()
+        indices |= set() if is_nan.all() else {int(np.nanargmin(part)), int(np.nanargmax(part))}
+        rows += [a + k for k in sorted(indices)]
+    return time[rows], values[rows]
 
 
 def cut_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Insert a NaN between points of a line that are more than `gap` [s] apart, which interrupts the line there."""
+    """Insert a NaN, which interrupts a line, between points that are more than `gap` [s] apart."""
     at = np.flatnonzero(np.diff(time) > gap) + 1
     return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)

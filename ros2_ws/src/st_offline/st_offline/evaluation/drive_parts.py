@@ -31,7 +31,7 @@ class DrivePart:
 
 
 def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart]:
-    """Labelled parts of a drive; without labels, the detected parts in time order; empty below two INS samples."""
+    """Labelled parts of a drive; without labels, detected parts in time order. Empty for fewer than two INS samples."""
     if len(log.ins_time_ns) < 2:
         return []
     time = (log.ins_time_ns - log.ins_time_ns[0]) * 1e-9
@@ -45,7 +45,7 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
     states = _classify_samples(*(uniform_filter1d(values, min(width, len(grid)), mode="nearest")
                                  for values in (speed, yaw_rate)))
     parts = []
-    for first, last in _merge_short_stretches(states, round(MIN_PART_DURATION / GRID_STEP)):
+    for first, last in _merge_short_intervals(states, round(MIN_PART_DURATION / GRID_STEP)):
         start, end, heading_change = float(grid[first]), float(grid[last]), float(yaw[last] - yaw[first])
         acceleration = float(speed[last] - speed[first]) / max(end - start, GRID_STEP)
         parts.append(DrivePart(_name_part(states[first], heading_change, acceleration), start, end, heading_change))
@@ -60,19 +60,19 @@ def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[sli
 def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
     """State of each sample, with hysteresis: -2 standing, -1 right, 0 straight, 1 left."""
     curvature, lateral = yaw_rate / np.maximum(speed, 1.0), speed * yaw_rate
-    enter = (np.abs(curvature) > CURVATURE_LIMITS[0]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[0])
-    stay = (np.abs(curvature) > CURVATURE_LIMITS[1]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[1])
+    is_bend = (np.abs(curvature) > CURVATURE_LIMITS[0]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[0])
+    may_be_bend = (np.abs(curvature) > CURVATURE_LIMITS[1]) | (np.abs(lateral) > LATERAL_ACCELERATION_LIMITS[1])
     sides = np.sign(yaw_rate).astype(int)
     states = np.zeros(len(speed), int)
     side = 0
-    for i, (v, begins, continues, turn) in enumerate(zip(speed, enter, stay, sides, strict=True)):
+    for i, (v, begins, continues, turn) in enumerate(zip(speed, is_bend, may_be_bend, sides, strict=True)):
         side = turn if begins or (continues and turn == side) else 0
         states[i] = -2 if v < STANDSTILL_SPEED else side
     return states
 
 
-def _merge_short_stretches(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
-    """(first, last) index of each stretch of equal states. A stretch of fewer than `shortest` samples is merged into
+def _merge_short_intervals(states: np.ndarray, shortest: int) -> list[tuple[int, int]]:
+    """(first, last) index of each interval of equal states. An interval of fewer than `shortest` samples is merged into
     its longer neighbour; `states` is modified in place."""
     spans = list(itertools.pairwise([0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]))
     while len(spans) > 1:
@@ -85,7 +85,7 @@ def _merge_short_stretches(states: np.ndarray, shortest: int) -> list[tuple[int,
         around = spans[max(i - 1, 0):i + 2]
         edges = [around[0][0], *(a for a, _ in around[1:] if states[a - 1] != states[a]), around[-1][1]]
         spans[max(i - 1, 0):i + 2] = itertools.pairwise(edges)
-    # The last point of a stretch is the first of the next, so that heading changes add up.
+    # The last point of an interval is the first of the next, so that heading changes add up.
     return [(a, min(b, len(states) - 1)) for a, b in spans]
 
 

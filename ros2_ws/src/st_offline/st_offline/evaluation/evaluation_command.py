@@ -34,7 +34,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
     """Run the command; returns the exit status: 0 if every run was evaluated, else 1. tolerance: lateral error [m] for
     the advice on models; None for no advice. Raises ConfigurationError, OutputError."""
     check_formats(task.formats)
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     sources = find_runs(paths)
     _raise_if_all_failed([source.problem for source in sources])
     task = replace(task, folder=new_folder(output, "evaluate"))
@@ -65,7 +65,7 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
                       for part in ("read", "predict", "draw"))
     hours = sum(r.metadata["duration"] for r in good) / 3600.0
     console.print(f"[dim]{format_count(len(good), 'run')}, {hours:.2f} h of driving in "
-                  f"{time.perf_counter() - began:.1f} s ({times})[/dim]", highlight=False)
+                  f"{time.perf_counter() - start_time:.1f} s ({times})[/dim]", highlight=False)
     return 1 if failed else 0
 
 

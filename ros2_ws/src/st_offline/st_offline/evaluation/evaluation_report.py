@@ -114,7 +114,7 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
 
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                task: Task, overview: PageFigure, bands: Sequence[PageFigure]) -> None:
-    """Write the page. content: of evaluation.json. bands: figures of the tested bands."""
+    """Write the page. content: that of evaluation.json. bands: figures of the tested bands."""
     good = [r for r in reports if not r.problem]
     leading = [overview] if len(good) > 1 else [f for r in good for f in r.figures[1:2]]
     # The page shows the figures of the first run; those of other runs are only written to files.

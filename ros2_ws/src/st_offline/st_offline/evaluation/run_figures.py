@@ -69,8 +69,8 @@ def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
     first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
     with apply_style(), in_background(lambda: [draw(data) for draw in others]) as get_others:
-        drawn = [draw(data) for draw in first] + get_others()
-    return [figure for figure in drawn if figure is not None]
+        figures = [draw(data) for draw in first] + get_others()
+    return [figure for figure in figures if figure is not None]
 
 
 def draw_segments(data: FigureData) -> PageFigure | None:
@@ -116,22 +116,22 @@ def draw_segments(data: FigureData) -> PageFigure | None:
 
 def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length: float) -> None:
     log, span = data.signals.log, round(length * 1e9)
-    inside = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
-    around = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
-    x, y = log.x[inside], log.y[inside]
-    half = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
+    horizon = slice(*np.searchsorted(log.ins_time_ns, (start_ns, start_ns + span)))
+    context = slice(*np.searchsorted(log.ins_time_ns, (start_ns - span, start_ns + 2 * span)))
+    x, y = log.x[horizon], log.y[horizon]
+    half_size = 0.5 * max(np.ptp(x), np.ptp(y)) * 1.15 + 2.0
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
-    near = (np.abs(log.x - middle[0]) < half) & (np.abs(log.y - middle[1]) < half)
-    drawn = np.flatnonzero(near)[:: max(1, int(near.sum()) // 400)]
-    passes = np.flatnonzero(np.diff(np.cumsum(~near)[drawn])) + 1  # between two passes, the car was outside the frame
-    axes.plot(*(np.insert(v[drawn], passes, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
-    stride = max(1, len(log.x[around]) // 200)
-    axes.plot(log.x[around][::stride], log.y[around][::stride], color=MEASURED_COLOUR, lw=1.2)
+    in_frame = (np.abs(log.x - middle[0]) < half_size) & (np.abs(log.y - middle[1]) < half_size)
+    rows = np.flatnonzero(in_frame)[:: max(1, int(in_frame.sum()) // 400)]
+    gaps = np.flatnonzero(np.diff(np.cumsum(~in_frame)[rows])) + 1  # the car left the frame and came back
+    axes.plot(*(np.insert(v[rows], gaps, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
+    stride = max(1, len(log.x[context]) // 200)
+    axes.plot(log.x[context][::stride], log.y[context][::stride], color=MEASURED_COLOUR, lw=1.2)
     stride = max(1, len(x) // 100)
     axes.plot(x[::stride], y[::stride], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
     axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT, zorder=5)
     axes.set_aspect("equal", adjustable="box")
-    axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    axes.set(xlim=(middle[0] - half_size, middle[0] + half_size), ylim=(middle[1] - half_size, middle[1] + half_size))
 
 
 def draw_horizon_means(data: FigureData) -> PageFigure:
@@ -241,10 +241,10 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
     grid[1, 0].set_ylabel("lateral force of the axle, kN\n(+ = to the left)")
     measured_line = Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="from the measured motion")
     add_legend(figure, models, [measured_line])
-    title = (f"{evaluation.name}: largest slip angle in {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
+    title = (f"{evaluation.name}: largest slip angle in the {horizon[-1]:g} s from {evaluation.time[row]:.1f} s: "
              f"{', '.join(f'{source} {np.degrees(angle):.1f}°' for source, angle in largest.items())}")
-    choice = "as requested" if len(data.starts) == 1 else "with the largest lateral acceleration"
-    caption = f"Slip angles and forces that the models predict with the measured inputs, from the start {choice}."
+    start_text = "requested start" if len(data.starts) == 1 else "start with the largest lateral acceleration"
+    caption = f"Slip angles and forces that the models predict with the measured inputs, from the {start_text}."
     return save_figure(figure, data.output, "slip_and_forces", title, caption)
 
 

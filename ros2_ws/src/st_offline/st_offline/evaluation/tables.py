@@ -89,16 +89,16 @@ def pool_entries(entries: Sequence[Entry], *keys: str) -> list[Entry]:
 
 
 def _pool_statistics(entries: Sequence[Entry]) -> Entry:
-    joined: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
+    pooled: Entry = {key: sum(e[key] for e in entries) for key in ("n_starts", "n_incomplete") if key in entries[0]}
     for axis in AXES:
         known = [(e["n_starts"], e[axis]) for e in entries if e["n_starts"]]
         total = sum(n for n, _ in known)
-        joined[axis] = _name_statistics(
+        pooled[axis] = _name_statistics(
             sum(n * v["mean"] for n, v in known) / total, max(v["max"] for _, v in known),
             math.sqrt(sum(n * v["rmse"] ** 2 for n, v in known) / total)) if total else dict.fromkeys(STATISTICS)
     if "samples" in entries[0]:
-        joined["samples"] = _pool_statistics([e["samples"] for e in entries])
-    return joined
+        pooled["samples"] = _pool_statistics([e["samples"] for e in entries])
+    return pooled
 
 
 def _name_statistics(*values: float) -> Entry:
@@ -124,7 +124,7 @@ def list_statistics(models: Models, model: str, axis: str, over: str) -> list[tu
 
 
 def format_error(value: float | None) -> str:
-    """An error [m] with DECIMALS decimals and without unit; "-" for None, no "-0"."""
+    """Text of an error [m] with DECIMALS decimals and no unit; "-" for None, and never a negative zero."""
     if value is None:
         return "-"
     return f"{value:.{DECIMALS}f}".replace(f"-{0:.{DECIMALS}f}", f"{0:.{DECIMALS}f}")
@@ -163,14 +163,14 @@ def list_rmse_by_second(reports: Sequence[Any]) -> tuple[list[str], list[list[st
 
 def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: int) -> Table:
     """The table of the paper (hindsight); in a wide terminal, with the RMSE of the forecasts."""
-    wide = width >= MIN_FORECAST_WIDTH
-    ahead = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
-                               if mode != "hindsight"))
+    is_wide = width >= MIN_FORECAST_WIDTH
+    forecast_modes = list(dict.fromkeys(mode for r in reports for modes in r.models.values() for mode in modes
+                                        if mode != "hindsight"))
     heading = Text(f"{title}\n{TABLE_NOTE.format(over=OVER_LABELS[over])}", style="bold")
     table = Table(title=heading, title_justify="left", box=None, padding=(0, 1))
     table.add_column("run", overflow="fold")
     table.add_column("model", no_wrap=True)
-    for name in ("starts", *REPORTED_AXES, *(f"{mode} RMSE\nlon | lat" for mode in ahead if wide)):
+    for name in ("starts", *REPORTED_AXES, *(f"{mode} RMSE\nlon | lat" for mode in forecast_modes if is_wide)):
         table.add_column(name, justify="right", no_wrap=True)
     for report in reports:
         for number, model in enumerate(report.models):
@@ -179,16 +179,16 @@ def make_terminal_table(reports: Sequence[Any], over: str, title: str, width: in
                      for axis in REPORTED_AXES]
             forecasts = [" | ".join(
                 f"{format_error(get_axis_statistics(report.models, model, mode, axis, over)['rmse']):>5}"
-                for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in ahead]
+                for axis in REPORTED_AXES) if mode in report.models[model] else "" for mode in forecast_modes]
             starts = str(report.models[model]["hindsight"]["n_starts"])
             table.add_row(Text("" if number else report.name), Text(model, style=MODEL_COLOUR.get(model, "")), starts,
-                          *cells, *(forecasts if wide else []))
+                          *cells, *(forecasts if is_wide else []))
         table.add_section()
     return table
 
 
 def make_latex_table(reports: Sequence[Any], over: str, note: str) -> str:
-    """The table in the form of the paper, for the packages booktabs and multirow. note: end of the caption."""
+    """LaTeX table in the form of the paper, for the packages booktabs and multirow. note: end of the caption."""
     models = list(next((r.models for r in reports), {}))
     legend = ", ".join(f"m$_{{{k + 1}}}$ {_escape_tex(model)}" for k, model in enumerate(models))
     lines = [
