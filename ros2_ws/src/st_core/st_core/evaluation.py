@@ -57,7 +57,7 @@ _PendingPrediction = tuple[str, Mode, Trajectory]  # (model, mode, trajectory) t
 
 
 class Evaluator:
-    """Scores every prediction once its horizon has passed in the measurements.
+    """Scores every prediction once the measurements cover its horizon.
 
     span [s]: length of the stored measurements; at least two horizons. models: from model files, in addition to MODELS.
     runners: compiled replacements of `predict`, by name of the model, for predictions with these settings

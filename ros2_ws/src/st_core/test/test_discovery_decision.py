@@ -165,8 +165,8 @@ def test_accepted_effect_is_named_or_minor(evidence, rule, figures):
 @pytest.mark.parametrize(("evidence", "checks", "rule"), [
     (GOOD, {}, NAMED), (GOOD, dict(excludes_null=False), MINOR),
     (CONFIRMED, dict(excludes_null=False), NAMED),
-    (GOOD, dict(crossing="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
-    (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summed=("steering_lag",)), MINOR),
+    (GOOD, dict(parameter_at_bound="factor"), MINOR), (GOOD, dict(peak_force_share=0.5), MINOR),
+    (GOOD, dict(worse_axle="rear"), FORCES), (GOOD, dict(summands=("steering_lag",)), MINOR),
     (CONFIRMED, dict(violation="yaw_inertia: dynamic index k^2 / (l_f l_r) 0.5 is outside 0.6 to 1.4"), IMPLAUSIBLE),
     (replace(GOOD, position=-0.03), {}, MINOR),  # adding it raises the held-out position error
     (replace(CONFIRMED, position=-0.03), {}, NAMED)])  # but the sensors confirm it

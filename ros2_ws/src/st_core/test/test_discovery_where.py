@@ -125,7 +125,7 @@ def test_place_with_large_errors_on_every_lap_is_found():
     samples = replace(base, x=x, y=y, squares=squares)
     residuals = compute_log_residuals(samples, "yaw_rate", 0.001)
     worst = max(find_cells(samples, "yaw_rate", residuals), key=lambda c: c.interval[0])
-    assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.ratio > 2.0 and worst.p < 1e-3
+    assert math.hypot(worst.x - 60.0, worst.y) < 1.5 * CELL_SIZE and worst.ratio > 2.0 and worst.p_value < 1e-3
 
 
 @pytest.mark.parametrize(("low", "high", "expected"), [

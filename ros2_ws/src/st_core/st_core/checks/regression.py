@@ -26,7 +26,7 @@ class Estimate:
     """An estimated value with its uncertainty."""
 
     value: float
-    deviation: float  # standard deviation
+    deviation: float  # standard error
     half_width: float  # of the 95 % confidence interval
 
     def __str__(self) -> str:

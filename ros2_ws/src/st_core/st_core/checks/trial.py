@@ -40,7 +40,7 @@ REDUCED_STARTS = 100  # of many starts, 100 to 199 are used; more would change t
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
-STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # which yield steps with few digits
+STEP_DIVISORS = (1, 2, 4, 5, 8, 10, 16, 20, 25, 32, 40, 50, MAX_SUBSTEPS)  # divisors that yield steps with few digits
 MERGE_GAP = 1.0  # s; intervals with a smaller gap are merged
 Run = tuple[DriveLog, VehicleParameters]
 

@@ -147,16 +147,16 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
             "relevant_position": limits.relevant_position}
 
 
-def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, crossing: str = "",
-                 peak_force_share: float = 1.0, worse_axle: str = "", summed: Sequence[str] = (),
+def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
+                 peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
                  violation: str = "") -> Reason:
     """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
 
-    excludes_null: whether an interval excludes the null. crossing: parameter with an interval that crosses a bound, or
-    "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles; 1 for an
-    effect that does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
-    agree better with the vehicle file than with the final model, or "". summed: other effects of the model; only their
-    sum with this effect is identifiable. violation: range that the car with this effect would violate (see
+    excludes_null: whether an interval excludes the null. parameter_at_bound: one with an interval that crosses its
+    bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles; 1
+    if the effect does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
+    agree better with the vehicle file than with the final model, or "". summands: other effects of the model, of which
+    only the sum with this effect is identifiable. violation: range that the car with this effect would violate (see
     `handling.find_implausible_values`), or "".
     """
     def minor(text: str, **figures: float) -> Reason:
@@ -169,10 +169,10 @@ def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, crossi
     if violation:
         return Reason(IMPLAUSIBLE, e.name, {"gain": e.gain}, f"with it the car is implausible: {violation}; "
                       "it improves predictions, but is not named")
-    if summed:
-        return minor(f"only its sum with {' and '.join(summed).replace('_', ' ')} is identifiable")
-    if crossing:
-        return minor(f"the interval of its {crossing.replace('_', ' ')} extends beyond the physical range")
+    if summands:
+        return minor(f"only its sum with {' and '.join(summands).replace('_', ' ')} is identifiable")
+    if parameter_at_bound:
+        return minor(f"the interval of its {parameter_at_bound.replace('_', ' ')} extends beyond the physical range")
     if peak_force_share < limits.min_peak_force:
         return minor(f"the drives reach only {peak_force_share:.1%} of the peak force",
                      peak_force_share=peak_force_share, min_peak_force=limits.min_peak_force)

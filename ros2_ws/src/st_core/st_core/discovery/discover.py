@@ -122,16 +122,16 @@ class _Analysis:
         self.problem, by_column = self._make_problem()
         problem = self.problem
         self._warn_of_low_excitation()
-        parts = make_partitions(self.windows)
-        search = Search(problem, self.limits, parts, self.sensors, settings.seed, self._ticker("searching"))
+        partitions = make_partitions(self.windows)
+        search = Search(problem, self.limits, partitions, self.sensors, settings.seed, self._ticker("searching"))
         state = search.run()
-        without_priors, fit = self._add_corrections(state, parts)
+        without_priors, fit = self._add_corrections(state, partitions)
         self._ticker("explaining")()
         horizon_errors = waterfall.HorizonErrors(without_priors, settings.seed)
-        varying, varying_fit = self._find_varying(state, parts)
+        varying, varying_fit = self._find_varying(state, partitions)
         floor = self._channel_noise(by_column)
-        judged = self._judge_effects(search, state, parts, floor)
-        steps, base = waterfall.build_steps(problem, state.fit, state.order, horizon_errors, parts)
+        judged = self._judge_effects(search, state, partitions, floor)
+        steps, base = waterfall.build_steps(problem, state.fit, state.order, horizon_errors, partitions)
         errors = waterfall.compare_channel_errors(horizon_errors, base, fit, floor)
         named_errors = waterfall.compare_channel_errors(horizon_errors, base, state.fit, floor)
         budget = waterfall.build_budget(problem, base, state.fit, fit, varying_fit, horizon_errors)
@@ -160,7 +160,7 @@ class _Analysis:
             # The residual of the best model counts as noise in all later comparisons, whatever its cause.
             noise={c: error.augmented for c, error in errors.items()}, acceleration_gain=float(fit.vector[-1]))
 
-    def _judge_effects(self, search: Search, state: SearchState, parts: Mapping[str, Partition],
+    def _judge_effects(self, search: Search, state: SearchState, partitions: Mapping[str, Partition],
                        floor: Mapping[str, float]) -> _JudgedEffects:
         """Judge the effects found by the search; add the force curves and the parameter combinations of the axles."""
         problem = self.problem
@@ -174,7 +174,7 @@ class _Analysis:
             evidence = state.evidence[name]
             others = sorted((r for r in state.rivals.get(name, ()) if decision.is_alternative(r, self.limits)),
                             key=lambda r: -r.share)
-            values = waterfall.estimate_parameters(problem, state.fit, name, parts, state.near_optimal, joint_fit,
+            values = waterfall.estimate_parameters(problem, state.fit, name, partitions, state.near_optimal, joint_fit,
                                                    noise_ratio)
             effects.append(result.FoundEffect(
                 name, get_effect(name).kind,
@@ -206,7 +206,7 @@ class _Analysis:
                          *(decision.judge_alternative(r, self.limits) for r in state.all_rivals),
                          *(verdict for _, verdict, _ in state.refused.values()))
 
-    def _add_corrections(self, state: SearchState, parts: Mapping[str, Partition]) -> tuple[Problem, Fit]:
+    def _add_corrections(self, state: SearchState, partitions: Mapping[str, Partition]) -> tuple[Problem, Fit]:
         """(problem without the priors of the vehicle file, its fit with the effects found and effective corrections);
         problem and fit of the search if the gain is too small, the position error grows, or reference drives replace
         these priors."""
@@ -214,7 +214,7 @@ class _Analysis:
         if problem.prior is not None:
             return problem, state.fit
         without_priors = problem.without_file_priors()
-        search = Search(without_priors, self.limits, parts, self.sensors, self.settings.seed,
+        search = Search(without_priors, self.limits, partitions, self.sensors, self.settings.seed,
                         self._ticker("correcting"), decision.judge_correction)
         fit = search.add_corrections(state.fit)
         problem.loss.scale = scale
@@ -334,10 +334,10 @@ class _Analysis:
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
         return {e.name: decision.judge_naming(
             state.evidence[e.name], self.limits, excludes_null=bool(self.reference) or excludes_null(e),
-            crossing="" if self.reference else find_parameter_across_bound(e),
+            parameter_at_bound="" if self.reference else find_parameter_across_bound(e),
             peak_force_share=reached_force_ratio if get_effect(e.name).at_peak_force else 1.0,
             worse_axle=worse_axles.get(e.name, ""), violation=violations.get(e.name, ""),
-            summed=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
+            summands=tuple(n for n in delays if n != e.name) if e.name in delays else ()) for e in effects}
 
     def _list_corrections(self, problem: Problem, fit: Fit, state: SearchState) -> tuple[result.FoundEffect, ...]:
         """Effective corrections: the effects of `fit` that are not in `state.fit`. Their `position_5s_increase` is not
@@ -351,7 +351,7 @@ class _Analysis:
             for n in fit.names if n not in state.fit.names)
 
     def _find_varying(self, state: SearchState,
-                      parts: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
+                      partitions: Mapping[str, Partition]) -> tuple[tuple[result.VaryingEffect, ...], Fit | None]:
         """(at most one significant effect that varies between parts of the drives, its fit): an effect that the search
         rejected for this reason; otherwise the one with the largest gain from separate values, without a fit."""
         varying, varying_fit = None, None
@@ -365,8 +365,8 @@ class _Analysis:
                     name, partition, waterfall.estimate_parameters(self.problem, fit, name, {}),
                     _local_estimates(evidence)[partition], evidence.position)
                 break
-        for v in find_varying_effects(self.problem, state.fit, parts) if varying is None else ():
-            evidence = collect_varying_evidence(self.problem, state.fit, v, parts)
+        for v in find_varying_effects(self.problem, state.fit, partitions) if varying is None else ():
+            evidence = collect_varying_evidence(self.problem, state.fit, v, partitions)
             if decision.varies_relevantly(evidence, self.limits) and not self.space.overlaps(v.name, reported):
                 varying = describe_varying(v, self.space, evidence.position)
                 break

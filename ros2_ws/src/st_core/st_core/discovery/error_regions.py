@@ -78,15 +78,15 @@ class Samples:
 
 @dataclass(frozen=True)
 class BinExcess:
-    """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %. p:
-    p-value of the hypothesis that the error is not larger than expected. blocks: number of blocks. covered: whether the
+    """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %.
+    p_value: of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
     reference has enough driving in the range; True without a reference."""
 
     channel: str
     range: Bin
     excess: float
     interval: tuple[float, float]
-    p: float
+    p_value: float
     blocks: int
     covered: bool = True
     significant: bool = False
@@ -107,7 +107,7 @@ class Segment:
 @dataclass(frozen=True)
 class Cell:
     """A square of the map with side CELL_SIZE. x, y [m]: its centre in the map frame. ratio [1]: ratio of the errors to
-    those expected under the same conditions (geometric mean); interval: 95 %. p: p-value of the hypothesis that the
+    those expected under the same conditions (geometric mean); interval: 95 %. p_value: of the hypothesis that the
     errors are not larger than expected."""
 
     channel: str
@@ -115,7 +115,7 @@ class Cell:
     y: float
     ratio: float
     interval: tuple[float, float]
-    p: float
+    p_value: float
 
 
 def assign_ranges(samples: Samples) -> list[Bin]:
@@ -158,7 +158,7 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     segments = [segment for channel, residual in residuals.items() for segment in
                  find_segments(samples, channel, residual, settings.block, settings.seed)]
     cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
-    adjusted = stats.false_discovery_control([c.p for c in cells], method="bh") if cells else ()
+    adjusted = stats.false_discovery_control([c.p_value for c in cells], method="bh") if cells else ()
     cells = [c for c, q in zip(cells, adjusted, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
     return tuple(region for channel in samples.squares
@@ -311,7 +311,7 @@ def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping
             deviation, count = math.hypot(deviations[k], expected_deviations[k]), int(blocks[k])
             excesses.append(BinExcess(channel, ranges[k], *_test_ratio(log_ratio, deviation, count), count,
                                       bool(covered[k])))
-    adjusted = stats.false_discovery_control([e.p for e in excesses], method="bh") if excesses else ()
+    adjusted = stats.false_discovery_control([e.p_value for e in excesses], method="bh") if excesses else ()
     return tuple(replace(e, significant=bool(q <= FALSE_DISCOVERY_RATE and e.excess >= MIN_EXCESS))
                  for e, q in zip(excesses, adjusted, strict=True))
 

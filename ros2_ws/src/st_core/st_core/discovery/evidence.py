@@ -148,21 +148,21 @@ def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[st
     return Scores(by_effect, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
 
-def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Scores, library: int) -> float:
+def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Scores, effect_count: int) -> float:
     """p-value of the gain of the best effect of the library: the smaller of the p-values of two tests.
 
     Sign-flip test: the score statistic is compared with the largest of the library under random signs of the blocks,
     and the mean gain of the blocks is tested against zero; the larger p-value counts. Likelihood-ratio test: twice the
     gain divided by the design effect, with a Bonferroni correction; it detects effects that act in few blocks. Its null
     distribution is F instead of chi-square, because the design effect is estimated. block_scores: (b, k). block_gain:
-    (b,). library: number of effects.
+    (b,). effect_count: number of effects in the library.
     """
     blocks, values = block_scores.shape
     if blocks < 2:
         return 1.0
     p_score = (1 + int((scores.largest >= score_statistic(block_scores)).sum())) / (1 + len(scores.largest))
     ratio = 2.0 * max(float(block_gain.sum()), 0.0) / scores.design_effect
-    p_ratio = library * float(stats.f.sf(ratio / values, values, blocks - 1))
+    p_ratio = effect_count * float(stats.f.sf(ratio / values, values, blocks - 1))
     return min(max(p_score, p_no_worse(block_gain)), p_ratio, 1.0)
 
 

@@ -57,8 +57,7 @@ def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Sco
 def _power(problem: Problem, fit: Fit, index: int, size: float, information: float, scores: Scores,
            limits: Limits) -> float:
     """Probability of detecting a change of a parameter by `size` times its scale."""
-    library = len(problem.space.hypotheses)
-    threshold = float(stats.chi2.isf(limits.false_alarm / library, 1))
+    threshold = float(stats.chi2.isf(limits.false_alarm / len(problem.space.hypotheses), 1))
     sensitivities = problem.all_sensitivities(fit.vector).values[index]
     rows = problem.errors.at(fit.vector)
     before, after = problem.position_error(rows), problem.position_error(rows + size * sensitivities)

@@ -28,15 +28,15 @@ NearSet = tuple[tuple[str, ...], np.ndarray]  # (names of the effects in a set, 
 @dataclass
 class SearchState:
     """State of the search. fit: fit of the current set. order: names in order of selection, at the end of decreasing
-    gain. evidence, without, rivals: by effect of the set, evidence for it, fit without it, and effects that were tried
-    in its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
+    gain. evidence, fits_without, rivals: by effect of the set, evidence for it, fit without it, and effects tried in
+    its place. refused: (evidence, verdict, fit) of each effect that was tried in addition and rejected.
     cached_scores: scores of the effects outside the set. near_optimal: sets that fit nearly as well (`_find_near_sets`)
     and, without names, fits with a load (`_add_load_rivals`)."""
 
     fit: Fit
     order: list[str]
     evidence: dict[str, Evidence] = field(default_factory=dict)
-    without: dict[str, Fit] = field(default_factory=dict)
+    fits_without: dict[str, Fit] = field(default_factory=dict)
     refused: dict[str, tuple[Evidence, Reason, Fit]] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     cached_scores: Scores | None = None
@@ -67,7 +67,7 @@ class Search:
 
     def run(self) -> SearchState:
         """Find the best set from three starts: the empty set; the set found from it plus all physical effects; the
-        library without composites. The last two starts contain no payload and no effect for driving forward only."""
+        library without composites. The last two starts add no payload and no `forward_only` effect."""
         p = self.problem
         p.update_design_effect(p.start)
         first = self._step_from(p.fit((), p.all_sensitivities(p.start)))
@@ -93,7 +93,7 @@ class Search:
         # A rival that gains as much in addition to an effect as in its place explains other errors.
         added = {name: max(float(gains.sum()), 0.0) for name, (gains, _) in state.scores.gains.items()}
         for name, rivals in state.rivals.items():
-            gain = max(self._gain(state.without[name], state.fit), 1e-12)
+            gain = max(self._gain(state.fits_without[name], state.fit), 1e-12)
             state.rivals[name] = [replace(r, added=added.get(r.name, 0.0) / gain) for r in rivals]
         self._add_load_rivals(state)
         return state
@@ -208,8 +208,8 @@ class Search:
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > required and e not in p.space.payloads]
         # Significant effects are preferred: with much noise, others can gain more by chance.
-        library, by_effect = len(p.space.hypotheses), state.scores.by_effect
-        significant = [e for e in ranked if library_p_value(by_effect[e], gains[e][0], state.scores, library)
+        effect_count, by_effect = len(p.space.hypotheses), state.scores.by_effect
+        significant = [e for e in ranked if library_p_value(by_effect[e], gains[e][0], state.scores, effect_count)
                        <= limits.false_alarm]
         contenders = (significant or ranked)[:CONTENDERS]
         contenders += [m for e in contenders for m in get_effect(e).members if m in gains and m not in contenders]
@@ -362,26 +362,26 @@ class Search:
     def _drop_rejected(self, state: SearchState) -> SearchState:
         """Drop the effects that fail the test, weakest first, and fill in the evidence of the others."""
         while weakest := self._find_weakest_failing(state):
-            fit = self._rescale(state.without[weakest])
+            fit = self._rescale(state.fits_without[weakest])
             refused = {weakest: (state.evidence[weakest], self._judge(state.evidence[weakest], self.limits), state.fit)}
             state = SearchState(fit, [n for n in state.order if n != weakest], refused={**state.refused, **refused})
         return state
 
     def _find_weakest_failing(self, state: SearchState, required: float = np.inf) -> str:
-        """Fill in `evidence` and `without`, and return the weakest effect that fails the test; "" if none fails. An
+        """Fill in `evidence` and `fits_without`, and return the weakest effect that fails the test, or "". An
         effect counts as significant without a refit if its removal is predicted to raise the loss per residual by more
         than three times `required`; the other criteria still apply."""
         p = self.problem
         state.cached_scores = state.cached_scores or self._scores(state.fit)
-        state.evidence, state.without = {}, {}
+        state.evidence, state.fits_without = {}, {}
         for name in (n for n in state.fit.names if n not in self._required):
             rise = self.predicted_rise(state.fit, name) / p.residual_count
             if rise > 3.0 * required:
-                without = state.without[name] = state.fit
+                without = state.fits_without[name] = state.fit
                 e = self._evidence(state.fit, state.fit, name, state.scores)
                 state.evidence[name] = replace(e, gain=rise, p_value=0.0)
                 continue
-            without = state.without[name] = self._refit_without(state.fit, name)
+            without = state.fits_without[name] = self._refit_without(state.fit, name)
             state.evidence[name] = self._evidence(without, state.fit, name, state.scores)
         failing = [n for n, e in state.evidence.items() if self._judge(e, self.limits).rule != ACCEPTED]
         return min(failing, key=lambda n: state.evidence[n].gain, default="")
@@ -393,7 +393,7 @@ class Search:
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)
         indices = np.arange(len(p.space))
         state.rivals, alternatives = {}, defaultdict(list)
-        for name, without in state.without.items():
+        for name, without in state.fits_without.items():
             gain = self._gain(without, state.fit)
             others = {}
             for n in (n for n in p.space.hypotheses if n != name and not p.space.overlaps(n, without.names)):

@@ -28,7 +28,7 @@ class HorizonErrors:
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
     def of(self, fit: Fit) -> dict[str, np.ndarray]:
-        """(n,) squares of the errors at the horizon, clipped at DIVERGED_ERROR, by channel; for position_5s, errors."""
+        """(n,) squared errors at the end of the horizon by channel, clipped at DIVERGED_ERROR; position_5s: errors."""
         p = self.problem
         rows = p.held_out_rows(fit)
         last = rows.reshape(len(rows), len(p.errors.windows.time), -1)[:, -1]

@@ -133,22 +133,22 @@ class Windows:
         self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
         self.joined, offsets = _join(runs)
-        horizon = int(self._points[-1]) + 1
-        starts, run, seconds = _select_starts(runs, offsets, horizon * STEP, settings)
+        steps = int(self._points[-1]) + 1
+        starts, run, seconds = _select_starts(runs, offsets, steps * STEP, settings)
         stencil = np.unique(np.concatenate([self._points - 1, self._points, self._points + 1]))
         self._stencil_indices = np.searchsorted(stencil, np.stack([self._points - 1, self._points, self._points + 1]))
         yaw_rate = moving_average(self.joined.ins_time_ns, self.joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
         initial = replace(self.joined, yaw_rate=yaw_rate)
         initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
-        self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, horizon * STEP, STEP,
+        self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, steps * STEP, STEP,
                             points=np.round(stencil * STEP, 6))
         times = starts[:, None] + np.round(self._points * (STEP / NANOSECOND)).astype(np.int64)
         self._times, self._measured = times, self._sample_channels(times)
         self.starts_ns, self.run, self.seconds = starts, run, seconds
         blocks = np.stack([run, (seconds // settings.block).astype(int)], axis=1)
         self.block = np.unique(blocks, axis=0, return_inverse=True)[1].ravel()
-        self._length = horizon * STEP
+        self._duration = steps * STEP
 
     def __len__(self) -> int:
         return len(self.starts_ns)
@@ -200,7 +200,7 @@ class Windows:
     def driving(self) -> dict[str, np.ndarray]:
         """Conditions of each window, (n,) by name: x, y of the start [m], mean speed [m/s], mean magnitude of the
         lateral acceleration [m/s^2]."""
-        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._length, 12) / NANOSECOND).astype(np.int64)
+        grid = self.starts_ns[:, None] + np.round(np.linspace(0.0, self._duration, 12) / NANOSECOND).astype(np.int64)
         x, y, rate, speed = self._batch.signals.ins_at(grid, "x", "y", "yaw_rate", "velocity_x")
         with np.errstate(all="ignore"):
             return {"x": x[:, 0], "y": y[:, 0], "speed": np.nan_to_num(speed).mean(axis=1),
@@ -284,7 +284,7 @@ def _join(runs: Sequence[DriveLog]) -> tuple[DriveLog, list[int]]:
 def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: float,
                    settings: DiscoverySettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(starts_ns, run, seconds) of `Windows`, for all windows with speeds above MIN_SPEED at both ends."""
-    length = round(horizon / NANOSECOND)
+    span_ns = round(horizon / NANOSECOND)
     usable = sum(max(run.overlap - horizon, 0.0) for run in runs)
     interval = max(settings.interval, usable / settings.windows)
     spacing = round(round(interval / (STEP / 2)) * (STEP / 2) / NANOSECOND)
@@ -293,8 +293,8 @@ def _select_starts(runs: Sequence[DriveLog], offsets: Sequence[int], horizon: fl
         if not run.overlap:
             continue
         begin, end = run.common_span_ns
-        times = np.arange(begin + MARGIN_NS, end - length - MARGIN_NS // 2, spacing, dtype=np.int64)
-        first, last = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + length))
+        times = np.arange(begin + MARGIN_NS, end - span_ns - MARGIN_NS // 2, spacing, dtype=np.int64)
+        first, last = (np.interp(t - begin, run.ins_time_ns - begin, run.velocity_x) for t in (times, times + span_ns))
         times = times[(first > MIN_SPEED) & (last > MIN_SPEED)]
         starts.append(times + offset)
         numbers.append(np.full(len(times), i))
