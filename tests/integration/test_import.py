@@ -177,7 +177,7 @@ def test_bag_of_a_run_with_corrections_and_labels_has_the_recorded_values_and_th
     (tmp_path / "bag.run.yaml").write_text("bag: bag\n" + corrections)
     corrected = read_only_run(tmp_path / "bag.run.yaml", leaf)
     np.testing.assert_allclose(corrected.log.x, bag_run.log.x[: len(corrected.log.x)] + 3.0)
-    assert corrected.auxiliary.corrected == ("yaw_rate, 0.02 s earlier", "x + 3 m")
+    assert corrected.auxiliary.corrections == ("yaw_rate, 0.02 s earlier", "x + 3 m")
     np.testing.assert_array_equal(read_only_run(tmp_path / "raw.run.yaml", leaf).log.yaw_rate, corrected.log.yaw_rate)
 
 

@@ -58,7 +58,7 @@ def with_implausible_samples(log, car, channel, edit):
     if not wheel:
         log = replace(log, steering_wheel_angle=None)
     values = getattr(log, channel).copy()
-    places = edit(values, CHANNEL_LIMITS[channel].step)
+    places = edit(values, CHANNEL_LIMITS[channel].max_step)
     log = replace(log, **{channel: np.unwrap(values) if channel == "yaw" else values})
     return (log.with_steering(car) if wheel else log), places
 
@@ -83,7 +83,7 @@ def test_implausible_samples_are_reported_and_left_out_without_other_findings(lo
         kept = np.isin(time, remaining)
         error = values - truth[kept]
         error -= 2.0 * np.pi * np.round(error / (2.0 * np.pi)) if channel == "yaw" else 0.0
-        assert np.abs(error).max() < CHANNEL_LIMITS[channel].step
+        assert np.abs(error).max() < CHANNEL_LIMITS[channel].max_step
         assert kept.sum() >= len(time) - 1.2 * len(places) - 10
 
 

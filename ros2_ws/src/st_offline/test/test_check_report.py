@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from st_core.checks import Advice, Channel, Comparison, DriveCheck, Finding, Severity
+from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Severity
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
@@ -58,7 +58,7 @@ def make_check(findings=ALL_FINDINGS):
     rate = np.sin(time)
     comparison = Comparison("yaw_rate", "Yaw rate against the change of yaw", "rad/s", "yaw rate", "change of yaw",
                             time, 57.3 * rate, np.where(time < 5.0, rate, np.nan), ("yaw_rate_scale", "position_jumps"))
-    channel = Channel("rad/s", 1000, 100.0, 0, 0.01, 0.001, 0.0, 0.02, 3)
+    channel = Sampling("rad/s", 1000, 100.0, 0, 0.01, 0.001, 0.0, 0.02, 3)
     return DriveCheck(tuple(findings), {"yaw_rate": channel}, (comparison,))
 
 

@@ -6,7 +6,7 @@
 
 from .across_runs import RunComparison, compare_runs, pool_estimates
 from .check import check
-from .finding import Advice, AuxiliaryData, Channel, Comparison, DriveCheck, Finding, InsQuality, Series, Severity
+from .finding import Advice, AuxiliaryData, Comparison, DriveCheck, Finding, InsQuality, Sampling, Series, Severity
 
-__all__ = ["Advice", "AuxiliaryData", "Channel", "Comparison", "DriveCheck", "Finding", "InsQuality",
-           "RunComparison", "Series", "Severity", "check", "compare_runs", "pool_estimates"]
+__all__ = ["Advice", "AuxiliaryData", "Comparison", "DriveCheck", "Finding", "InsQuality",
+           "RunComparison", "Sampling", "Series", "Severity", "check", "compare_runs", "pool_estimates"]

@@ -18,7 +18,7 @@ MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs
 
 @dataclass(frozen=True)
 class RunComparison:
-    """One quantity [unit] in several runs."""
+    """Comparison of one quantity [unit] between several runs."""
 
     name: str
     unit: str
@@ -94,6 +94,6 @@ def _select_finite(estimates: Sequence[Sequence[float]]) -> np.ndarray:
 
 def _random_effects(rows: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
     """(mean, its 95 % interval, standard deviation between rows, Cochran's Q) of rows (value, low, high)."""
-    deviation = np.maximum((rows[:, 2] - rows[:, 1]) / (2.0 * Z95), 1e-12)
-    mean, error, between, cochran_q = random_effects(rows[:, 0], np.square(deviation))
-    return mean, symmetric_interval(mean, error, max(len(rows) - 1, 1)), float(np.sqrt(between)), cochran_q
+    standard_errors = np.maximum((rows[:, 2] - rows[:, 1]) / (2.0 * Z95), 1e-12)
+    mean, mean_error, between, cochran_q = random_effects(rows[:, 0], np.square(standard_errors))
+    return mean, symmetric_interval(mean, mean_error, max(len(rows) - 1, 1)), float(np.sqrt(between)), cochran_q

@@ -1,4 +1,4 @@
-"""Runs all checks of a recording, in an order in which each fault yields only one finding."""
+"""Runs all checks on a recording, ordered so that each fault yields only one finding."""
 
 from dataclasses import dataclass, field, replace
 
@@ -62,18 +62,20 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
     if long_enough:
         results.findings += sampling.check_quality(auxiliary.quality, start_ns)
-    broken = find_broken_channels(implausible)
+    broken_channels = find_broken_channels(implausible)
     if not driven:
         results.findings += vehicle_relations.check_standstill(motion) if long_enough else []
     else:
-        ins_is_usable = not broken & {*INS_SIGNALS}  # every further check needs all of these channels
+        ins_is_usable = not broken_channels & {*INS_SIGNALS}  # every further check needs all of these channels
         if ins_is_usable:
-            motion = replace(motion, acceleration_x=None if "acceleration_x" in broken else motion.acceleration_x,
-                             acceleration_y=None if "acceleration_y" in broken else motion.acceleration_y)
-        stuck = sampling.find_stuck_channels(motion, channels)
-        results.findings += stuck
+            has_x, has_y = "acceleration_x" not in broken_channels, "acceleration_y" not in broken_channels
+            motion = replace(motion, acceleration_x=motion.acceleration_x if has_x else None,
+                             acceleration_y=motion.acceleration_y if has_y else None)
+        stuck_findings = sampling.find_stuck_channels(motion, channels)
+        results.findings += stuck_findings
         if ins_is_usable:
-            _check_relations(motion, log, vehicle, time_unit, stuck, broken | find_broken_channels(stuck), results)
+            broken_channels |= find_broken_channels(stuck_findings)
+            _check_relations(motion, log, vehicle, time_unit, stuck_findings, broken_channels, results)
     # Accelerations are last, since no prediction depends on them.
     findings = sorted(results.findings, key=lambda finding: (
         [*Severity].index(finding.severity), finding.concerns_only_acceleration, -(finding.effect or np.inf)))
@@ -82,39 +84,39 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
 
 
 def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters | None, time_unit: Finding | None,
-                     stuck: list[Finding], broken: set[str], results: _Results) -> None:
+                     stuck_findings: list[Finding], broken_channels: set[str], results: _Results) -> None:
     """Add the results of comparing the channels with each other and with the vehicle.
 
-    stuck: findings of `find_stuck_channels`. broken: channels that still have faulty samples.
+    stuck_findings: from `find_stuck_channels`. broken_channels: channels that still have faulty samples.
     """
     recorded = motion
-    motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck))
+    motion, unit_findings = _correct_units_without_lag(sampling.drop_frozen_samples(motion, stuck_findings))
     unit_findings = [time_unit, *unit_findings] if time_unit else unit_findings
-    coarse_findings = sampling.find_coarse_channels(motion, stuck)
+    coarse_findings = sampling.find_coarse_channels(motion, stuck_findings)
     results.findings += coarse_findings
-    coarse = _list_channels(coarse_findings)
+    coarse_channels = _list_channels(coarse_findings)
     # The derivative of a coarse channel is dominated by rounding.
-    motion = replace(motion, acceleration_x=None if "velocity_x" in coarse else motion.acceleration_x,
-                     acceleration_y=None if coarse & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
-    if not _list_channels(stuck, "samples_repeated") & {"x", "y"}:  # held positions always step
+    motion = replace(motion, acceleration_x=None if "velocity_x" in coarse_channels else motion.acceleration_x,
+                     acceleration_y=None if coarse_channels & {"velocity_y", "yaw_rate"} else motion.acceleration_y)
+    if not _list_channels(stuck_findings, "samples_repeated") & {"x", "y"}:  # held positions always step
         motion, step_findings = check_position_steps(motion)
         results.findings += step_findings
     speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
-    removed = _find_removed_factors(unit_findings)
-    corrected, sensors = _check_sensors(motion, removed)
+    removed_factors = _find_removed_factors(unit_findings)
+    corrected, sensors = _check_sensors(motion, removed_factors)
     rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
     if rate and rate.value:
         results.findings.append(rate)
-        corrected, sensors = _check_sensors(motion.with_time_divided(rate.value), removed)
+        corrected, sensors = _check_sensors(motion.with_time_divided(rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
-        if not broken & {*STEERING}:
+        if not broken_channels & {*STEERING}:
             wheel_measured = log.steering_wheel_angle is not None
             results.add(vehicle_relations.check_steering(corrected, vehicle, wheel_measured))
-        unusable = coarse | _list_channels(stuck, "channel_frozen")
-        if sideslip_measured and not unusable & {"velocity_y", "yaw_rate"}:
+        unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
+        if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             results.add(vehicle_relations.check_rear_axle(corrected, vehicle))
         results.findings += vehicle_relations.check_tyre_limit(corrected)
     results.findings += vehicle_relations.check_standstill(replace(corrected, velocity_x=speed))
@@ -132,12 +134,12 @@ def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
 
 
 def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: Motion) -> list[Finding]:
-    """The findings without consequences of a wrong yaw rate, and of channels that were derived rather than measured.
+    """The findings, without those that merely follow from a wrong yaw rate or a channel that was derived, not measured.
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
-    lags the course by tau (`sideslip` corrects that). A lag explained by it has no correction, and becomes a note
-    unless it is that of the steering.
+    lags the course by tau (`sideslip` corrects that). A lag explained by the sideslip has no correction, and
+    becomes a note unless it is that of the steering.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
@@ -160,9 +162,9 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
     return findings
 
 
-def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _Results]:
-    """Check the relations that are valid for any vehicle. removed: see `_find_removed_factors`."""
-    results = _Results(panels=[position.make_distance_panel(motion, removed)])
+def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, _Results]:
+    """Check the relations that are valid for any vehicle. removed_factors: see `_find_removed_factors`."""
+    results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
     motion, results.findings = position.check_lateral_sign(motion)
     yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
     motion, lag_findings = _check_yaw_lag(motion, yaw_rate)
@@ -178,15 +180,15 @@ def _check_sensors(motion: Motion, removed: dict[str, float]) -> tuple[Motion, _
     if lag_findings or any(finding.name == "yaw_offset" for finding in position_findings):
         yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
     results.add(inertial.judge_agreement(
-        yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed.get("yaw_rate_scale", 1.0),
-        removed.get("yaw_scale", removed.get("yaw_convention", 1.0))))
+        yaw_rate, tolerances, "yaw rate: sensor versus change of yaw", removed_factors.get("yaw_rate_scale", 1.0),
+        removed_factors.get("yaw_scale", removed_factors.get("yaw_convention", 1.0))))
     if yaw_rate and yaw_rate.scale.value:  # a constant yaw rate has no scale
         estimates["yaw_scale"] = add_systematic_uncertainty("yaw_scale", yaw_rate.scale.inverse())
-    for name in removed.keys() & estimates.keys():  # from corrected to recorded units
-        estimate, value = estimates[name], removed[name]
+    for name in removed_factors.keys() & estimates.keys():  # from corrected to recorded units
+        estimate, value = estimates[name], removed_factors[name]
         estimates[name] = estimate.shifted(value) if name == "yaw_offset" else estimate.scaled(value)
     if "velocity_scale" in estimates:
-        estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed.get("velocity_x_scale", 1.0))
+        estimates["velocity_x_scale"] = estimates["velocity_scale"].scaled(removed_factors.get("velocity_x_scale", 1.0))
     if yaw_rate:
         motion = inertial.correct_yaw_rate(motion, yaw_rate)
     for result in (*inertial.check_accelerations(motion), *inertial.check_speeds(motion)):
@@ -224,15 +226,15 @@ def _check_yaw_lag(motion: Motion, agreement: Agreement | None) -> tuple[Motion,
 
 def _find_removed_factors(unit_findings: list[Finding]) -> dict[str, float]:
     """Factors that `correct_units` divided out, and the yaw offset that it subtracted, by name of the finding."""
-    removed = {}
+    removed_factors = {}
     for finding in unit_findings:
         corrections = finding.advice.entry.get("correct", {}).values() if finding.advice else ()
         fields = {key: value for correction in corrections for key, value in correction.items()}
         if finding.name == "yaw_offset":
-            removed[finding.name] = -fields["add"]
+            removed_factors[finding.name] = -fields["add"]
         elif factor := 1.0 / fields["scale"] if "scale" in fields else finding.value:
-            removed[finding.name] = factor
-    return removed
+            removed_factors[finding.name] = factor
+    return removed_factors
 
 
 def _merge_findings_of_units(unit_findings: list[Finding], sensor_findings: list[Finding],

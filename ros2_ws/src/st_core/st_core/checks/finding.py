@@ -58,7 +58,7 @@ class Finding:
     value: float | None = None  # estimate [unit]
     unit: str = "1"
     interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
-    where: tuple[tuple[float, float], ...] = ()  # stretches [s since the first INS measurement]; empty: all
+    where: tuple[tuple[float, float], ...] = ()  # time intervals [s since the first INS measurement]; empty: all
     effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
@@ -75,7 +75,7 @@ class Finding:
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings, with one for all channels in place of those of equal name, severity, times and value."""
+    """The findings, with those of equal name, severity, times and value merged into one for all their channels."""
     groups: dict[tuple, Finding] = {}
     for finding in findings:
         key = (finding.name, finding.severity, finding.where, finding.value)
@@ -89,7 +89,7 @@ def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Channel:
+class Sampling:
     """Sampling and noise of one channel."""
 
     unit: str
@@ -123,7 +123,7 @@ class DriveCheck:
     """Result of a check."""
 
     findings: tuple[Finding, ...]  # the most severe first
-    channels: Mapping[str, Channel]
+    channels: Mapping[str, Sampling]
     comparisons: tuple[Comparison, ...]  # in the order of the checks
     estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # value, 95 % limits; by finding
 
@@ -170,7 +170,7 @@ class AuxiliaryData:
     wheel_speed: Series | None = None  # forward speed from the wheels or the car's speed signal [m/s]
     ins_speed: Series | None = None  # forward speed [m/s]
     quality: InsQuality | None = None
-    corrected: tuple[str, ...] = ()  # descriptions of the corrections in run.yaml
+    corrections: tuple[str, ...] = ()  # descriptions of those in run.yaml
     implausible: tuple[Finding, ...] = ()  # findings about samples that the reader left out, see `plausibility`
     start_ns: int | None = None  # time of the first recorded INS measurement; None: the first one of the drive
     geographic: bool = False  # whether x and y are east and north, computed from latitude and longitude

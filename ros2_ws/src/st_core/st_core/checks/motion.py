@@ -13,7 +13,7 @@ from ..timeseries import NANOSECOND
 from .finding import AuxiliaryData
 
 MAX_GAP = 0.25  # s; nothing is integrated across a longer interval between samples
-MAX_LISTED = 20  # largest number of stretches listed in most findings
+MAX_LISTED = 20  # largest number of time intervals listed in most findings
 MIN_MOVING_SPEED = 1.0  # m/s; slower driving is not used
 MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
@@ -62,7 +62,7 @@ class Motion:
         speeds = {name: (time / factor, values) for name, (time, values) in self.speeds.items()}
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
-    def corrected(self, entry: Mapping[str, Any]) -> "Motion":
+    def apply_entry(self, entry: Mapping[str, Any]) -> "Motion":
         """The motion with the `columns` of an entry of run.yaml, and the scale and add of its `correct`."""
         signals = {name: getattr(self, source) for name, source in entry.get("columns", {}).items()}
         for channel, values in entry.get("correct", {}).items():
@@ -81,7 +81,7 @@ class Motion:
         return replace(self, **{name: value[mask] for name in names if (value := getattr(self, name)) is not None})
 
     def make_windows(self, length: float, longest_gap: float = MAX_GAP) -> "Windows":
-        """Windows of `length` [s] within the stretches without a gap longer than `longest_gap` [s]."""
+        """Windows of `length` [s] without a gap longer than `longest_gap` [s]."""
         time = self.time
         # The edges are found among the samples, not by counting windows, since a gap may last years.
         edges = np.flatnonzero(np.diff(np.floor((time - time[0]) / length), prepend=-1.0))
@@ -194,7 +194,7 @@ def find_groups(is_last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(([0], ends + 1)), np.append(ends, len(is_last))
 
 
-def find_stretches(times: np.ndarray, max_interval: float) -> tuple[tuple[float, float], ...]:
+def find_time_intervals(times: np.ndarray, max_interval: float) -> tuple[tuple[float, float], ...]:
     """(first, last) instant [s] of each group of ascending instants at intervals of at most `max_interval` [s]."""
     if not len(times):
         return ()
@@ -203,7 +203,7 @@ def find_stretches(times: np.ndarray, max_interval: float) -> tuple[tuple[float,
 
 
 def find_spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Indices (first, last) of each stretch of True in a mask (n,), n >= 1."""
+    """Indices (first, last) of each run of True in a mask (n,), n >= 1."""
     first, last = find_groups(np.diff(mask))
     return list(zip(first[mask[first]].tolist(), last[mask[first]].tolist(), strict=True))
 
@@ -224,7 +224,7 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
     """Ratios of channels in windows of `length` [s], halved repeatedly for a small car whose path in a window would be
-    much longer than its chord. min_distance: smallest motion in a used window [m]."""
+    much longer than the chord. min_distance: smallest motion in a used window [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -16,7 +16,7 @@ import numpy as np
 from ..log import INS_SIGNALS, OPTIONAL_INS_SIGNALS, STEERING, DriveLog
 from ..timeseries import NANOSECOND
 from .finding import LIMITS, Advice, Finding, Severity, merge_findings
-from .motion import MAX_GAP, MIN_MOVING_SPEED, find_groups, find_spans, find_stretches
+from .motion import MAX_GAP, MIN_MOVING_SPEED, find_groups, find_spans, find_time_intervals
 
 STEP_MEDIAN_RATIO = 20.0  # minimum ratio of a large step to the median step; noise and quantisation cause smaller steps
 HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighbours; at least 2.5 updates
@@ -31,8 +31,8 @@ MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
-MAX_LISTED_STRETCHES = 200  # largest number of stretches of implausible samples listed in a finding
-STEP_TIME = 0.05  # s; interval that `ChannelLimits.step` refers to
+MAX_LISTED_INTERVALS = 200  # largest number of time intervals of implausible samples listed in a finding
+STEP_TIME = 0.05  # s; interval that `ChannelLimits.max_step` refers to
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class ChannelLimits:
     """Plausible changes and values of a channel of a road car."""
 
     unit: str
-    step: float  # largest change within STEP_TIME [unit]; proportionally more in longer intervals
-    largest: float = np.inf  # magnitude above which a value is out of range [unit]
+    max_step: float  # largest change within STEP_TIME [unit]; proportionally more in longer intervals
+    max_magnitude: float = np.inf  # magnitude above which a value is out of range [unit]
 
 
 CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
@@ -57,7 +57,7 @@ CHANNEL_LIMITS: Mapping[str, ChannelLimits] = {
 }
 
 
-class _Channel:
+class _ChannelSamples:
     """Finite samples of a varying channel, (n,). rows: their indices in the log."""
 
     def __init__(self, name: str, rows: np.ndarray, time: np.ndarray, values: np.ndarray):
@@ -68,7 +68,7 @@ class _Channel:
         changes = np.flatnonzero(self.step > 0.0)
         self.median_step = float(np.median(self.step[changes]))  # of the steps that are not 0
         self.update = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes of the value
-        physical = self.limits.step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
+        physical = self.limits.max_step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
         self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
 
 
@@ -117,7 +117,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     rows = np.flatnonzero(np.isfinite(values))
     if len(rows) < MIN_SAMPLES or np.count_nonzero(np.diff(values[rows])) < 2:
         return bad, []
-    channel = _Channel(name, rows, time[rows], values[rows])
+    channel = _ChannelSamples(name, rows, time[rows], values[rows])
     samples_by_kind = {}
     large = channel.step > channel.limit  # steps
     implausible = np.zeros(len(channel.values), bool)
@@ -156,7 +156,7 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
     return np.interp(instants, time, moving) > 0.5
 
 
-def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
+def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
     """Samples after a step that is much larger than usual, in any unit, and is neither reversed nor a wrap-around."""
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
@@ -165,10 +165,10 @@ def _find_jumps(channel: _Channel, large: np.ndarray, implausible: np.ndarray) -
     return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
 
 
-def _find_wraps(channel: _Channel) -> np.ndarray:
+def _find_wraps(channel: _ChannelSamples) -> np.ndarray:
     """Samples displaced by wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. The level
     nearest to 0 is taken as the true one."""
-    smallest = max(WRAP_LIMIT * channel.limits.step, STEP_MEDIAN_RATIO * channel.median_step)
+    smallest = max(WRAP_LIMIT * channel.limits.max_step, STEP_MEDIAN_RATIO * channel.median_step)
     steps = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(steps) < 2:
         return steps[:0]
@@ -186,10 +186,10 @@ def _find_wraps(channel: _Channel) -> np.ndarray:
     return np.flatnonzero(level != nearest)
 
 
-def _find_out_of_range(channel: _Channel, large: np.ndarray) -> np.ndarray:
+def _find_out_of_range(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     """Samples out of range, if most samples are in range and a large step leads out of range or back. A channel in
     another unit would exceed the range gradually, without a large step."""
-    outside = np.abs(channel.values) > channel.limits.largest
+    outside = np.abs(channel.values) > channel.limits.max_magnitude
     if not outside.any() or outside.mean() > MAX_BAD_SHARE:
         return np.zeros(0, np.int64)
     return _list_samples((first, last) for first, last in find_spans(outside)
@@ -201,8 +201,8 @@ def _list_samples(spans: Iterable[tuple[int, int]]) -> np.ndarray:
     return np.concatenate([np.zeros(0, np.int64), *(np.arange(first, last + 1) for first, last in spans)])
 
 
-def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Samples in stretches of one value between large steps: a code for a missing measurement, or 0 in motion. At a gap
+def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Samples in runs of one value between large steps: a code for a missing measurement, or 0 in motion. At a gap
     or an end of the drive, one large step suffices."""
     first, last = find_groups(channel.step != 0.0)
     count = last - first + 1
@@ -214,7 +214,7 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     for k in np.flatnonzero(count >= MIN_SENTINEL_SAMPLES):
         begin, end = int(first[k]), int(last[k])
         is_zero = channel.values[begin] == 0.0
-        # A slowly updated channel also holds the value 0, so only a longer stretch of zeros is a sentinel.
+        # A slowly updated channel also holds the value 0, so only a longer run of zeros is a sentinel.
         if is_zero and not (count[k] > SENTINEL_HOLD_RATIO * usual_count
                             and channel.time[end] - channel.time[begin] >= MIN_ZERO_TIME
                             and moving[begin:end + 1].mean() > 0.5):
@@ -229,20 +229,20 @@ def _find_sentinels(channel: _Channel, large: np.ndarray, moving: np.ndarray) ->
     return _list_samples(sentinels)
 
 
-def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
+def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    stretches in which most steps are large and irregular; equal large steps would be a turn in another unit."""
+    runs in which most steps are large and irregular; equal large steps would be a turn in another unit."""
     if not large.any():
         return np.zeros(0, np.int64)
     half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)  # samples
     near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)  # samples near a large step
     near = np.unique(np.clip(np.concatenate((near, near + 1)), 0, len(channel.values) - 1))
-    stretch = np.concatenate(([0], np.cumsum(channel.gap)))  # number of the stretch without a gap
+    segment = np.concatenate(([0], np.cumsum(channel.gap)))  # number of the segment without a gap
     spikes = []
     for part in np.array_split(near, len(near) // 4096 + 1):  # limits the memory
         neighbours = part[:, None] + np.arange(-half, half + 1)
         inside = np.clip(neighbours, 0, len(channel.values) - 1)
-        known = (neighbours == inside) & (stretch[inside] == stretch[part][:, None])
+        known = (neighbours == inside) & (segment[inside] == segment[part][:, None])
         median = np.nanmedian(np.where(known, channel.values[inside], np.nan), axis=1)
         spikes.append(part[np.abs(channel.values[part] - median) > channel.limit])
     uneven = np.abs(np.diff(channel.values, 2)) > channel.limit
@@ -256,24 +256,24 @@ def _find_spikes(channel: _Channel, large: np.ndarray) -> np.ndarray:
     return np.unique(np.concatenate(spikes))
 
 
-def _make_finding(kind: str, channel: _Channel, samples: np.ndarray, is_unusable: bool) -> Finding:
+def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_unusable: bool) -> Finding:
     share = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
-    where = find_stretches(times, 1.5 * channel.spacing)
+    where = find_time_intervals(times, 1.5 * channel.spacing)
     unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which is often degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
-    reading = f"{value:.6g} {unit}{degrees}" + (" (unwrapped)" if channel.name == "yaw" else "")
+    value_text = f"{value:.6g} {unit}{degrees}" + (" (unwrapped)" if channel.name == "yaw" else "")
     when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
-        "sample_spikes": f"{channel.name} is {reading} {when}, " + (
+        "sample_spikes": f"{channel.name} is {value_text} {when}, " + (
             f"in sample {channel.rows[samples[0]] + 1}" if len(samples) == 1 else f"the largest of {count}")
             + ", inconsistent with the neighbouring samples",
-        "sentinel_values": f"{channel.name} is {reading} {when} ({count}): "
+        "sentinel_values": f"{channel.name} is {value_text} {when} ({count}): "
                            + ("0 while the car moves" if value == 0.0 else "a code for a missing measurement"),
-        "out_of_range": f"{channel.name} reaches {reading} {when} ({count}), beyond the range of road cars",
+        "out_of_range": f"{channel.name} reaches {value_text} {when} ({count}), beyond the range of road cars",
         "channel_wraps": f"{channel.name} wraps around at ±{np.abs(channel.values).max():.4g} {unit} "
                          f"{when} ({count}): its signal has too few bits for the values of this drive",
         "channel_jumps": f"{channel.name} jumps {len(samples)} time{'s' if len(samples) > 1 else ''} by up to "
@@ -286,5 +286,5 @@ def _make_finding(kind: str, channel: _Channel, samples: np.ndarray, is_unusable
     text += "" if is_unusable or kind == "channel_jumps" else "; these samples are left out"
     advice = ("change the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
               "check the sensor and the settings of the logger")
-    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED_STRETCHES],
+    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED_INTERVALS],
                    advice=Advice("look", advice))

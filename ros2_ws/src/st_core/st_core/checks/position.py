@@ -24,7 +24,7 @@ from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
-from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, find_stretches, has_varying_speed
+from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, find_time_intervals, has_varying_speed
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 from .sampling import estimate_resolution
 
@@ -146,7 +146,7 @@ def attribute_scale_to_positions(motion: Motion, findings: list[Finding], estima
     attributed = replace(scale_error, name="position_scale", channels=("x", "y"), text=text, value=scale.value,
                          interval=scale.interval, advice=advice)
     factor = {"scale": scale_error.value}
-    return (motion.corrected({"correct": {"position": factor, "velocity": factor}}),
+    return (motion.apply_entry({"correct": {"position": factor, "velocity": factor}}),
             [attributed if finding is scale_error else finding for finding in findings])
 
 
@@ -390,7 +390,7 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
     is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * delay)
                 & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors)))
-    where = find_stretches(motion.time[1:][back], 5.0)[:MAX_LISTED]
+    where = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED]
     return is_stale, [Finding(
         "position_stale", severity, ("x", "y"), text, share, "1", interval, where,
         delay * float(np.median(speed[known])),
@@ -414,7 +414,7 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
     # Intervals with jumps become gaps, across which no prediction is scored.
     advice = Advice.for_run_yaml({"leave_out": [
         [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
-        for begin, end in find_stretches(np.unique(where), 2.0 * JUMP_MARGIN)]})
+        for begin, end in find_time_intervals(np.unique(where), 2.0 * JUMP_MARGIN)]})
     if count > MAX_LISTED_JUMPS:
         advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,

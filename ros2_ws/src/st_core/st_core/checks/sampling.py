@@ -9,8 +9,8 @@ from ..log import STEERING
 from ..prediction import PredictionSettings
 from ..regression import white_noise
 from ..timeseries import NANOSECOND
-from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Channel, Finding, InsQuality, Severity, merge_findings
-from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_stretches
+from .finding import HORIZON, LIMITS, Advice, AuxiliaryData, Finding, InsQuality, Sampling, Severity, merge_findings
+from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_time_intervals
 
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
@@ -39,12 +39,12 @@ ROUNDING_STEPS = 3.0  # expected change, in steps of the resolution, below which
 MIN_MEASURED_STEPS = 20  # minimum number of steps or intervals from which a resolution or a rate is estimated
 
 
-def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Channel]:
+def describe_channels(motion: Motion, auxiliary: AuxiliaryData) -> dict[str, Sampling]:
     """Rate, gaps, noise and resolution of every channel of the drive."""
     channels = {}
     for name, time, values in _iterate_channels(motion):
         spacing = np.diff(time)
-        channels[name] = Channel(
+        channels[name] = Sampling(
             UNITS[name], len(values), float(1.0 / np.median(spacing)), int((spacing > MAX_GAP).sum()),
             float(spacing.max()), white_noise(values) if len(values) > 3 else 0.0, estimate_resolution(time, values),
             float(np.mean(np.diff(values) == 0.0)), int(auxiliary.missing.get(name, 0)))
@@ -131,7 +131,7 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
     severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
     advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
     return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
-                   where=find_stretches(time, MAX_GAP), advice=advice)
+                   where=find_time_intervals(time, MAX_GAP), advice=advice)
 
 
 def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Finding]:
@@ -190,7 +190,7 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
                     advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
 
 
-def find_stuck_channels(motion: Motion, channels: Mapping[str, Channel]) -> list[Finding]:
+def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> list[Finding]:
     """Findings of channels that are held at a lower rate, clipped, or constant while the car moves."""
     findings = []
     for name, time, values in _iterate_channels(motion):

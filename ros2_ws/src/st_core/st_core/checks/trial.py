@@ -28,7 +28,7 @@ from ..prediction import PredictionSettings
 from ..timeseries import NANOSECOND
 from ..vehicle import VehicleParameters
 from .finding import HORIZON, LIMITS, Advice, Finding, Severity
-from .motion import find_stretches
+from .motion import find_time_intervals
 
 # A correction is rejected if the error exceeds 1.1 e_before + 0.02 m. Position noise and valid corrections on seventeen
 # real drives (at most 7 % worse) stay below this.
@@ -182,5 +182,5 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
             f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    where = () if unstable.all() else find_stretches(seconds[unstable], MERGE_GAP)
+    where = () if unstable.all() else find_time_intervals(seconds[unstable], MERGE_GAP)
     return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)

@@ -73,7 +73,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 def _correct(motion: Motion, name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice,
              unit: str = "1") -> tuple[Motion, Finding]:
     """(the motion with the correction in the advice, finding of an error)."""
-    return motion.corrected(advice.entry), Finding(name, Severity.ERROR, channels, text, value, unit, advice=advice)
+    return motion.apply_entry(advice.entry), Finding(name, Severity.ERROR, channels, text, value, unit, advice=advice)
 
 
 def check_time_unit(motion: Motion) -> MotionAndFinding:
@@ -264,7 +264,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     velocity_ratio = 1.0 / ratio
     scale = 1.0 / (speed or velocity_ratio)
     both, forward = (Advice.correct(channel, scale=scale) for channel in ("velocity", "velocity_x"))
-    misfit_both, misfit_forward = (_compute_misfit(motion.corrected(advice.entry)) for advice in (both, forward))
+    misfit_both, misfit_forward = (_compute_misfit(motion.apply_entry(advice.entry)) for advice in (both, forward))
     unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
     if misfit_forward < TIE_MISFIT_RATIO * misfit_both:
         text = f"velocity_x is {velocity_ratio:.3g} times the rate of change of positions{unit}"
@@ -296,7 +296,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
     east_misfit, north_misfit = (float(np.median(np.abs(measured - v))) for v in (unrotated, 1j * unrotated.conj()))
     misfit, is_north_first = min(east_misfit, north_misfit), north_misfit < east_misfit
     exchange = Advice.for_run_yaml({"columns": {"velocity_x": "velocity_y", "velocity_y": "velocity_x"}})
-    exchanged = motion.corrected(exchange.entry)
+    exchanged = motion.apply_entry(exchange.entry)
     distance = float(np.median(np.abs(measured)))
     max_misfit = MAX_MAP_MISFIT * distance
     if np.ptp(motion.yaw) > MIN_YAW_RANGE and misfit <= max_misfit and (

@@ -80,7 +80,7 @@ def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters
     return replace(
         run, log=log, labels=labels, provenance={**run.provenance, "corrected": list(phrases)},
         warnings=(*run.warnings, f"{source.path}: corrected by its run.yaml: {'; '.join(phrases)}"),
-        auxiliary=replace(run.auxiliary, corrected=phrases))
+        auxiliary=replace(run.auxiliary, corrections=phrases))
 
 
 def check_coverage(source: RunSource, log: DriveLog) -> list[str]:

@@ -219,7 +219,7 @@ def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, s
     if writer.error:
         raise RunError(directory, writer.error, "check the disk and import again")
     warnings = [*drive.warnings, *coverage_warnings]
-    if drive.auxiliary.corrected:
+    if drive.auxiliary.corrections:
         warnings.append(f"{directory}: the bag contains uncorrected data; copy the corrections of the run.yaml to a "
                         "run.yaml of the bag (bag: ...)")
     return ImportResult(counts, span_ns * 1e-9, run, tuple(warnings), findings)
