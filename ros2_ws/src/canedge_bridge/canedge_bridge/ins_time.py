@@ -27,14 +27,14 @@ def replace_gps_time(values: Mapping[str, Any]) -> dict[str, Any]:
     return {**others, "ins_unix_time": unix if unix.ndim else float(unix)}
 
 
-def _from_gps_seconds(gps: np.ndarray, offset: np.ndarray) -> np.ndarray:
+def _from_gps_seconds(gps: np.ndarray, leap_seconds: np.ndarray) -> np.ndarray:
     """UTC [s since 1970] of GPS time [s since 1980-01-06]; NaN unless positive, as 0 means unknown.
 
-    offset: leap seconds as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
+    leap_seconds: as sent by the unit; 0: the leap-second table is used. The caller passes the magnitude, because
     the sign in a real frame is not known.
     """
     as_unix = np.where(gps > 0, gps + GPS_EPOCH_UNIX, np.nan)
-    return np.where(offset > 0, as_unix - offset, _to_utc(as_unix))
+    return np.where(leap_seconds > 0, as_unix - leap_seconds, _to_utc(as_unix))
 
 
 def _from_date_time(parts: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -66,7 +66,7 @@ class Entry:
     def allow_only(self, *keys: str) -> None:
         for key in self._value:
             if key not in keys:
-                raise self.error(key, f"unknown key; known are {', '.join(keys)}")
+                raise self.error(key, f"unknown key; known: {', '.join(keys)}")
 
     def entry(self, key: str) -> "Entry":
         return Entry(self.origin, self._path_of(key), self._value_of(key))

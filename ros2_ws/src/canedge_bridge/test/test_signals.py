@@ -37,7 +37,7 @@ WHEEL = "Leaf_Steering/signals/SteeringWheelAngle"
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (set_key("Leaf_Steering/time_out", 1), "messages.Leaf_Steering.time_out: unknown key; known are needed, period"),
+    (set_key("Leaf_Steering/time_out", 1), "messages.Leaf_Steering.time_out: unknown key; known: needed, period"),
     (set_key("Leaf_Steering/needed", None), "messages.Leaf_Steering.needed: missing"),
     (set_key("Leaf_Steering/needed", "yes please"), "messages.Leaf_Steering.needed: 'yes please' is not true or false"),
     (set_key("Leaf_Steering/timeout", {"value": 0, "unit": "s"}), "timeout.value: 0 is outside 0.001 to 600"),

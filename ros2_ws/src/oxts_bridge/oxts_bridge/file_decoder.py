@@ -218,11 +218,11 @@ def _compute_utc_times(raw: np.ndarray, status: np.ndarray, channel: np.ndarray,
     """
     is_timed = gps_ns != UNKNOWN_TIME
     offset = -leap_seconds_at_gps_times(np.where(is_timed, gps_ns // 1_000_000_000, 0))
-    carriers = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
-    offsets = _UTC_OFFSET[raw[carriers, BATCH_S.stop - 1]]
-    carriers, offsets = carriers[offsets != _INVALID_UTC_OFFSET], offsets[offsets != _INVALID_UTC_OFFSET]
-    if len(carriers):
-        offset[carriers[0]:] = np.repeat(offsets, np.diff(carriers, append=len(gps_ns)))
+    offset_packets = np.flatnonzero((channel == UTC_CHANNEL) & _SETS_CLOCK[status])
+    offsets = _UTC_OFFSET[raw[offset_packets, BATCH_S.stop - 1]]
+    offset_packets, offsets = offset_packets[offsets != _INVALID_UTC_OFFSET], offsets[offsets != _INVALID_UTC_OFFSET]
+    if len(offset_packets):
+        offset[offset_packets[0]:] = np.repeat(offsets, np.diff(offset_packets, append=len(gps_ns)))
     return np.where(is_timed, gps_ns + (GPS_EPOCH_UNIX + offset) * 1_000_000_000, UNKNOWN_TIME)
 
 

@@ -56,7 +56,7 @@ class Health:
                                   "loops": source.loops}
         if self._live:
             values = {"datagrams": source.datagrams, **({"sender": source.sender} if source.sender else {}),
-                      **{f"ignored from {address}": count for address, count in source.ignored.items()}}
+                      **{f"ignored from {address}": count for address, count in source.ignored_datagrams.items()}}
         if self.failures:
             values["failed packets"] = self.failures
             return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)
@@ -69,9 +69,9 @@ class Health:
         if ignored > 0:
             text = f"{ignored} datagrams from other ports of {source.sender} ignored since the last report"
             return Check("source", WARN, f"{source.name}: {text}", values)
-        if source.ignored and not source.sender:
+        if source.ignored_datagrams and not source.sender:
             return Check("source", WARN, f"{source.name}: receives only from ignored senders "
-                         f"({', '.join(source.ignored)}); check sender_filter", values)
+                         f"({', '.join(source.ignored_datagrams)}); check sender_filter", values)
         return Check("source", OK, source.name + (f" from {source.sender}" if source.sender else ""), values)
 
     def _check_stream(self, source: SourceStatus) -> Check:

@@ -63,7 +63,7 @@ class SourceStatus:
 
     problem: reason why no data can arrive, or "".  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
-    ignored: ignored datagrams of up to 16 senders, by address, or by address and port for the address in use.
+    ignored_datagrams: number from up to 16 senders, by address, or by address and port for the address in use.
     ignored_from_other_ports: those from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed passes of a looped replay.
     """
@@ -73,7 +73,7 @@ class SourceStatus:
     is_done: bool = False
     sender: str = ""
     datagrams: int = 0
-    ignored: dict[str, int] = field(default_factory=dict)
+    ignored_datagrams: dict[str, int] = field(default_factory=dict)
     ignored_from_other_ports: int = 0
     progress: float = 0.0
     loops: int = 0
@@ -164,7 +164,7 @@ class UdpSource(Source):
         if sender != self._sender and not self._accepts(address, data):
             same_address = address == self.status.sender
             self.status.ignored_from_other_ports += same_address
-            name, ignored = f"{address} port {port}" if same_address else address, self.status.ignored
+            name, ignored = f"{address} port {port}" if same_address else address, self.status.ignored_datagrams
             if name in ignored or len(ignored) < _MAX_COUNTED_SENDERS:
                 ignored[name] = ignored.get(name, 0) + 1
         elif self._on_data(data, received_ns, True):

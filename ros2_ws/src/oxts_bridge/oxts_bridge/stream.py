@@ -184,10 +184,10 @@ class StreamStatistics:
 
     def __init__(self) -> None:
         self.gaps = 0
-        self._typical_ns = 0
+        self._typical_step_ns = 0
         self._last_gps_ns: int | None = None
         self._offsets: deque[int] = deque(maxlen=_CLOCK_SAMPLES)  # packet time minus receive time [ns]
-        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0  # since summarise_steps()
+        self._steps, self._total_ns, self._longest_step_ns = 0, 0, 0  # since summarise_steps()
 
     def add(self, received: ReceivedPacket) -> None:
         """Count a new regular packet, unless its time is unknown."""
@@ -195,11 +195,11 @@ class StreamStatistics:
             return
         if self._last_gps_ns is not None and (step := received.gps_ns - self._last_gps_ns) > 0:
             self._steps += 1
-            self._covered_ns += step
-            self._longest_ns = max(self._longest_ns, step)
-            typical = self._typical_ns or step
+            self._total_ns += step
+            self._longest_step_ns = max(self._longest_step_ns, step)
+            typical = self._typical_step_ns or step
             # Adapts slowly: a changed rate becomes typical, but a lost packet has little effect.
-            self._typical_ns = typical + min(step - typical, typical) // 64
+            self._typical_step_ns = typical + min(step - typical, typical) // 64
             self.gaps += step > GAP_STEPS * typical
         self._last_gps_ns = received.gps_ns
         if received.received_ns is not None and received.utc_ns is not None:
@@ -207,9 +207,9 @@ class StreamStatistics:
 
     def summarise_steps(self) -> tuple[float, float]:
         """Mean rate [1/s] and longest step [s] since the previous call; 0 without a step."""
-        rate = self._steps / (self._covered_ns * 1e-9) if self._covered_ns else 0.0
-        longest = self._longest_ns * 1e-9
-        self._steps, self._covered_ns, self._longest_ns = 0, 0, 0
+        rate = self._steps / (self._total_ns * 1e-9) if self._total_ns else 0.0
+        longest = self._longest_step_ns * 1e-9
+        self._steps, self._total_ns, self._longest_step_ns = 0, 0, 0
         return rate, longest
 
     def summarise_clock_offset(self) -> tuple[float, float, float] | None:

@@ -111,7 +111,7 @@ def test_sender_filter_selects_one_sender(udp, sink, port, drive):
         send_until(unit, port, selected, sink, lambda: sink.data)
         for _ in range(5):
             other.sendto(ignored, ("127.0.0.1", port))
-        send_until(unit, port, selected, sink, lambda: source.status.ignored.get("127.0.0.3", 0) == 5)
+        send_until(unit, port, selected, sink, lambda: source.status.ignored_datagrams.get("127.0.0.3", 0) == 5)
     assert set(sink.data) == {selected}
     assert source.status.sender == "127.0.0.2"
 
@@ -124,7 +124,7 @@ def test_first_unit_is_used_without_a_filter(udp, sink, port, drive):
         send_until(unit, port, selected, sink, lambda: source.status.sender == "127.0.0.2")
         for _ in range(5):
             other.sendto(ignored, ("127.0.0.1", port))
-        send_until(unit, port, selected, sink, lambda: source.status.ignored.get("127.0.0.3", 0) == 5)
+        send_until(unit, port, selected, sink, lambda: source.status.ignored_datagrams.get("127.0.0.3", 0) == 5)
     assert ignored not in sink.data
 
 
@@ -153,7 +153,7 @@ class TestTwoUnitsAtOneAddress:
                 unit.sendto(packet(START + 4 * k), ("127.0.0.1", port))
             send_until(unit, port, packet(START + 84), sink, lambda: source.status.ignored_from_other_ports >= 20)
             name = f"127.0.0.1 port {other.getsockname()[1]}"
-        assert source.status.ignored == {name: 20}
+        assert source.status.ignored_datagrams == {name: 20}
         assert {data[23:31] for data in sink.data} == {packet(START)[23:31]}
 
     def test_datagrams_of_changing_ports_are_one_stream(self, source, sink, port, packet):

@@ -65,20 +65,21 @@ class Channel:
 
 
 def _position_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
-    """(left, ahead) spread of measured displacement minus dead reckoning, and white noise in initial yaw and speed."""
+    """(left, ahead) standard deviation: measured displacement minus dead reckoning, white noise of yaw and speed."""
     east, north = (_integrate(values, step) for values in body_to_map(v_x, v_y, yaw))
     ahead, left = map_to_body(x[:, -1] - x[:, 0] - east, y[:, -1] - y[:, 0] - north, yaw[:, -1])
     horizon = step * (x.shape[1] - 1)
-    from_start = white_noise(log.yaw) * horizon * float(np.nanmean(v_x)), white_noise(log.velocity_x) * horizon
-    return float(np.hypot(_spread(left), from_start[0])), float(np.hypot(_spread(ahead), from_start[1]))
+    from_yaw = white_noise(log.yaw) * horizon * float(np.nanmean(v_x))
+    from_speed = white_noise(log.velocity_x) * horizon
+    return float(np.hypot(_finite_deviation(left), from_yaw)), float(np.hypot(_finite_deviation(ahead), from_speed))
 
 
 def _heading_noise(log: Any, step: float, x: Any, y: Any, yaw: Any, v_x: Any, v_y: Any, r: Any) -> tuple[float, ...]:
-    """Spread of the measured change of yaw minus the integral of the measured yaw rate."""
-    return (_spread(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(r, step))),)
+    """Standard deviation of the measured change of yaw minus the integral of the measured yaw rate."""
+    return (_finite_deviation(wrap_angle(yaw[:, -1] - yaw[:, 0] - _integrate(r, step))),)
 
 
-def _spread(errors: np.ndarray) -> float:
+def _finite_deviation(errors: np.ndarray) -> float:
     """Robust standard deviation of the finite errors."""
     errors = errors[np.isfinite(errors)]
     return robust_deviation(errors) if len(errors) else 0.0

@@ -94,7 +94,7 @@ def check_corrections(corrections: Mapping[str, Correction]) -> None:
     """Raises StCoreError for an unknown channel, two corrections of the steering, and invalid fields or values."""
     for channel, correction in corrections.items():
         if channel not in CHANNELS:
-            raise StCoreError(f"{channel}: unknown channel; known are {', '.join(CHANNELS)}")
+            raise StCoreError(f"{channel}: unknown channel; known: {', '.join(CHANNELS)}")
         for name, neutral in vars(Correction()).items():
             value = getattr(correction, name)
             if not abs(value) <= MAX_VALUES[name]:

@@ -96,7 +96,7 @@ def check_keys(prefix: str, section: Mapping[Any, Any], known: list[str], requir
     for key in section:
         if key not in known:
             raise ConfigurationError(
-                f"{prefix}{key}: unknown key{suggest_key(str(key), known)}; known are {', '.join(known)}")
+                f"{prefix}{key}: unknown key{suggest_key(str(key), known)}; known: {', '.join(known)}")
     for key in required:
         if key not in section:
             raise ConfigurationError(f"{prefix}{key}: missing; add it")

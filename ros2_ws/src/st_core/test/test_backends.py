@@ -262,7 +262,7 @@ def test_missing_numba_falls_back_to_numpy_with_one_warning(monkeypatch, caplog)
         "numba is not installed: batches run in numpy, about five times slower"]
     with pytest.raises(ConfigurationError, match="backend lanes: numba is not installed"):
         backends.get_backend("lanes")
-    with pytest.raises(ConfigurationError, match="unknown backend 'gpu'; known are lanes, numpy"):
+    with pytest.raises(ConfigurationError, match="unknown backend 'gpu'; known: lanes, numpy"):
         backends.get_backend("gpu")
 
 

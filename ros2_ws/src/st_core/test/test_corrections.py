@@ -154,7 +154,7 @@ def test_uncorrected_steering_wheel_angle_is_removed_without_a_vehicle() -> None
 
 
 @pytest.mark.parametrize(("corrections", "message"), [
-    ({"speed": Correction()}, "speed: unknown channel; known are x, y, position"),
+    ({"speed": Correction()}, "speed: unknown channel; known: x, y, position"),
     ({"yaw": Correction(ahead=1.0)}, "yaw: ahead does not apply here; use scale, add, earlier"),
     ({"heading": Correction(scale=2.0)}, "heading: scale does not apply here; use add"),
     ({"x": Correction(scale=float("nan"))}, "x: scale: nan is not within"),

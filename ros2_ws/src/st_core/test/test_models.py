@@ -23,7 +23,7 @@ input_strategy = st.builds(ControlInput, st.floats(-0.5, 0.5), st.floats(-6.0, 4
 def test_registry_names_its_models():
     assert ALL == ["kinematic", "linear", "nonlinear"]
     assert all(get_model(name).name == name for name in ALL)
-    with pytest.raises(ConfigurationError, match=r"unknown model 'bicycle'; known are kinematic, linear, nonlinear"):
+    with pytest.raises(ConfigurationError, match=r"unknown model 'bicycle'; known: kinematic, linear, nonlinear"):
         get_model("bicycle")
 
 

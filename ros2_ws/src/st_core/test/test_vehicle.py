@@ -120,7 +120,7 @@ def test_derived_scale_follows_the_stiffness_in_a_saved_file(leaf):
     (ANNOTATED.replace('method: "four scales"', "method: 4"), "mass.method: 4 is not a string"),
     (edit_line("mass", "mass:", "maas:"), "maas: unknown key, did you mean mass?"),
     (edit_line("p_cy1", "p_cy1:", "pcy1:"), "tyre_front.pcy1: unknown key, did you mean p_cy1?"),
-    (LEAF + "colour: red\n", "colour: unknown key; known are name, mass"),
+    (LEAF + "colour: red\n", "colour: unknown key; known: name, mass"),
     (edit_line("mass", "mass:", "# mass:"), "mass: missing; add it"),
     (edit_line("p_ky4", "p_ky4:", "# p_ky4:"), "tyre_front.p_ky4: missing; add it"),
     (edit_line("name", "name:", "# name:"), "name: missing; add it"),

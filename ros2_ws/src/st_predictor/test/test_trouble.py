@@ -245,11 +245,11 @@ def test_killed_recorder_loses_at_most_a_second(processes: Processes) -> None:
 REFUSED = [
     ("predictor", ["vehicle_file:=nowhere.yaml"], "vehicle_file: nowhere.yaml: No such file"),
     ("predictor", [], "vehicle_file: not set"),
-    ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known are"),
+    ("predictor", ["horizont:=5.0"], "unknown parameter horizont; known:"),
     ("predictor", ["rate:=1000.0"], "rate: 1000.0 is outside 0.1 to 100 Hz"),
     ("predictor", ["rate:=fast"], "rate: 'fast' is a str, not float"),
     ("predictor", [f"vehicle_file:={LEAF}", "horizon:=5.01"], "horizon: 5.01 s is not a whole number of steps"),
-    ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known are"),
+    ("predictor", [f"vehicle_file:={LEAF}", "models:=[linear, cubic]"], "unknown model 'cubic'; known:"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={ROOT}"], "contains files"),
     ("evaluator", [f"vehicle_file:={LEAF}", f"output_directory:={LEAF}/errors"], "output_directory:"),
     ("recorder", [], "output_directory: not set"),

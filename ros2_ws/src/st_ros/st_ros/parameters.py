@@ -75,7 +75,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     for name in overrides:
         if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{origin}{node.get_name()}: unknown parameter {name}; known are {', '.join(sorted(known))}")
+                f"{origin}{node.get_name()}: unknown parameter {name}; known: {', '.join(sorted(known))}")
     values = SimpleNamespace(where=f"{origin}{node.get_name()}.")
     for parameter in parameters:
         try:

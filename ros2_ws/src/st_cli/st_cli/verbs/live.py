@@ -49,8 +49,9 @@ def demo(
         car = configuration.VirtualCar(configuration.resolve_vehicle_file(vehicle), options,
                                        plant_vehicle and plant_vehicle.absolute())
         what, source = (title, "recorded drive") if drive else (f"scenario {title}", "virtual Leaf")
-        extra = {"what": what, "source": source, "vehicle": configuration.find_vehicle_name(car.vehicle), "seed": seed}
-        status = _run(f"demo-{title}", extra, car.vehicle, car.make_bridge_parameters(), run_options, output,
+        vehicle_name = configuration.find_vehicle_name(car.vehicle)
+        summary = {"what": what, "source": source, "vehicle": vehicle_name, "seed": seed}
+        status = _run(f"demo-{title}", summary, car.vehicle, car.make_bridge_parameters(), run_options, output,
                       source=lambda suite: session.make_timer(duration, car.start(suite) - session.END_MARGIN))
     raise typer.Exit(status)
 
@@ -81,19 +82,19 @@ def live(
         car = car_options.fill_in_car(requires_bus=True)
         vehicle = configuration.resolve_vehicle_file(car.vehicle)
         bridges = configuration.make_bridge_parameters(vehicle, ins, can | car.sensor_settings, car.dbc, car.signals)
-        extra = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
+        summary = {"what": "live", "source": f"{can_interface}:{can_channel}, NCOM port {ncom_port}",
                  "vehicle": configuration.find_vehicle_name(vehicle)}
-        status = _run("live", extra, vehicle, bridges, run_options, output, car.vehicle is None,
+        status = _run("live", summary, vehicle, bridges, run_options, output, car.vehicle is None,
                       source=lambda _: session.make_timer(duration), default_domain=0, supervised=True,
                       realtime=realtime)
     raise typer.Exit(status)
 
 
-def _run(name: str, extra: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
+def _run(name: str, summary: dict[str, Any], vehicle: Path, bridges: Mapping[str, Mapping[str, Any]],
          options: shared.RunOptions, output: Path | None, reports_car: bool = False, **arguments: Any) -> int:
     """Run the suite and report the results; returns the exit status.
 
-    name: start of the name of the default output folder. extra: entries of summary.json. bridges: parameters of the
+    name: start of the name of the default output folder. summary: entries of summary.json. bridges: parameters of the
     bridges. reports_car: whether to report that the Leaf's file is used. arguments: further arguments of `session.run`.
     Raises StCoreError and RunError.
     """
@@ -107,7 +108,7 @@ def _run(name: str, extra: dict[str, Any], vehicle: Path, bridges: Mapping[str, 
     parameters = configuration.set_bands_and_course(parameters, options.bands, options.course, options.adaptive)
     if reports_car:
         shared.report_default_car(name, None, vehicle)
-    outcome = session.run(folder, parameters, extra["what"], shared.console, view, **arguments)
-    status = report.report_results(folder, outcome, extra, shared.console)
+    outcome = session.run(folder, parameters, summary["what"], shared.console, view, **arguments)
+    status = report.report_results(folder, outcome, summary, shared.console)
     view.finish(folder, shared.console)
     return status

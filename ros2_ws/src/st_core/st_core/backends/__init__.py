@@ -35,7 +35,7 @@ def get_backend(name: str | None = None) -> ModuleType:
             raise ConfigurationError("backend lanes: numba is not installed; install it or use backend numpy")
         from . import numba_lanes
         return numba_lanes
-    raise ConfigurationError(f"unknown backend {name!r}; known are {', '.join(NAMES)}")
+    raise ConfigurationError(f"unknown backend {name!r}; known: {', '.join(NAMES)}")
 
 
 @cache

@@ -26,7 +26,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, identity: str) -> Path | None:
-    """Enable the cache of a kernel before its compilation; delete unused kernels. Returns its folder, or None."""
+    """Enable the cache of a kernel before it is compiled; delete unused kernels. Returns its folder or None."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),

@@ -12,7 +12,7 @@ def get_model(model: str | Model) -> Model:
     if isinstance(model, Model):
         return model
     if model not in MODELS:
-        raise ConfigurationError(f"unknown model {model!r}; known are {', '.join(MODELS)}")
+        raise ConfigurationError(f"unknown model {model!r}; known: {', '.join(MODELS)}")
     return MODELS[model]
 
 
