@@ -65,7 +65,7 @@ def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     """Declare parameters on a node; returns their checked values as attributes.
 
     The additional attribute `where` names the parameter file, if one was given, and the node, as a prefix of messages.
-    Raises ConfigurationError with this prefix, key and limit, also for a given parameter that is not declared.
+    Raises ConfigurationError with this prefix, key and limit, also for a parameter that is given but not declared.
     """
     overrides = dict(node._parameter_overrides)  # rclpy gives no public access before the declaration
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)

@@ -40,21 +40,22 @@ class Driver:
         self.distance = plan.start
         self._tremor_deviation = settings["driver_tremor"]
         self._draw = make_normal_source(np.random.default_rng([seed, 2]))
-        self._tremor = self._offset_integral = self._speed_integral = self._pedal = self._target = 0.0
+        self._tremor = self._offset_integral = self._speed_integral = 0.0
+        self._pedal_acceleration = self._target_angle = 0.0
         self._next_decision = -math.inf
         self._is_holding = False
 
     def place(self, plant: Plant, distance: float) -> None:
         """Start at a distance along the road [m] with the steering-wheel angle of the plant."""
         self.distance = distance
-        self.steering_wheel_angle = self._target = plant.rack_steering_wheel_angle
+        self.steering_wheel_angle = self._target_angle = plant.rack_steering_wheel_angle
 
     def advance(self, plant: Plant, time: float, step: float) -> None:
         if time >= self._next_decision - 1e-9:
             # Decision times are relative to the first call, so that a drive does not depend on its start time.
             self._next_decision = time + SAMPLING_TIME
             self._decide(plant, time)
-        move = (self._target + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME
+        move = (self._target_angle + self._tremor - self.steering_wheel_angle) * step / STEERING_TIME
         max_step = MAX_STEERING_WHEEL_RATE * step
         self.steering_wheel_angle += min(max(move, -max_step), max_step)
 
@@ -63,7 +64,7 @@ class Driver:
         self._update_distance(s[X], s[Y], speed)
         demand = self.plan.make_demand(time, self.distance, speed)
         if callable(demand.steering):
-            self._target = demand.steering(self.car.wheelbase) * self.car.steering_ratio
+            self._target_angle = demand.steering(self.car.wheelbase) * self.car.steering_ratio
         elif demand.steering == "path":
             is_fast_enough = speed > MIN_STEERING_SPEED
             if self._is_holding and is_fast_enough:
@@ -73,7 +74,7 @@ class Driver:
                 self._offset_integral = 0.0
             if is_fast_enough:
                 angle = self._steer_along(s, speed) * self.car.steering_ratio
-                self._target = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
+                self._target_angle = min(max(angle, -MAX_STEERING_WHEEL_ANGLE), MAX_STEERING_WHEEL_ANGLE)
                 self._is_holding = False
         else:
             self._is_holding = True
@@ -103,8 +104,8 @@ class Driver:
 
     def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
         s = plant.state
-        if plant.parked and acceleration <= 0.0:
-            self.drive_force, self._pedal, self._speed_integral = -HOLDING_BRAKE * plant.mass, 0.0, 0.0
+        if plant.is_at_rest and acceleration <= 0.0:
+            self.drive_force, self._pedal_acceleration, self._speed_integral = -HOLDING_BRAKE * plant.mass, 0.0, 0.0
             return
         error = target_speed - s[VX]
         if abs(acceleration) < STEADY_ACCELERATION:
@@ -115,8 +116,8 @@ class Driver:
         target = acceleration + SPEED_GAIN * error + self._speed_integral + cornering - s[VY] * s[YAW_RATE]
         target = min(max(target, -MAX_BRAKING), MAX_DRIVE)
         max_change = MAX_PEDAL_JERK * SAMPLING_TIME
-        self._pedal += min(max(target - self._pedal, -max_change), max_change)
-        self.drive_force = plant.mass * self._pedal
+        self._pedal_acceleration += min(max(target - self._pedal_acceleration, -max_change), max_change)
+        self.drive_force = plant.mass * self._pedal_acceleration
 
 
 class SimulatedCar:
@@ -133,25 +134,25 @@ class SimulatedCar:
         road = plan.path.pose(distance)
         self.plant.place(road.x, road.y, road.yaw, plan.speed_at(distance), plan.path.curvature(distance))
         self.driver.place(self.plant, distance)
-        self._count = -round(RUN_IN_TIME / self._step)
+        self._step_count = -round(RUN_IN_TIME / self._step)
         self._steering_wheel_rate = 0.0
         self.duration: float | None = None
         self.advance(0.0)
 
     @property
     def time(self) -> float:
-        return self._count * self._step
+        return self._step_count * self._step
 
     def advance(self, time: float) -> None:
         """Simulate up to the last step not after `time` [s]."""
         last = int(time / self._step + 1e-6)
         plant, driver, step = self.plant, self.driver, self._step
-        while self._count < last:
+        while self._step_count < last:
             previous_angle = driver.steering_wheel_angle
-            driver.advance(plant, self._count * step, step)
+            driver.advance(plant, self._step_count * step, step)
             plant.step(driver.steering_wheel_angle, driver.drive_force)
             self._steering_wheel_rate = (driver.steering_wheel_angle - previous_angle) / step
-            self._count += 1
+            self._step_count += 1
 
     def make_truth(self) -> Truth:
         driver = self.driver

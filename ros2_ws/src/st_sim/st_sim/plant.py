@@ -166,7 +166,7 @@ class Plant:
         self.car, self.settings, self.time_step = car, settings, step
         self.environment = Environment(settings, step, seed)
         self.state: tuple[float, ...] = (0.0,) * STATES
-        self.parked = False
+        self.is_at_rest = False
         self.conditions = self.environment.advance(0.0, 0.0)
         self.constants = dynamics.make_constants(car, settings, step)
         self.mass, self.yaw_inertia = self.constants.mass, self.constants.yaw_inertia
@@ -203,23 +203,23 @@ class Plant:
         target = self._find_rack_target(steering_wheel_angle)
         if self.constants.steering_lag == 0.0:
             s = (*s[:RACK], target, *s[RACK + 1 :])
-        if self.parked and drive_force <= 0.0:
+        if self.is_at_rest and drive_force <= 0.0:
             self.state = dynamics.bring_to_rest(s, dt)
             return
-        self.parked = False
+        self.is_at_rest = False
         c = self.constants
         k1, _ = derivative(s, target, drive_force, conditions, c)
         k2, _ = derivative([a + dt * b for a, b in zip(s, k1, strict=True)], target, drive_force, conditions, c)
         half = dt / 2
         s = tuple([x + half * (rate_1 + rate_2) for x, rate_1, rate_2 in zip(s, k1, k2, strict=True)])
-        self.parked = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
-        self.state = dynamics.bring_to_rest(s, dt) if self.parked else s
+        self.is_at_rest = s[VX] < STANDSTILL_SPEED and drive_force <= 0.0
+        self.state = dynamics.bring_to_rest(s, dt) if self.is_at_rest else s
 
     def observe(self, drive_force: float, time: float = 0.0, steering_wheel_angle: float = 0.0,
                 steering_wheel_rate: float = 0.0) -> Truth:
         """True motion and forces in the current state; accelerations are zero at rest. drive_force: as for `step`. The
         other arguments are copied to the result."""
-        s, settings, conditions, is_moving = self.state, self.settings, self.conditions, not self.parked
+        s, settings, conditions, is_moving = self.state, self.settings, self.conditions, not self.is_at_rest
         rates, wheels = derivative(s, s[RACK], drive_force, conditions, self.constants)
         road_wheel_angle, lateral, longitudinal, load, across_speeds, along_speeds = wheels
         slip = [atan2(across, max(abs(along), MIN_SLIP_SPEED))

@@ -125,7 +125,7 @@ def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
         if is_found and f"{STEERING_MESSAGE}:" in signals.read_text(encoding="utf-8"):
             return dbc, signals
     raise SimulationError(f"--config {options.config or 'is missing'}: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN "
-                          "tables of the virtual car, not found; give the folder config/ of the project")
+                          "tables of the virtual car, were not found; give the folder config/ of the project")
 
 
 def _resolve_settings(options: argparse.Namespace) -> dict[str, float]:
@@ -159,7 +159,7 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         resources.callback(output.close)
         now_ns, monotonic = time.time_ns(), time.monotonic()
         start_ns = -(-(now_ns + LEAD_NS) // START_GRID_NS) * START_GRID_NS
-        started = monotonic + (start_ns - now_ns) / 1e9
+        start_time = monotonic + (start_ns - now_ns) / 1e9
         truth = None
         if options.output:
             path = choose_truth_file(make_folder("--output", options.output))
@@ -169,10 +169,10 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
         # A higher priority, if permitted, helps to keep the deadlines.
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
-        time.sleep(max(0.0, started - time.monotonic()))
+        time.sleep(max(0.0, start_time - time.monotonic()))
         _report(state="sending", start_ns=start_ns, duration=run.duration)
         send(outputs, output.send_ncom, output.send_frame, truth.write if truth else None, stop_requested,
-             output.report, started)
+             output.report, start_time)
     faults = {"fault": truth.fault} if truth and truth.fault else {}
     _report(state="done", **asdict(output.report), **faults)
 
@@ -183,7 +183,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
     start_ns = FILE_EPOCH_NS + options.seed * 3_600_000_000_000  # one hour later for each seed
     folder = make_folder("--to-files", options.to_files)
     offset, drift = run.settings["logger_clock_offset"], run.settings["logger_clock_drift"]
-    started = time.monotonic()
+    start_time = time.monotonic()
     with contextlib.ExitStack() as files:
         ncom = files.enter_context((folder / "run.ncom").open("wb"))
         frames = LogFile(folder / "run.log") if options.can_format == "log" else Mf4File(folder / "run.mf4", start_ns)
@@ -194,7 +194,7 @@ def _write_files(options: argparse.Namespace, stop_requested: Callable[[], bool]
             run.generate_outputs(start_ns), ncom.write,
             lambda frame, due: frames.write(start_ns + round((due * (1 + drift) + offset) * 1e9), frame),
             truth.write, stop_requested, Report())
-    _report(state="done", duration=round(last_due, 3), computing_time=round(time.monotonic() - started, 3))
+    _report(state="done", duration=round(last_due, 3), computing_time=round(time.monotonic() - start_time, 3))
 
 
 def _report(**values: object) -> None:
@@ -219,13 +219,13 @@ def _make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--config", type=Path, metavar="DIR", help="folder with can/leaf_ze0.dbc and can/leaf_ze0.yaml; default: that "
         "of the vehicle file, of the checkout or of the current folder")
-    parser.add_argument("--duration", type=float, metavar="S", help="default 60 s, or a recorded drive to its end")
+    parser.add_argument("--duration", type=float, metavar="S", help="default: 60 s, or the whole recorded drive")
     parser.add_argument("--seed", type=_make_integer_parser(0, 2**31 - 1), default=0, help="seed of all random numbers")
     parser.add_argument("--plant", help="ideal, realistic (default) or FILE.yaml with {preset: ..., name: value}")
     parser.add_argument("--effect", nargs="+", action="extend", default=[], metavar="NAME=VALUE",
                         help="override settings; see --list")
     parser.add_argument("--origin", default=DEFAULT_ORIGIN, metavar="LAT,LON,HEIGHT", help="map origin [deg, deg, m]")
-    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before lock")
+    parser.add_argument("--startup", action="store_true", help="begin with the start-up of the INS, before it locks")
     parser.add_argument("--ncom-host", default="127.0.0.1", help="host to which the NCOM packets are sent")
     parser.add_argument("--ncom-port", type=_make_integer_parser(1, 65535), default=3000, help="UDP port of that host")
     parser.add_argument("--ncom-rate", type=int, choices=(100, 250), default=100,

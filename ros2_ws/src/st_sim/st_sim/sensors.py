@@ -157,11 +157,11 @@ class SteeringSensor:
 
 def read_wheel_speeds(truth: Truth, settings: Settings) -> tuple[list[float], float]:
     """Unsigned wheel speeds FL, FR, RL, RR and vehicle speed of the ABS unit [m/s]; 0 below their minimum."""
-    wheels = [_read_unsigned(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
-    return wheels, _read_unsigned(truth.velocity_x, MIN_VEHICLE_SPEED)
+    wheels = [_cut_off_low_speed(w * settings["wheel_speed_scale"], MIN_WHEEL_SPEED) for w in truth.wheel_speed]
+    return wheels, _cut_off_low_speed(truth.velocity_x, MIN_VEHICLE_SPEED)
 
 
-def _read_unsigned(speed: float, minimum: float) -> float:
+def _cut_off_low_speed(speed: float, minimum: float) -> float:
     return abs(speed) if abs(speed) >= minimum else 0.0
 
 

@@ -59,7 +59,7 @@ _TABLE = (
     ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time from steering wheel to rack"),
     ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag from steering wheel to rack"),
     ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the steering wheel"),
-    ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "road-wheel angle reduction per front lateral force"),
+    ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "loss of road-wheel angle per front lateral force"),
     ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer (left +) per roll (right +); < 0: understeer"),
     ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer (left +) per roll (right +); > 0: understeer"),
     ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "fraction of the full Ackermann angle; 0: parallel wheels"),

@@ -177,15 +177,15 @@ class LiveOutput:
 
 def send(outputs: Iterable[Output], send_ncom: Callable[[bytes], object], send_frame: Callable[[Frame, float], object],
          record_truth: Callable[[Truth], None] | None, stop_requested: Callable[[], bool], report: Report,
-         started: float | None = None) -> float:
+         start_time: float | None = None) -> float:
     """Send outputs at their deadlines, late ones at once, until there are no more or stop_requested() returns True.
 
-    started: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time of the
-    last output [s since the start], 0 if none was sent.
+    start_time: monotonic time of the start of the drive [s]; None: send as fast as possible. Returns the due time
+    of the last output [s since the start], 0 if none was sent.
     """
     due = 0.0
     for output in outputs:
-        deadline = time.monotonic() if started is None else started + output.due
+        deadline = time.monotonic() if start_time is None else start_time + output.due
         wait = deadline - time.monotonic()
         # A packet must not arrive before its time of measurement.
         if wait > (0.0 if isinstance(output.payload, bytes) else EARLY_TOLERANCE):

@@ -122,7 +122,7 @@ def test_ideal_plant_is_close_to_the_nonlinear_single_track_model(
 def test_car_braked_to_rest_remains_at_rest(plant, effects):
     car = simulate(resolve_settings(plant, effects), lambda t: 2.0, lambda t, p: -3000.0, 8.0, speed=4.0)
     pose = car.state[:4]
-    assert car.parked and car.state[VX] == car.state[VY] == car.state[YAW_RATE] == 0.0
+    assert car.is_at_rest and car.state[VX] == car.state[VY] == car.state[YAW_RATE] == 0.0
     for _ in range(500):
         car.step(2.0, -3000.0)
     assert car.state[:4] == pose

@@ -229,7 +229,7 @@ def test_missing_tables_of_the_leaf_are_located_in_the_message(tmp_path, monkeyp
     assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 2
     assert capsys.readouterr().err == (
         "virtual_leaf: --config is missing: can/leaf_ze0.dbc and can/leaf_ze0.yaml, the CAN tables of the virtual car, "
-        "not found; give the folder config/ of the project\n")
+        "were not found; give the folder config/ of the project\n")
     monkeypatch.setenv("ST_ENVIRONMENT", str(ROOT))
     assert run.main(["--vehicle", "vehicle.yaml", "--to-files", "run", "--duration", "1"]) == 0
 

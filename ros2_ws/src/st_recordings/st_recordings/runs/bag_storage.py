@@ -129,18 +129,18 @@ class Storage(ABC):
         return ticks[0][1] + np.round(np.interp(times - ticks[0][0], received, simulated)).astype(np.int64)
 
     def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]]) -> tuple[list[np.ndarray], list[str]]:
-        """(stamps of each topic [ns], note): moved by a constant to the clock of the first if the clocks differ.
+        """(stamps of each topic [ns], notes). If the clocks differ, all are shifted to the clock of the first.
 
-        An INS may stamp with GPS time, 18 s ahead of UTC. If the delay varies, the times of reception are not those of
-        the drive, as of topics that were computed later, and the stamps are not changed.
+        An INS may stamp with GPS time, 18 s ahead of UTC. If a delay varies, the times of reception are not those of
+        the drive, as in topics that were computed later, and the stamps are not changed.
         """
-        delays = [self.read_log_times(topic, given) - given for topic, given in stamps]
+        delays = [self.read_log_times(topic, times) - times for topic, times in stamps]
         shifts = [int(np.median(delay)) for delay in delays]
-        varies = any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
-        if varies or max(shifts) - min(shifts) <= MAX_DELAY_NS:
-            return [given for _, given in stamps], []
+        delays_vary = any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
+        if delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_NS:
+            return [times for _, times in stamps], []
         ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
-        return [given + shift - shifts[0] for (_, given), shift in zip(stamps, shifts, strict=True)], [
+        return [times + shift - shifts[0] for (_, times), shift in zip(stamps, shifts, strict=True)], [
             f"compared with the times of reception, the clock of {ahead} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
             f"ahead of that of {behind}; all stamps were moved to the clock of {stamps[0][0]}"]
 

@@ -70,9 +70,9 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
 
 
 def _move_to_one_clock(storage: Storage, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
-    """(parts with times of one clock, notes): the stamps, without zeros, or the times of reception."""
-    known = [stamps[stamps != 0] for _, stamps, _ in parts]
-    if max(stamps.min() for stamps in known) > min(stamps.max() for stamps in known):
+    """(parts with times on one clock, notes). The times are the nonzero stamps, or else the times of reception."""
+    nonzero_stamps = [stamps[stamps != 0] for _, stamps, _ in parts]
+    if max(stamps.min() for stamps in nonzero_stamps) > min(stamps.max() for stamps in nonzero_stamps):
         return [(name, storage.read_log_times(name, stamps), part) for name, stamps, part in parts], [
             "the stamps of its topics do not overlap in time; the times of reception are used"]
     aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
@@ -121,10 +121,10 @@ def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str,
     columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in found.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
     if status:
-        no_fix = columns[status[0]] < 0
-        columns |= {field: np.where(no_fix, np.nan, columns[field]) for _, field, _ in found.values()}
-    unfilled = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
-    unfilled -= {*STEERING, *(() if unfilled.issuperset(QUATERNION_CHANNELS) else QUATERNION_CHANNELS)}
-    filled = {channel: columns[field] for channel, (_, field, _) in found.items() if channel not in unfilled}
-    return stamps, {**{found[channel][0]: values for channel, values in filled.items() if channel not in STEERING},
-                    **{channel: found[channel][2] * filled[channel] for channel in STEERING if channel in filled}}
+        lacks_fix = columns[status[0]] < 0
+        columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in found.values()}
+    empty_channels = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
+    empty_channels -= {*STEERING, *(() if empty_channels.issuperset(QUATERNION_CHANNELS) else QUATERNION_CHANNELS)}
+    channels = {channel: columns[field] for channel, (_, field, _) in found.items() if channel not in empty_channels}
+    return stamps, {**{found[channel][0]: values for channel, values in channels.items() if channel not in STEERING},
+                    **{channel: found[channel][2] * channels[channel] for channel in STEERING if channel in channels}}

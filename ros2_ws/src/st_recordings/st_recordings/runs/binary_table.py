@@ -91,17 +91,17 @@ def _join_signals(signals: list[Signal]) -> Any:
     the other vectors are NaN. Without any, the table has the signals of the most frequent length."""
     import pandas as pd
 
-    leaves = Counter(signal.path[-1] for signal in signals)
+    own_names = Counter(signal.path[-1] for signal in signals)
     rasters: list[tuple[str, np.ndarray]] = []
     columns: list[dict[str, np.ndarray]] = []
     length = Counter(len(signal.samples) for signal in signals).most_common(1)[0][0]
-    untimed: dict[str, np.ndarray] = {}
+    untimed_columns: dict[str, np.ndarray] = {}
     for signal in signals:
-        name = signal.path[-1] if leaves[signal.path[-1]] == 1 else "_".join(signal.path)
+        name = signal.path[-1] if own_names[signal.path[-1]] == 1 else "_".join(signal.path)
         name += f" [{signal.unit}]" if signal.unit else ""
         if signal.time is None:
             if len(signal.samples) == length:
-                untimed[name] = signal.samples
+                untimed_columns[name] = signal.samples
             continue
         times = signal.time[1]
         number = next((k for k, (_, raster) in enumerate(rasters) if np.array_equal(raster, times)), len(rasters))
@@ -111,7 +111,7 @@ def _join_signals(signals: list[Signal]) -> Any:
         if not np.array_equal(signal.samples, times):
             columns[number][name] = signal.samples
     if len(rasters) < 2:
-        return pd.DataFrame({rasters[0][0]: rasters[0][1], **columns[0]} if rasters else untimed)
+        return pd.DataFrame({rasters[0][0]: rasters[0][1], **columns[0]} if rasters else untimed_columns)
     factors = [find_columns(Path(), [name], Layout())["t"].factor for name, _ in rasters]
     parts = [pd.DataFrame(part, index=np.round(times * factor, 6))  # equal times in other units differ by rounding
              for (_, times), factor, part in zip(rasters, factors, columns, strict=True)]

@@ -192,7 +192,7 @@ def load_signal_table(dbc: Path, table: Path) -> SignalTable:
     for file, option in ((table, "--signals"), (dbc, "--dbc")):
         if not file.is_file():
             raise RunError(file, "the file does not exist, and a CAN log cannot be decoded without it",
-                           f"name the file with {option}, or a car that has one with --car")
+                           f"give the file with {option}, or a car that has one with --car")
     try:
         return load_table(dbc, table)
     except ValueError as error:

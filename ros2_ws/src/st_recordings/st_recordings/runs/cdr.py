@@ -76,20 +76,20 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
     definitions: as returned by bag_storage.Storage.definitions. A definition that cannot be parsed is ignored: its type
     remains as it is in the store, or unknown.
     """
-    recorded: dict[str, Any] = {}
+    recorded_types: dict[str, Any] = {}
     for name in types:
         encoding, text = definitions.get(name, ("", ""))
         try:
             if text:
-                recorded |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
+                recorded_types |= get_types_from_idl(text) if encoding == "ros2idl" else get_types_from_msg(text, name)
         except Exception:  # any, from the parser of rosbags
             continue
     if all(name in store.fielddefs and _normalise(store.fielddefs[name][1]) == _normalise(fields)
-           for name, (_, fields) in recorded.items()):
+           for name, (_, fields) in recorded_types.items()):
         return store
     merged = get_typestore(Stores.EMPTY)
     try:
-        merged.register({**store.fielddefs, **recorded})
+        merged.register({**store.fielddefs, **recorded_types})
     except Exception:  # any, from rosbags: a definition contradicts itself
         return store
     return merged
@@ -228,11 +228,12 @@ def read_summary(path: Path) -> Summary | None:
     if summary is None or not summary.chunk_indexes or summary.statistics is None:
         return None
     counts = summary.statistics.channel_message_counts
-    indexed = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
+    indexed_channels = set().union(*(chunk.message_index_offsets for chunk in summary.chunk_indexes))
     has_channels = all(number in summary.channels for number, count in counts.items() if count)
     has_schemas = all(c.schema_id in summary.schemas or not c.schema_id for c in summary.channels.values())
-    is_complete = has_channels and has_schemas and indexed >= {number for number, count in counts.items() if count}
-    return summary if is_complete and sum(counts.values()) == summary.statistics.message_count else None
+    is_indexed = indexed_channels >= {number for number, count in counts.items() if count}
+    is_complete = sum(counts.values()) == summary.statistics.message_count
+    return summary if has_channels and has_schemas and is_indexed and is_complete else None
 
 
 def read_blocks(path: Path, summary: Summary, channels: Collection[int]) -> Iterator[tuple[int, Block]]:

@@ -159,20 +159,20 @@ def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search
     """A note if a refused alignment would be accepted with the opposite steering sign; otherwise empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
-    opposite = align([replace(pairs[0], other=-pairs[0].other)], search=search)
-    return "" if opposite.verdict is Verdict.REFUSED else (
+    mirrored = align([replace(pairs[0], other=-pairs[0].other)], search=search)
+    return "" if mirrored.verdict is Verdict.REFUSED else (
         f"with the opposite steering_sign, curvature and steering have a correlation of "
-        f"{opposite.signals[0].correlation:.2f}")
+        f"{mirrored.signals[0].correlation:.2f}")
 
 
 def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:
     """Selects the offset near the clock of the logger if it is one of several that fit equally well."""
-    near = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
-    if near.verdict is Verdict.REFUSED or not near.peak or not result.peak or (
-            near.peak.correlation < MIN_RELATIVE_PEAK * result.peak.correlation):
+    near_zero = align(pairs, search=(-MAX_CLOCK_ERROR, MAX_CLOCK_ERROR))
+    if near_zero.verdict is Verdict.REFUSED or not near_zero.peak or not result.peak or (
+            near_zero.peak.correlation < MIN_RELATIVE_PEAK * result.peak.correlation):
         return result
-    return near.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
-                            f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
+    return near_zero.with_doubts("several offsets fit equally well because laps or manoeuvres repeat; the one within "
+                                 f"{MAX_CLOCK_ERROR:.0f} s of the logger's own clock is used")
 
 
 def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], latency: tuple[float, float]) -> Alignment:
@@ -185,10 +185,10 @@ def _align_by_checked_time_frame(frames: Signal, pairs: list[SharedSignal], late
     # Search only near the offset of the time frame, because repeated laps fit at several offsets.
     offset = result.offset_at_ns(result.at_ns) * 1e-9
     # Only the first message with velocity, yaw rate or yaw, because a second one adds no information.
-    distinct: dict[str, SharedSignal] = {}
+    distinct_pairs: dict[str, SharedSignal] = {}
     for pair in pairs:
-        distinct.setdefault(pair.name.partition(" (")[0], pair)
-    check = align(list(distinct.values()), search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
+        distinct_pairs.setdefault(pair.name.partition(" (")[0], pair)
+    check = align(list(distinct_pairs.values()), search=(offset - CHECK_SEARCH, offset + CHECK_SEARCH))
     if check.verdict is Verdict.REFUSED:
         return result.with_doubts(f"the shared signals do not confirm the offset: {check.reasons[-1]}")
     difference = (check.offset_at_ns(check.at_ns) - result.offset_at_ns(check.at_ns)) * 1e-9

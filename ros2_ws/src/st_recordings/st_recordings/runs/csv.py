@@ -413,30 +413,30 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
         return
     x, y = columns["x"][rows], columns["y"][rows]
     step = np.hypot(np.diff(x), np.diff(y))
-    new = step > 0
-    if not new.any():
+    is_new = step > 0
+    if not is_new.any():
         return
     seconds = (table.time_ns[rows] - table.time_ns[rows[0]]) * 1e-9
-    resolution = max(float(step[new].min()), 1e-9)
-    moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > np.median(step[new]) / 20 + resolution / 20
+    resolution = max(float(step[is_new].min()), 1e-9)
+    is_moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > (np.median(step[is_new]) + resolution) / 20
     recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
     is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in recorded)
-    if is_rounded or (moving & ~new).sum() <= MAX_HELD_SHARE * max(moving.sum(), 1):
+    if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_SHARE * max(is_moving.sum(), 1):
         return
-    measured = np.concatenate(([True], new))
+    is_measured = np.concatenate(([True], is_new))
     # The first new position after missing rows may have been measured during the gap, so its time is unknown.
-    after_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
-    if (measured & after_gap).sum() <= MAX_AFTER_GAP_SHARE * measured.sum() and (measured & ~after_gap).sum() > 2:
-        measured &= ~after_gap
-    before, last = np.flatnonzero(measured)[-2:]
+    has_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
+    if (is_measured & has_gap).sum() <= MAX_AFTER_GAP_SHARE * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
+        is_measured &= ~has_gap
+    before, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
         values = columns[name].copy()
-        values[rows] = np.interp(seconds, seconds[measured], columns[name][rows][measured])
+        values[rows] = np.interp(seconds, seconds[is_measured], columns[name][rows][is_measured])
         slope = (values[rows[last]] - values[rows[before]]) / (seconds[last] - seconds[before])
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
-    rate = (measured.sum() - 1) / max(seconds[measured][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions change in {format_share(int(measured.sum()), len(rows), 'rows')}, about "
+    rate = (is_measured.sum() - 1) / max(seconds[is_measured][-1] - seconds[0], 1e-9)
+    notes.append(f"{table.file}: positions change in {format_share(int(is_measured.sum()), len(rows), 'rows')}, about "
                  f"{rate:.0f} Hz; the positions of the other rows were interpolated")
 
 
