@@ -108,13 +108,13 @@ def _format_readme(description: dict[str, Any], kind: Format) -> str:
         "to x and B with respect to u. `start`: appends the initial values of the additional states to the six states.",
         f"A step h is stable above this speed (the equations are stiff at low speed): {stable}.",
         f"Not in the equations: {missing}. They act on the steering signal before the model, or on the sensors; apply "
-        "them outside." if missing else "", usage))) + "\n"
+        "them separately." if missing else "", usage))) + "\n"
 
 
 def make_half_width_function(band: Band, level: float, vehicle: VehicleParameters,
                              name: str = "half_widths") -> casadi.Function:
-    """CasADi function of the half-widths of a band, (points of the horizon, 3): along, across [m] and yaw [rad]. Its
-    arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; and steering_activity
+    """CasADi function that returns the half-widths of a band, (points of the horizon, 3): along, across [m], yaw [rad].
+    Its arguments are x: the six states at the CG; u: road_wheel_angle [rad], velocity_x_dot [m/s^2]; steering_activity
     [rad/s]: root mean square rate of the road-wheel angle in the last second. Its values equal `Band.half_widths`; the
     calibration domain is not checked. Raises ConfigurationError for a level without a band."""
     if level not in band.factors:

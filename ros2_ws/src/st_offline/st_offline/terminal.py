@@ -15,7 +15,7 @@ def make_progress_bars(console: Console) -> Progress:
 
 
 def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
-    """Table with the keys of the first row as titles, empty without rows. options: of rich's Table."""
+    """Table with the keys of the first row as titles, empty without rows. options: those of rich's Table."""
     table = Table(box=None, **options)
     for title in rows[0] if rows else ():
         # A model name that is split by a line break cannot be copied.

@@ -13,11 +13,11 @@ from st_core.timeseries import NANOSECOND, TimeSeries
 from st_core.vehicle import VehicleParameters
 
 HISTORY_SPAN = 60.0  # s, maximum age of a measurement used, and of a verdict without new measurements
-WINDOW = 30.0  # s of measurements that are checked, if they contain enough driving
+WINDOW = 30.0  # s of measurements that are checked; more if these contain too little driving
 MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s] that a verdict requires
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
-CHECK_PERIOD = 10.0  # s of measurement between checks
+CHECK_PERIOD = 10.0  # s of measurements between checks
 CPU_SHARE = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong INS lever arm. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
@@ -50,7 +50,7 @@ class Consistency:
         self.cpu_time = 0.0
         self._faults: frozenset[str] = frozenset()  # found by the last check
         self._checked_ns: int | None = None
-        self._started: float | None = None
+        self._first_poll: float | None = None
         self._checked_at = self._not_before = -math.inf
 
     def poll(self, history: MeasurementHistory, now: float) -> bool:
@@ -59,8 +59,8 @@ class Consistency:
         An exception in a check is not raised; it becomes a verdict of severity "warning".
         """
         newest = history.ins.newest
-        if self._started is None:
-            self._started = now
+        if self._first_poll is None:
+            self._first_poll = now
         if newest is None or now < self._not_before:
             return False
         if self._checked_ns is not None and 0 <= newest - self._checked_ns < CHECK_PERIOD / NANOSECOND:
@@ -69,13 +69,13 @@ class Consistency:
             return False
         self._checked_ns, self._checked_at = newest, now
         try:
-            self._check(*select_recent(history), self._started)
+            self._check(*select_recent(history), self._first_poll)
         except Exception as error:  # a failed check must not stop the scoring of predictions
             self.verdict = Verdict("warning", f"check failed: {type(error).__name__}: {error}")
         return True
 
-    def _check(self, log: DriveLog | None, driving_time: float, started: float) -> None:
-        """log, driving_time: as from `select_recent`. started: time of the first poll [s]."""
+    def _check(self, log: DriveLog | None, driving_time: float, first_poll: float) -> None:
+        """Update `verdict`. log, driving_time: from `select_recent`. first_poll: time of the first poll [s]."""
         previous_faults, self._faults = self._faults, frozenset()
         if log is None:
             self.verdict = _make_pending_verdict(driving_time)
@@ -85,7 +85,7 @@ class Consistency:
             findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_REPORTED_LIVE]
         finally:
             self.cpu_time += time.thread_time() - cpu_start
-            self._not_before = started + self.cpu_time / self._share
+            self._not_before = first_poll + self.cpu_time / self._share
         self._faults = frozenset(finding.name for finding in findings if finding.severity != "note")
         self.verdict = _make_verdict(findings, previous_faults, log.duration)
 
@@ -112,7 +112,7 @@ def select_recent(history: MeasurementHistory) -> tuple[DriveLog | None, float]:
 
 
 def _thin_out(series: TimeSeries, start_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(times, rows) since an instant: the first sample of each SAMPLE_PERIOD_NS."""
+    """(times, rows) of the first sample in each SAMPLE_PERIOD_NS from `start_ns` on."""
     first = int(np.searchsorted(series.times, start_ns))
     times = series.times[first:]
     selected = np.flatnonzero(np.diff(times // SAMPLE_PERIOD_NS, prepend=-1))
@@ -125,7 +125,8 @@ def _make_pending_verdict(driving_time: float) -> Verdict:
 
 
 def _make_verdict(findings: Sequence[Finding], previous_faults: Set[str], duration: float) -> Verdict:
-    """findings: worst first. previous_faults: names of the faults in the previous check. duration: of the data [s]."""
+    """Verdict on findings, worst first. previous_faults: names of the faults that the previous check found. duration:
+    duration of the data [s]."""
     values = {}
     for finding in findings:
         interval = finding.interval

@@ -61,7 +61,8 @@ class PathBuilder:
             header.frame_id = map_frame
 
     def fill(self, start_ns: int, trajectory: Trajectory, vehicle: VehicleParameters) -> PathMessage:
-        """Sets `message` to the trajectory at the INS point; each pose has the stamp for which it is predicted."""
+        """Set `message` to the trajectory at the INS point; the stamp of a pose is the time for which it is predicted.
+        """
         x, y = cg_to_ins_position(trajectory.x, trajectory.y, trajectory.yaw, vehicle.cg_to_ins_x, vehicle.cg_to_ins_y)
         half_yaw = 0.5 * trajectory.yaw
         self.message.header.stamp = from_nanoseconds(start_ns)
@@ -120,7 +121,8 @@ def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehiclePar
 
 
 def read_trajectory(message: Prediction | PlannedPrediction) -> tuple[int, Trajectory] | str:
-    """(start_ns, trajectory) of a prediction message, or why it cannot be used. Only the start must be finite."""
+    """(start_ns, trajectory) of a prediction message, or the reason why it cannot be used. Only the start state must be
+    finite."""
     columns = [message.x, message.y, message.velocity_x, message.velocity_y, message.yaw, message.yaw_rate]
     if len({len(c) for c in columns}) != 1 or len(message.x) < 2:
         return "its arrays differ in length or have fewer than two points"

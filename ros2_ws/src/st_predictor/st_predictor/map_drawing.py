@@ -25,14 +25,14 @@ class Pose(NamedTuple):
 
 
 def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Map x, y [m] of the closed outline of the car, with a nose that points ahead.
+    """Map x, y [m] of the closed outline of the car, with a nose that points forward.
 
     pose: pose of the INS point. Front and rear overhang are assumed equal: the vehicle file contains only the length.
     """
     overhang = 0.5 * (car.length - car.wheelbase)
-    front, rear, half = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
+    front, rear, side = car.cg_to_front_axle + overhang, -car.cg_to_rear_axle - overhang, 0.5 * car.width
     forward = np.array([rear, 0.6 * front, front, 0.6 * front, rear, rear]) - car.cg_to_ins_x
-    left = np.array([half, half, 0.0, -half, -half, half]) - car.cg_to_ins_y
+    left = np.array([side, side, 0.0, -side, -side, side]) - car.cg_to_ins_y
     dx, dy = body_to_map(forward, left, pose.yaw)
     return pose.x + dx, pose.y + dy
 
@@ -62,15 +62,15 @@ def make_ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], a
     """
     x, y, yaw = pose
     ahead = np.append(np.zeros(len(x)), along[-1])
-    width, heading = np.append(across, across[-1]), np.append(yaw, yaw[-1])
+    half_width, heading = np.append(across, across[-1]), np.append(yaw, yaw[-1])
     middle = np.stack([np.append(x, x[-1]), np.append(y, y[-1])], axis=1)
-    edges = [middle + np.stack(body_to_map(ahead, side * width, heading), axis=1) for side in (1.0, -1.0)]
+    edges = [middle + np.stack(body_to_map(ahead, side * half_width, heading), axis=1) for side in (1.0, -1.0)]
     return Ribbon(level, *edges)
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A predicted path of the INS point in the map frame: x, y (n,) [m], with a point every `step` [s] from start_ns.
+    """A predicted path of the INS point in the map frame: x, y (n,) [m], one point every `step` [s] from start_ns on.
 
     ribbons: the bands around it, the widest first; empty without bands.
     """

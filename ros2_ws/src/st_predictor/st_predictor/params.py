@@ -106,7 +106,7 @@ def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile
 
 
 def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str], T]) -> T | None:
-    """Parsed file that a parameter names; None for an empty name. Raises ConfigurationError naming parameter and file.
+    """Parsed content of the file that a parameter names; None for an empty name. Raises ConfigurationError naming both.
 
     parse: function of the text and the name of the file.
     """

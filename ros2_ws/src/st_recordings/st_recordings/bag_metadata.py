@@ -14,7 +14,7 @@ import yaml
 from .paths import replace_file
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1  # [ns], for a duration that is not set and for the start of an empty bag or file
+INFINITE_NS = 2**63 - 1  # [ns], stored for a duration that is not set and as the start of an empty bag or file
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
 PRIMITIVE_TYPES = {"bool", "byte", "char", "float32", "float64", "string", "wstring", "int8", "uint8", "int16",
@@ -80,9 +80,9 @@ class BagInformation:
     custom: Mapping[str, str] = field(default_factory=dict)
 
     def to_document(self) -> dict[str, Any]:
-        filled = [f for f in self.files if f.count]
-        start = min((f.start_ns for f in filled), default=INFINITE_NS)
-        end = max((f.end_ns for f in filled), default=INFINITE_NS)
+        nonempty_files = [f for f in self.files if f.count]
+        start = min((f.start_ns for f in nonempty_files), default=INFINITE_NS)
+        end = max((f.end_ns for f in nonempty_files), default=INFINITE_NS)
         return {"rosbag2_bagfile_information": {
             "version": 9, "storage_identifier": "mcap", "duration": {"nanoseconds": end - start},
             "starting_time": {"nanoseconds_since_epoch": start}, "message_count": sum(f.count for f in self.files),
@@ -121,7 +121,8 @@ def read_information(directory: Path) -> dict[str, Any]:
 
 
 def collect_custom_data(records: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """Entry `custom_data` of metadata.yaml, "record.key" -> text: short one-line texts of all records but rosbag2."""
+    """Entry `custom_data` of metadata.yaml, "record.key" -> text: short single-line texts of all records but rosbag2.
+    """
     return {f"{name}.{key}": text for name, entries in records.items() if name != "rosbag2"
             for key, text in entries.items() if len(text) <= MAX_CUSTOM_DATA_LENGTH and "\n" not in text}
 

@@ -153,7 +153,8 @@ def list_remarks(folder: str) -> list[str]:
 
 
 def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
-    """One line for each quantity with a given or default uncertainty; a last line names others that may be fitted."""
+    """One line for each quantity with a stated or default uncertainty; a last line names the others that may be fitted.
+    """
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
     lines, without = [], []
@@ -221,7 +222,8 @@ def _find_bus_problems(car: Car) -> list[str]:
 
 
 def _list_bus_remarks(car: Car) -> list[str]:
-    """A line for each used signal with an unknown unit in the DBC; one on the speed signals there if none is used."""
+    """A line for each used signal with an unknown unit in the DBC, and one if none of the speed signals there is used.
+    """
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
@@ -233,8 +235,8 @@ def _list_bus_remarks(car: Car) -> list[str]:
     unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: name one "
-            "vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
+    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: map one "
+            "to vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
             "steering"] if unused else notes
 
 

@@ -30,9 +30,9 @@ __all__ = ["BagWriter", "Qos", "RecoveryError", "RecoveryReport", "make_qos", "r
 CHUNK_SIZE = 1024 * 1024
 """Bytes that are compressed together; at high data rates a chunk is full before FLUSH_PERIOD has passed."""
 FLUSH_PERIOD = 0.5
-"""Period [s] of writes. A killed process loses up to 1 s of data: this period and the delay of flush_when_due."""
+"""Period [s] of writes. A killed process loses up to 1 s of data: this period plus the delay of flush_when_due."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors when writing the index for which the newest chunks are dropped until it fits; for others, all are kept."""
+"""Errors in writing the index after which the newest chunks are dropped until it fits; other errors drop none."""
 SHORTEST_SYNC_PERIOD = 0.25
 """Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
@@ -149,7 +149,7 @@ class BagWriter:
                 self._stop(error)
 
     def close(self) -> None:
-        """Writes pending messages, index and metadata.yaml; nothing after an error or a previous call."""
+        """Writes pending messages, index and metadata.yaml; does nothing after an error or a previous call."""
         self.flush()
         if not (self.closed or self.error):
             try:
@@ -267,8 +267,8 @@ class Syncer:
     """Calls fdatasync on a growing file in a separate thread after `wake`, at most once per SHORTEST_SYNC_PERIOD. A
     power failure then loses only the last data of the file.
 
-    error: text of the last error, or empty. It is never cleared, because data of a failed call may be missing even if
-    later calls succeed. count: number of calls, including failed ones. longest: duration of the slowest call [s].
+    error: text of the last error, or "". It is never cleared, because data of a failed call may be missing even if
+    later calls succeed. count: number of calls, including failed ones. longest: duration of the longest call [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
@@ -308,17 +308,17 @@ class Syncer:
         self._thread.join()
 
     def _work(self) -> None:
-        began = float("-inf")
+        start = float("-inf")
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._stopped or self._waiting_since is not None)
-                pause = began + SHORTEST_SYNC_PERIOD - time.monotonic()
+                pause = start + SHORTEST_SYNC_PERIOD - time.monotonic()
                 if pause > 0.0:
                     self._condition.wait_for(lambda: self._stopped, pause)
                 if self._stopped:
                     break
                 self._syncing_since, self._waiting_since = self._waiting_since, None
-            began = time.monotonic()
+            start = time.monotonic()
             try:
                 os.fdatasync(self._descriptor)
                 while self._folders:
@@ -333,5 +333,5 @@ class Syncer:
                 self.error = error.strerror or str(error)
             with self._condition:
                 self._syncing_since = None
-                self.count, self.longest = self.count + 1, max(self.longest, time.monotonic() - began)
+                self.count, self.longest = self.count + 1, max(self.longest, time.monotonic() - start)
         os.close(self._descriptor)

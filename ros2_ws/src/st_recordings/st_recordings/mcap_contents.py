@@ -70,7 +70,7 @@ class _ChunkEntry:
 
 
 class Contents:
-    """Inventory of one file, from which its index section is written. Times are log times [ns since 1970]."""
+    """Inventory of the records in one file, for its index section. Times are log times [ns since 1970]."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -119,7 +119,7 @@ class Contents:
         return True
 
     def _add(self, record: McapRecord, offset: int, length: int, messages: Mapping[int, MessageIndex]) -> None:
-        """messages: message indexes of a chunk, if they may be missing in the file."""
+        """Add a parsed record. messages: message indexes of a chunk, if they may be missing in the file."""
         match record:
             case Chunk():
                 self._add_chunk(record, messages, offset, length)
@@ -143,7 +143,7 @@ class Contents:
                     data_size=len(record.data), name=record.name, media_type=record.media_type))
 
     def _index_messages(self, chunk: Chunk) -> dict[int, MessageIndex]:
-        """Indexes the messages of a chunk by channel id, and adds its schemas and channels; raises if damaged."""
+        """Indexes the messages of a chunk by channel id, and adds its schemas and channels; raises if it is damaged."""
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
         if len(data) != chunk.uncompressed_size:
@@ -155,7 +155,7 @@ class Contents:
             opcode, inner = _HEAD.unpack_from(data, position)
             start, end = position + _HEAD.size, position + _HEAD.size + inner
             if end > size:
-                raise ValueError("a record reaches beyond its chunk")
+                raise ValueError("a record extends beyond the end of its chunk")
             if opcode == Opcode.MESSAGE:
                 channel_id, _, log_time, _ = _MESSAGE.unpack_from(data, start)
                 if channel_id not in channels:
@@ -192,7 +192,7 @@ class Contents:
         self._older_times = [min(times), max(times)] if times else []
 
     def append(self, stream: WritableStream, *records: McapRecord) -> None:
-        """Writes records and adds them; after an OSError the inventory is unchanged."""
+        """Writes records and adds them to the inventory, which is unchanged after an OSError."""
         parts = [_serialise(record) for record in records]
         offset = stream.tell()
         stream.write(b"".join(parts))

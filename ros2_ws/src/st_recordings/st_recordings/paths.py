@@ -50,8 +50,8 @@ class OutputError(OSError):
 
 
 def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """Absolute path of `given` or else runs/<name>-<time>; if `create`, the folder is created. Raises OutputError if it
-    is a file, is not empty, or cannot be read or created; with `create`, also if its disk is full."""
+    """Absolute path of `given`, or else of runs/<name>-<time>, created if `create`. Raises OutputError if it is a file,
+    is not empty, or cannot be read or created; with `create`, also if its disk is full."""
     folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):

@@ -109,7 +109,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
     with in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
-                                segment_drive(run.log, run.labels))) as checked:
+                                segment_drive(run.log, run.labels))) as wait_for_checks:
         signals = task.settings.signals(run.log)
         bands = task.bands[1] if task.bands else None
         scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
@@ -118,7 +118,7 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
             evaluation = evaluate_log(models, task.vehicle, signals, task.settings, progress=progress,
                                       on_block=scorer.add, future_inputs=future_inputs)
         finally:  # a finding of the checks explains a fault better than the exception that it causes here
-            findings, parts = checked()
+            findings, parts = wait_for_checks()
             refuse_errors(source.path, findings, task.force)
     times.append(time.perf_counter())
     _require_scores(source, run, evaluation)

@@ -60,16 +60,16 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
-    drawn = _thin_rows(len(data["curvature"]))
+    subset = _thin_rows(len(data["curvature"]))
     for index, name in enumerate(data["names"]):
-        rows = drawn[data["run"][drawn] == index]
+        rows = subset[data["run"][subset] == index]
         left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
     left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
     left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity without slip")
     if len(data["names"]) <= 8:
         left.legend(markerscale=3, fontsize=7)
-    right.plot(data["speed"][drawn], data["residual"][drawn] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
+    right.plot(data["speed"][subset], data["residual"][subset] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
     right.axhline(0.0, color=TEXT, lw=0.8)
     right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
     lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
@@ -84,12 +84,12 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
 def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     """Draw axle force versus slip angle as in the paper; for a fit by prediction, also the joint 95 % region."""
     paper = outcome.figure.get("paper")
-    both = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
+    values = ", ".join(f"{axle} {_format_value(outcome[f'cornering_stiffness_{axle}'])}" for axle in ("front", "rear"))
     points = "force and slip angle of the axle from force and moment balance, up to 2 deg of slip."
     if outcome.experiment == "stiffness-paper":
         figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
         _draw_force_and_slip(panels, outcome, (outcome,))
-        return save_figure(figure, output, outcome.experiment, f"Slopes {both}", f"Dots: {points}")
+        return save_figure(figure, output, outcome.experiment, f"Slopes {values}", f"Dots: {points}")
     widths = (1.2, 1.2, 1) if paper else (1,)
     figure, panels = plt.subplots(1, len(widths), figsize=(WIDTH, 3.6), width_ratios=widths, squeeze=False)
     *force_panels, pair = panels[0]
@@ -107,25 +107,26 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
     pair.legend(fontsize=8)
     caption = ("Left: force and slip as in the paper, with both slopes. Right: 95 % intervals of both methods, and "
                "the joint region of the prediction." if paper else "95 % intervals and joint region of the prediction.")
-    return save_figure(figure, output, "stiffness", f"Cornering stiffness {both} by prediction", caption)
+    return save_figure(figure, output, "stiffness", f"Cornering stiffness {values} by prediction", caption)
 
 
 @apply_style()
 def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the residuals of a fit by prediction, and the first parameter versus the one most correlated with it."""
+    """Draw the residuals of a fit by prediction, and the joint 95 % region of its first parameter and the parameter
+    most correlated with it."""
     data, first = outcome.figure, outcome.estimates[0]
     channels = (("rate", "yaw rate, deg/s", DEG), ("across", "lateral velocity, mm/s", 1e3)
                 )[:data["residuals"].shape[1]]  # the lateral velocity may not have been measured
     figure, panels = plt.subplot_mosaic([[key, "pair"] for key, *_ in channels], figsize=(WIDTH, 4.2),
                                         width_ratios=(1.5, 1))
     position = _concatenate_times(data["residual_run"], data["residual_time"])
-    drawn = _thin_rows(len(position))
-    begins = position[np.unique(data["residual_run"], return_index=True)[1]]
+    subset = _thin_rows(len(position))
+    run_starts = position[np.unique(data["residual_run"], return_index=True)[1]]
     for column, (key, label, factor) in enumerate(channels):
         axes = panels[key]
-        for begin in begins[1:]:
-            axes.axvline(begin - 1.0, color=TEXT, lw=0.6, ls=":")
-        axes.plot(position[drawn], data["residuals"][drawn, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
+        for run_start in run_starts[1:]:
+            axes.axvline(run_start - 1.0, color=TEXT, lw=0.6, ls=":")
+        axes.plot(position[subset], data["residuals"][subset, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
         axes.axhline(0.0, color=TEXT, lw=0.8)
         axes.set_ylabel(label)
     for key, *_ in channels[:-1]:
@@ -152,8 +153,8 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
 def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lines: Sequence[Identification]) -> None:
     for axes, axle in zip(panels, ("front", "rear"), strict=True):
         slip, force = points.figure[f"slip_{axle}"], points.figure[f"force_{axle}"]
-        drawn = _thin_rows(len(slip))
-        axes.plot(slip[drawn] * DEG, force[drawn] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
+        subset = _thin_rows(len(slip))
+        axes.plot(slip[subset] * DEG, force[subset] * 1e-3, ".", color=MEASURED_COLOUR, ms=2)
         # Each line passes through the mean of the samples, which an offset of steering or INS shifts from the origin.
         middle, ends = slip.mean(), np.array([slip.min(), slip.max()])
         styles = ((PAPER_COLOUR, "regression (paper)"), (FIT_COLOUR, "prediction"))
@@ -210,24 +211,24 @@ def _format_value(estimate: ParameterEstimate) -> str:
 
 def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification],
                           draw: Callable[[Identification, FigureOutput], PageFigure],
-                          predicts: bool = False) -> Experiment:
-    """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `predicts`, with the model as
-    keyword argument `base`."""
+                          uses_model: bool = False) -> Experiment:
+    """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `uses_model`, with the model
+    as keyword argument `base`."""
     def identify(job: IdentificationJob) -> tuple[Identification, ...]:
-        if not predicts and job.model is not MODELS["nonlinear"]:
+        if not uses_model and job.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
         drives = read_drives(find_runs(job.files), job.vehicle, job.read, 1, lambda: None, job.force)
         failed = {d.name: d.problem for d in drives if d.log is None}
         used = [d for d in drives if d.log is not None]
         if not used:
             raise ConfigurationError("no run can be used: " + join_problems(failed.values()))
-        outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if predicts else {}))
+        outcome = compute([d.log for d in used], job.vehicle, **({"base": job.model} if uses_model else {}))
         warnings = dict.fromkeys(warning for d in used for warning in d.metadata["warnings"])  # each once, in order
         return (replace(outcome, experiment=name, rejected=(*failed.items(), *outcome.rejected),
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
-    return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, drives=True)
+    return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, uses_recordings=True)
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
@@ -263,13 +264,13 @@ DRIVING = (
     make_drive_experiment("steering-offset", "offset of the steering wheel sensor, by two methods",
                           "straight driving above 5 m/s", identify_steering_offset, draw_offset),
     make_drive_experiment("steering", "steering ratio and offset, without turntables",
-                          "bends and straights at several speeds", identify_steering, draw_prediction, predicts=True),
+                          "bends and straights at several speeds", identify_steering, draw_prediction, uses_model=True),
     make_drive_experiment("ins", "lever arm and misalignment of the INS",
                           "2 to 9 m/s, straights and bends to both sides", identify_ins_mounting, draw_mounting),
     make_drive_experiment("stiffness", "cornering stiffnesses, by prediction", "bends to both sides, up to 4 m/s^2",
-                          compare_stiffness, draw_stiffness, predicts=True),
+                          compare_stiffness, draw_stiffness, uses_model=True),
     make_drive_experiment("stiffness-paper", "cornering stiffnesses, by the regression of the paper",
                           "bends to both sides", identify_stiffness, draw_stiffness),
     make_drive_experiment("yaw-inertia", "yaw inertia", "steps, lane changes, sweeps", identify_yaw_inertia,
-                          draw_prediction, predicts=True),
+                          draw_prediction, uses_model=True),
 )

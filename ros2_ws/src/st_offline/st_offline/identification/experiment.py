@@ -39,7 +39,7 @@ class IdentificationJob:
 class Experiment:
     """One experiment. name: as on the command line. description: one line. files: description of the files needed.
     identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
-    of a result. files_needed: whether files must be given. drives: whether the files are recordings of drives."""
+    of a result. files_needed: whether files must be given. uses_recordings: whether the files are recorded drives."""
 
     name: str
     description: str
@@ -47,7 +47,7 @@ class Experiment:
     identify: Callable[[IdentificationJob], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
     files_needed: bool = True
-    drives: bool = False
+    uses_recordings: bool = False
 
 
 def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
@@ -55,10 +55,10 @@ def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[S
     rows: list[Sequence[str]] = []
     for e in outcome.estimates:
         factor, unit = (180.0 / math.pi, "deg") if e.unit == "rad" else (1.0, e.unit)
-        before = "" if find_quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
+        file_value = "" if find_quantity(e.parameter) is None else f"{value_of(vehicle, e.parameter) * factor:.5g}"
         value, uncertainty, low, high = (format_rounded(x * factor, e.standard_uncertainty * factor)
                                          for x in (e.value, e.standard_uncertainty, *e.interval95))
-        rows.append((e.parameter, value, uncertainty, f"{low} to {high}", unit, before, e.status))
+        rows.append((e.parameter, value, uncertainty, f"{low} to {high}", unit, file_value, e.status))
     return rows
 
 

@@ -43,8 +43,8 @@ def run_command(job: IdentificationJob, console: Console) -> int:
         try:
             outcomes = job.experiment.identify(job)
         except result.IdentificationError as error:
-            named = ", ".join(map(str, job.files[:3]))
-            raise result.IdentificationError(f"{named}: {error}" if named else str(error)) from None
+            files = ", ".join(map(str, job.files[:3]))
+            raise result.IdentificationError(f"{files}: {error}" if files else str(error)) from None
         outcomes = tuple(replace(outcome, warnings=(*outcome.warnings, *filter(None, (
             result.compare_with_file(job.vehicle, estimate) for estimate in outcome.estimates))))
                       for outcome in outcomes)
@@ -54,11 +54,11 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
     stale = result.describe_stale_scales(job.vehicle, outcomes)
     with console.status("writing"):
-        files = write_results(job, outcomes, car, make_provenance(job, now))
+        paths = write_results(job, outcomes, car, make_provenance(job, now))
     print_results(outcomes, job.vehicle, stale, console)
-    list_files({files["identification.json"]: "values, uncertainties, verdicts",
-                files["vehicle.yaml"]: "vehicle file with the identified values",
-                files["report.html"]: "figures, correlations, data used and left out"}, console)
+    list_files({paths["identification.json"]: "values, uncertainties, verdicts",
+                paths["vehicle.yaml"]: "vehicle file with the identified values",
+                paths["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
@@ -69,8 +69,8 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
     for outcome in outcomes:
         console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
-             "95 % interval": interval, "in the file": before, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
-            for name, value, _, interval, unit, before, status in estimate_rows(outcome, vehicle)],
+             "95 % interval": interval, "in the file": file_value, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
+            for name, value, _, interval, unit, file_value, status in estimate_rows(outcome, vehicle)],
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
@@ -89,7 +89,7 @@ def collect_findings_by_drive(outcomes: Sequence[result.Identification]) -> dict
 def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
     """Provenance of the values: time, experiment, vehicle, files, versions."""
     data = list(job.files)
-    if job.experiment.drives:  # the recordings instead of their folders
+    if job.experiment.uses_recordings:  # the recordings instead of their folders
         data = [file for source in find_runs(job.files) for file in (*source.files, *source.can)
                 if os.access(file, os.R_OK)]
     return {"created": now.isoformat(timespec="seconds"), "experiment": job.experiment.name,
@@ -116,7 +116,7 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
 
 
 def update_vehicle_text(file: Path, car: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
-    """Text of the vehicle file with the identified entries replaced; of `car` alone, if the file is unreadable."""
+    """Text of the vehicle file with the identified entries replaced; if it is unreadable, text of a new file."""
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
     try:

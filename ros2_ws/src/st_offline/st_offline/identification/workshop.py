@@ -67,7 +67,7 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower left", ncols=4)
-    caption = ("One point per weighing. The interval includes their standard deviation and the uncertainty of the "
+    caption = ("One point per weighing. The interval includes the scatter of the weighings and the uncertainty of the "
                "scales.")
     title = f"{outcome['mass'].verdict} {outcome['cg_to_front_axle'].verdict}"
     return save_figure(figure, output, "scales", title, caption)
@@ -237,7 +237,7 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
     left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
     left.legend(title="load", fontsize=8)
     middle.axhline(0.0, color=TEXT, lw=0.8)
-    middle.set(xlabel="slip angle, deg", ylabel="fit minus measured, N")
+    middle.set(xlabel="slip angle, deg", ylabel="fit minus measurement, N")
     right.plot(data["levels"], np.abs(data["stiffness"][:, 0]) / 1e3, color=MODEL_COLOUR["nonlinear"], lw=0.8)
     right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
     share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()

@@ -34,20 +34,20 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
         raise ConfigurationError(f"{values.where}output_directory: {file}{error.strerror or error}") from None
 
 
-def make_recording_check(bag: BagWriter, stopped: str = "", resumed: bool = False) -> Check:
+def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: bool = False) -> Check:
     """Diagnostic check of the recording: message counts, losses and disk errors.
 
-    stopped: why an earlier bag of the same run ended. resumed: whether to warn that a new bag has just been opened.
+    stop_reason: why an earlier bag of the same run ended. has_resumed: whether to warn that a new bag was just opened.
     """
     values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
     if bag.syncer:
         values["slowest sync [s]"] = round(bag.syncer.longest, 3)
-    if stopped:
-        values["previous bag"] = stopped
+    if stop_reason:
+        values["previous bag"] = stop_reason
     if bag.error:
         return Check("recording", diagnostics.ERROR, bag.error, values)
-    if resumed:
-        return Check("recording", diagnostics.WARN, f"{stopped}; recording resumed in {bag.directory}", values)
+    if has_resumed:
+        return Check("recording", diagnostics.WARN, f"{stop_reason}; recording resumed in {bag.directory}", values)
     level, text = diagnostics.OK, f"{bag.message_count} messages"
     if bag.syncer and bag.syncer.error:
         # The recording continues: most data may still reach the disk, and a new bag would be on the same one.

@@ -65,10 +65,11 @@ class PredictionBands:
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
         """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
 
-        Without adaptation: those of the bands file, which has no planned modes. Valid until the next call.
+        Without adaptation, they are those of the bands file, which has no planned modes. They are valid until the next
+        call.
         """
         if self._adaptive:
-            condition = conditions_now(history, time_ns) if self._calibration else ()  # for bands of a file only
+            condition = conditions_now(history, time_ns) if self._calibration else ()  # only a bands file needs it
             issued, self._reason = self._adaptive.issue(time_ns, condition, modes)
             messages = self._messages.fill() if issued else {}
             return {model: [band for band in bands if (model, band.mode) in issued]
@@ -134,8 +135,8 @@ class BandMessages:
 
 
 def read_bands(message: Prediction) -> HalfWidths:
-    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]. Bands with another number of
-    points than the path are omitted."""
+    """(mode, level) -> half-widths (n, 3): along, across [m], yaw [rad]. Bands that differ from the path in the number
+    of points are omitted."""
     points = len(message.x)
     columns = {(band.mode, band.level): [getattr(band, axis) for axis in AXES] for band in message.bands}
     return {key: np.array(widths, float).T for key, widths in columns.items()

@@ -57,9 +57,9 @@ class PlanInput:
         self._counts["used"] += 1
         return inputs, self._plan.issued_ns
 
-    def make_check(self, predicts: bool) -> Check:
-        """Diagnostic check. predicts: whether the newest tick made predictions."""
-        if not predicts:
+    def make_check(self, is_predicting: bool) -> Check:
+        """Diagnostic check. is_predicting: whether the newest tick made predictions."""
+        if not is_predicting:
             return Check("plan", diagnostics.OK, NOT_USED, self._counts)
         if self._plan is None:
             return Check("plan", diagnostics.OK, f"none on {self._subscription.topic}: inputs are held", self._counts)
@@ -112,14 +112,14 @@ class CourseInput:
         """Whether the newest start used inputs of the course."""
         return not self._origin_problem and self._forecast.inputs is not None
 
-    def make_check(self, predicts: bool) -> Check:
-        """Diagnostic check. predicts: whether the newest tick made predictions."""
+    def make_check(self, is_predicting: bool) -> Check:
+        """Diagnostic check. is_predicting: whether the newest tick made predictions."""
         forecast = self._forecast
         if self._tracker is None:
             return Check("course", diagnostics.OK, "off (course_file is empty)")
         if self._origin_problem:
             return Check("course", diagnostics.WARN, f"not used, inputs are held: {self._origin_problem}", self._counts)
-        if not predicts:
+        if not is_predicting:
             return Check("course", diagnostics.OK, NOT_USED, self._counts)
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)

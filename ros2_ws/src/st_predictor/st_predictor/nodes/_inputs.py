@@ -88,7 +88,7 @@ class PublisherLock:
 
 class _Input:
     """One input topic. received: number of messages of the accepted publisher, including refused ones. last_refusal:
-    reason for which the newest was refused, or "". arrived_ns: arrival of the newest accepted message, host UTC."""
+    why the newest of them was refused, or "". arrived_ns: arrival of the newest of them [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
@@ -100,7 +100,7 @@ class _Input:
     def take_accepted(self) -> Iterator[Any]:
         """Queued messages of the accepted publisher."""
         previous_warning, count = self.lock.describe_competition(_read_utc()), self.subscription.count_publishers()
-        # Add new publishers before reading and remove ended ones after it: their last messages may still be queued.
+        # Add new publishers before reading, and remove ended ones only afterwards: their messages may still be queued.
         if count > len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
         for message, arrived_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
@@ -140,9 +140,9 @@ class Inputs:
         self._steering = _Input(node, "steering", Steering, "vehicle/steering", on_change)
         self._inputs = self._ins, self._steering
 
-    def wait(self, since_ns: int, longest: float) -> None:
-        """Process messages for `longest` [s], or until each signal has one that arrived since `since_ns` (host UTC)."""
-        end = time.monotonic() + longest
+    def wait(self, since_ns: int, timeout: float) -> None:
+        """Process messages for `timeout` [s], or until each signal has one that arrived since `since_ns` (host UTC)."""
+        end = time.monotonic() + timeout
         self.drain()
         while (min(one.arrived_ns for one in self._inputs) < since_ns
                and (remaining := end - time.monotonic()) > 0.0):
@@ -162,7 +162,8 @@ class Inputs:
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
-        """The reason for a missing prediction; if messages of the signal that it names are refused, also why."""
+        """The reason for a missing prediction; if it names a signal whose messages are refused, also the reason for
+        that."""
         for one in self._inputs:
             if one.last_refusal and reason.startswith(one.signal):
                 return f"{reason}; messages arrive but are refused: {one.last_refusal}"

@@ -21,7 +21,7 @@ QUEUE_DEPTH = 1000
 STATUS = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
           "invalid": TrackedParameter.INVALID}
 LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
-MAX_DEVIATION = 3.0  # standard deviations between estimate and vehicle file; a larger difference causes a warning
+MAX_DIFFERENCE = 3.0  # between estimate and vehicle file, in standard deviations; a larger one causes a warning
 
 
 class IdentifierNode(Node):
@@ -122,7 +122,7 @@ class IdentifierNode(Node):
             level = LEVELS[estimate.status]
             if estimate.status == "estimated":
                 text = f"{value:.4g} +/- {deviation:.2g} {estimate.unit}, vehicle file {file_value:.4g}"
-                if abs(value - file_value) > MAX_DEVIATION * deviation:
+                if abs(value - file_value) > MAX_DIFFERENCE * deviation:
                     level, text = diagnostics.WARN, f"{text}: the estimate contradicts the vehicle file"
             else:
                 state = "invalid" if estimate.status == "invalid" else "not estimated yet"

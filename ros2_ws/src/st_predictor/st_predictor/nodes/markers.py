@@ -26,7 +26,7 @@ LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has en
 TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m; widths of lines
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
-RIBBON_STRIDE = 4  # every RIBBON_STRIDE-th point is drawn
+RIBBON_STRIDE = 4  # points of the path for each drawn one
 
 
 class MarkersNode(Node):
@@ -45,7 +45,7 @@ class MarkersNode(Node):
         self._plots = {model: self.create_publisher(Vector3Stamped, f"view/{model}/error", 10)
                        for model in values.models}
         create_steady_timer(self, 1.0 / values.rate, self._draw)
-        self.get_logger().info(f"draws {', '.join(values.models)} of {self._car.name}")
+        self.get_logger().info(f"drawing {', '.join(values.models)} of {self._car.name}")
 
     def _draw(self) -> None:
         for model, subscription in self._predictions.items():
@@ -87,7 +87,7 @@ class MarkersNode(Node):
         return markers
 
     def _make_ribbons(self, now_ns: int) -> list[Marker]:
-        """The bands of the newest predictions, the 50 % band above the 90 % band, with the model as namespace."""
+        """Markers of the bands of the newest predictions, the 50 % band above the 90 % band; namespace: the model."""
         markers = []
         for number, model in enumerate(self._history.models):
             path = self._history.find_newest(model, now_ns)

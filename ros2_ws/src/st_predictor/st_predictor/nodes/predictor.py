@@ -26,7 +26,7 @@ from ._bands import PredictionBands
 from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
-MAX_OVERRUN_NS = 10_000_000_000  # a longer time between ticks is a clock jump, as in a replay, not an overrun
+MAX_OVERRUN_NS = 10_000_000_000  # a longer time between ticks is not an overrun but a clock jump, as in a replay
 DRAIN_PERIOD = 0.02  # s; queues are emptied between ticks, so that a tick has little input to process
 STATUS_PERIOD = 1.0  # s
 # Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
@@ -34,7 +34,7 @@ STATUS_PERIOD = 1.0  # s
 # In a replay at 100 predictions per second, a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
 MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
-JUMP_WARNING_DURATION = 10.0  # s of the warning about a position jump
+JUMP_WARNING_DURATION = 10.0  # s, of the warning about a position jump
 BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning
 
 
@@ -43,26 +43,27 @@ class TickCounter:
 
     def __init__(self) -> None:
         self._counts = {"predicted": 0, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
-        self._started = False
+        self._has_counted = False
         self._next_due_ns: int | None = None
         self._reported_overruns = 0
 
     def count_missed(self, next_due_ns: int, period_ns: int) -> int:
-        """Ticks dropped since the last call, 0 after a clock jump. next_due_ns: when the timer is due, node's clock."""
+        """Number of ticks dropped since the last call, 0 after a clock jump. next_due_ns: time of the next tick,
+        on the node's clock."""
         previous_ns, self._next_due_ns = self._next_due_ns, next_due_ns
         if previous_ns is None or not 0 < next_due_ns - previous_ns < MAX_OVERRUN_NS:
             return 0
         return max(0, round((next_due_ns - previous_ns) / period_ns) - 1)
 
-    def count(self, missed: int, skipped: str | None) -> None:
+    def count(self, missed: int, skip_kind: str | None) -> None:
         """Count a tick and the `missed` ticks dropped before it.
 
-        skipped: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
+        skip_kind: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
         """
-        if self._started or skipped != "stale":
-            self._counts["skipped_overrun"] += missed if self._started else 0
-            self._counts[f"skipped_{skipped}" if skipped else "predicted"] += 1
-            self._started = True
+        if self._has_counted or skip_kind != "stale":
+            self._counts["skipped_overrun"] += missed if self._has_counted else 0
+            self._counts[f"skipped_{skip_kind}" if skip_kind else "predicted"] += 1
+            self._has_counted = True
 
     def take_new_overruns(self) -> int:
         """Number of overruns since the previous call."""
@@ -148,7 +149,7 @@ class PredictorNode(Node):
         missed = self._counter.count_missed(next_due_ns, period_ns)
         # Waiting for the next sample makes the start state of the prediction newer.
         self._inputs.wait(next_due_ns - period_ns, self._wait)
-        started = time.perf_counter()
+        tick_start = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
         previous_skip, self._skip = self._skip, start if isinstance(start, Skip) else None
         self._counter.count(missed, self._skip.kind if self._skip else None)
@@ -161,7 +162,7 @@ class PredictorNode(Node):
         if changed or self._reported_jumps != self._core.history.jump_count:
             self._reported_jumps = self._core.history.jump_count
             self._diagnostics.publish()
-        self._slowest_tick = max(self._slowest_tick, time.perf_counter() - started)
+        self._slowest_tick = max(self._slowest_tick, time.perf_counter() - tick_start)
 
     def _find_start(self, now_ns: int) -> Start | Skip:
         start = self._core.find_start(now_ns)
@@ -198,13 +199,14 @@ class PredictorNode(Node):
 
     def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,
                              bands: Mapping[str, list[Band]] = MappingProxyType({})) -> dict[str, Trajectory]:
-        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: held."""
+        """Publish the predictions of all models; returns them by model. inputs: those of a plan or course; None: held.
+        """
         trajectories = {}
         for model in self._core.models:
-            run_started = time.perf_counter()
+            run_start = time.perf_counter()
             model_inputs = None if inputs is None else self._core.select_inputs(model, inputs)
             trajectories[model] = self._core.run(start, model, model_inputs)
-            compute_time = time.perf_counter() - run_started
+            compute_time = time.perf_counter() - run_start
             message = convert.make_prediction_message(
                 start, model, trajectories[model], self._core.car(model), self._map_frame, self._hashes[model],
                 model_inputs, plan_ns)

@@ -30,7 +30,7 @@ WORK_PERIOD = 0.05  # s between reads of the queues; each queued message has its
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
 RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
 RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
-RESUME_WARNING_DURATION = 10.0  # s of the warning that a recording was resumed
+RESUME_WARNING_DURATION = 10.0  # s, of the warning that a recording was resumed
 DIAGNOSTICS = "/diagnostics"
 SILENCE_TIMEOUT = 10.0  # s until a silent node is reported; every node publishes /diagnostics once a second
 QUEUE_DEPTH = 1000  # queued messages per topic: 4 s at 250 Hz, for a slow disk
@@ -56,7 +56,8 @@ class PublisherWatchdog:
             self._node_times.update((status.name.partition(": ")[0], now) for status in message.status)
 
     def find_silent_nodes(self, topics: Iterable[str]) -> dict[str, float]:
-        """Seconds of silence by node, of the nodes silent for SILENCE_TIMEOUT that alone publish one of `topics`."""
+        """Seconds of silence by node, for nodes that are the only publisher of one of `topics` and have been silent for
+        more than SILENCE_TIMEOUT."""
         now = time.monotonic()
         node_topics: dict[str, list[str]] = {}
         for topic in topics:
@@ -83,9 +84,9 @@ class RecorderNode(Node):
         self._values, self._records = values, make_metadata(values)
         self._bag = open_bag(values, self._records)
         self._stop_reason = ""  # why an earlier bag of this run ended
-        self._resume_at, self._resumed_at = float("inf"), float("-inf")
+        self._next_attempt, self._resumed_at = float("inf"), float("-inf")
         # By topic: subscription, channel of the bag, message type, and QoS of the publishers.
-        self._subscribed: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
+        self._recorded_topics: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
         self._refusals: dict[str, str] = {}  # reason by topic
         self._watchdog = PublisherWatchdog(self)
         self._simulated_time = self.get_parameter("use_sim_time").value
@@ -97,7 +98,7 @@ class RecorderNode(Node):
 
     def _subscribe_to_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
-            is_new = topic not in self._subscribed and topic not in self._refusals
+            is_new = topic not in self._recorded_topics and topic not in self._refusals
             matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
             if is_new and matches and (publishers := self.get_publishers_info_by_topic(topic)):
                 self._subscribe(topic, types, publishers)
@@ -117,10 +118,10 @@ class RecorderNode(Node):
             self._refusals[topic] = str(error)
             return
         subscription = PolledSubscription(self, message_type, topic, match_qos(publishers, QUEUE_DEPTH), raw=True)
-        self._subscribed[topic] = subscription, channel, types[0], qos
+        self._recorded_topics[topic] = subscription, channel, types[0], qos
 
     def _record_messages(self) -> None:
-        for topic, (subscription, channel, _, _) in self._subscribed.items():
+        for topic, (subscription, channel, _, _) in self._recorded_topics.items():
             for data, received_ns, sent_ns in subscription.take(QUEUE_DEPTH):
                 log_ns = self.get_clock().now().nanoseconds if self._simulated_time else received_ns
                 self._bag.write(channel, data, log_ns, sent_ns or log_ns)
@@ -132,40 +133,40 @@ class RecorderNode(Node):
     def _resume(self) -> None:
         """Resume in a new bag if the disk has space; at once if the directory was moved, else after RESUME_PERIOD."""
         now = time.monotonic()
-        if self._resume_at == float("inf"):
-            self._resume_at = now if self._bag.moved else now + RESUME_PERIOD
-        if now < self._resume_at:
+        if self._next_attempt == float("inf"):
+            self._next_attempt = now if self._bag.moved else now + RESUME_PERIOD
+        if now < self._next_attempt:
             return
-        self._resume_at = now + RESUME_PERIOD
+        self._next_attempt = now + RESUME_PERIOD
         with contextlib.suppress(OSError, ConfigurationError):
             folder = self._bag.directory
             existing = next(path for path in (folder, *folder.parents) if path.exists())
             if shutil.disk_usage(existing).free < RESUME_SPACE:
                 return
             bag = open_bag(self._values, self._records)
-            self._resume_at = float("inf")
+            self._next_attempt = float("inf")
             self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
-            for topic, (subscription, _, message_type, qos) in self._subscribed.items():
+            for topic, (subscription, _, message_type, qos) in self._recorded_topics.items():
                 channel = bag.add_topic(topic, message_type, qos)
-                self._subscribed[topic] = subscription, channel, message_type, qos
+                self._recorded_topics[topic] = subscription, channel, message_type, qos
             self.get_logger().warning(f"{self._stop_reason}; recording resumed in {bag.directory}")
 
     def _make_checks(self) -> list[Check]:
-        level, text = diagnostics.OK, f"{len(self._subscribed)} recorded"
+        level, text = diagnostics.OK, f"{len(self._recorded_topics)} recorded"
         if self._refusals:
             level = diagnostics.WARN
             text = "not recorded: " + "; ".join(f"{topic}: {reason}" for topic, reason in self._refusals.items())
-        elif not self._subscribed:
+        elif not self._recorded_topics:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
-        topics = Check("topics", level, text, {"topics": len(self._subscribed)})
-        resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
-        return [make_recording_check(self._bag, self._stop_reason, resumed), topics, self._make_publishers_check()]
+        topics = Check("topics", level, text, {"topics": len(self._recorded_topics)})
+        has_resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
+        return [make_recording_check(self._bag, self._stop_reason, has_resumed), topics, self._make_publishers_check()]
 
     def _make_publishers_check(self) -> Check:
-        if DIAGNOSTICS not in self._subscribed:
+        if DIAGNOSTICS not in self._recorded_topics:
             return Check("publishers", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._record_messages()  # so that messages still queued, after a delay of this node, count as received
-        silent = self._watchdog.find_silent_nodes(self._subscribed)
+        silent = self._watchdog.find_silent_nodes(self._recorded_topics)
         if silent:
             silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
             return Check("publishers", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
@@ -213,7 +214,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
 
 
 def name_files(files: Sequence[str]) -> dict[str, str]:
-    """File -> unique name: the file name, preceded by as many parent folders as necessary; empty names are skipped."""
+    """Unique name by file: its name, preceded by as many parent folders as necessary; empty entries are skipped."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():
