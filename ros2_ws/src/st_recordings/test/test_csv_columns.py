@@ -350,6 +350,12 @@ def test_quaternion_and_east_north_velocities_give_yaw_and_body_velocities(tmp_p
     assert_values(read_csv(write(tmp_path / "d.csv", names, data=data)).log)
 
 
+def test_acceleration_named_by_direction_has_priority_over_an_axis_of_a_sensor() -> None:
+    names = ["timestamp", "lateral_acc", "longitudinal_acc", "x_acc", "y_acc"]  # of RaceChrono
+    sources = find_columns(Path("a.csv"), names, Layout())
+    assert (sources["acceleration_x"].name, sources["acceleration_y"].name) == ("longitudinal_acc", "lateral_acc")
+
+
 def test_documentation_lists_every_channel_and_unit() -> None:
     text = (ROOT / "docs/csv_columns.md").read_text()
     for name, channel in COLUMNS.items():

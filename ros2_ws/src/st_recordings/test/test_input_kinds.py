@@ -109,6 +109,19 @@ def quote_rows(text: str) -> str:
     return "\n".join([names, *('"' + line.replace('"', '""') + '"' for line in lines)]) + "\n"
 
 
+def with_hemispheres(log: DriveLog) -> str:
+    """With longitudes positive to the west, and the hemisphere after each coordinate."""
+    names, *cells = (line.split(",") for line in geographic(log).splitlines())
+    return csv([[row[0], row[1], "N", row[2].lstrip("-"), "W", *row[3:]] for row in cells],
+               ",".join((names[0], "latitude", "N/S", "longitude", "E/W", *names[3:])))
+
+
+def in_seconds_and_fractions(log: DriveLog, names: tuple[str, str], unit: float) -> str:
+    """Times in two columns: whole seconds, and fractions in a unit [s]."""
+    return csv([[f"{float(row[0]) // 1.0:.0f}", f"{float(row[0]) % 1.0 / unit:.0f}", *row[1:]] for row in rows(log)],
+               ",".join((*names, *NAMES[1:])))
+
+
 def positions_in_radians(text: str) -> str:
     names, *cells = (line.split(",") for line in text.splitlines())
     return csv([[row[0], *(f"{np.radians(float(cell)):.12f}" for cell in row[1:3]), *row[3:]] for row in cells],
@@ -219,6 +232,14 @@ TABLES = [
     Table("complete_stamps.csv", lambda log: csv(
         [[f"{float(row[0]):.3f}", f"{float(row[0]) * 1e9:.0f}", *row[1:]] for row in rows(log)],
         ",".join(("stamp_sec", "stamp_nsec", *NAMES[1:])))),
+    Table("timeval.csv", lambda log: in_seconds_and_fractions(log, ("tv_sec", "tv_usec"), 1e-6)),
+    Table("sec_usec.csv", lambda log: in_seconds_and_fractions(log, ("sec", "usec"), 1e-6)),
+    Table("milliseconds.csv", lambda log: in_seconds_and_fractions(log, ("time_s", "time_ms"), 1e-3)),
+    Table("fractions_first.csv", lambda log: re.sub(r"(?m)^([^,]*),([^,]*)", r"\2,\1", in_seconds_and_fractions(
+        log, ("timestamp_sec", "timestamp_usec"), 1e-6))),
+    Table("complete_microseconds.csv", lambda log: csv(
+        [[f"{float(row[0]) // 1.0:.0f}", f"{float(row[0]) * 1e6:.0f}", *row[1:]] for row in rows(log)],
+        ",".join(("timestamp_s", "timestamp_us", *NAMES[1:])))),
     Table("comma_before_fraction.csv", lambda log: with_times(
         log, lambda s: f'"2026-05-04 {clock(NOON + s)[:12].replace(".", ",")}"')),
     Table("groups_with_times.csv", with_times_of_two_groups,
@@ -234,6 +255,7 @@ TABLES = [
     Table("time_utc.csv", lambda log: csv(rows(log), header(t="time_utc"))),
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),
+    Table("hemispheres.csv", with_hemispheres),
     # Names and units of columns.
     Table("repeated_column.csv", lambda log: with_columns(log, {"vx": "9"}),
           "column vx occurs 2 times; the first is used"),
@@ -266,7 +288,7 @@ TABLES = [
 ]
 # Days since 1970; 0 where the date is not used.
 DAYS = {"day_first.csv": 20568, "month_first.csv": 20568, "ambiguous_date.csv": 0}
-IN_ANOTHER_MAP = {"geographic.csv", "positions_at_20_hz.csv", "unwrapped_heading.csv"}
+IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "positions_at_20_hz.csv", "unwrapped_heading.csv"}
 
 
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])

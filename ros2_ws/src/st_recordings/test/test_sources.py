@@ -223,6 +223,12 @@ def test_invalid_run_file_with_a_pattern_refuses_the_recordings_that_match(tmp_p
     assert find_runs([file])[0].problem is not None
 
 
+def test_text_log_of_an_ins_with_the_extension_asc_is_not_a_can_log(tmp_path: Path) -> None:
+    touch(tmp_path, "ins.asc", content="#INSPVAXA,COM1,0,73.5,FINESTEERING,1695,309428.000;INS_SOLUTION_GOOD,51.1\n")
+    (run,) = find_runs([tmp_path / "ins.asc"])
+    assert "ins.asc: this is not a CAN log; export other recordings as .csv" in str(run.problem)
+
+
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time,CAN ID,Dir,Bus,LEN,Data\n")
     (run,) = find_runs([tmp_path])

@@ -126,9 +126,9 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         vectors = [name for name, entry in value.items() if _is_vector(entry)]
         source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
         own = [(vectors[source.column], value[vectors[source.column]])] if source else []
-        if source and stamp and source.column == stamp[0]:  # sec and nanosec of a ROS stamp
-            seconds, nanoseconds = (value[vectors[column]] for column in stamp)
-            own = [("t [s]", seconds + 1e-9 * nanoseconds)] if len(seconds) == len(nanoseconds) else []
+        if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
+            seconds, fraction = (value[vectors[column]] for column in stamp[:2])
+            own = [("t [s]", seconds + stamp[2] * fraction)] if len(seconds) == len(fraction) else []
         axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
         axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
                 if isinstance(axis, dict) and _is_vector(axis.get("Data"))]

@@ -312,7 +312,7 @@ FORMATS = (
     Format("PEAK trace", (".trc",), _is_trc, partial(_read_text, make_reader=_read_trc)),
     Format("CSV", _TABLE_EXTENSIONS, _is_csv, partial(_read_text, make_reader=_read_csv)),
 )
-SHARED_EXTENSIONS = (".log", "", *_TABLE_EXTENSIONS)  # extensions that CAN logs share with files of other programs
+SHARED_EXTENSIONS = (".log", ".asc", "", *_TABLE_EXTENSIONS)  # that CAN logs share with files of other programs
 EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TABLE_EXTENSIONS)
                        | {*MF4_EXTENSIONS, *VENDOR_EXTENSIONS})
 
@@ -320,7 +320,7 @@ EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TA
 def is_can_log(file: Path) -> bool:
     """Whether a file is a CAN log, by its extension, or by its content if other programs use the extension too.
 
-    A .log file that is empty, compressed or unreadable is taken as a CAN log, so that its reader reports that.
+    A .log or .asc file that is empty, compressed or unreadable is taken as a CAN log, so that its reader reports that.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:
@@ -335,4 +335,4 @@ def is_can_log(file: Path) -> bool:
     if extension == ".csv":
         return _is_csv(head)
     return is_mdf(head) or any(kind.matches(head) for kind in FORMATS) or (
-        extension == ".log" and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))
+        extension in (".log", ".asc") and (not head or head.startswith(tuple(COMPRESSED_MAGIC))))

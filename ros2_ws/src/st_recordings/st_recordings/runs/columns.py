@@ -14,7 +14,7 @@ from .errors import RunError
 # Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
 UNITS: Mapping[str, Mapping[str, tuple[float, tuple[str, ...]]]] = {
     "time": {"s": (1.0, ("sec", "secs", "second", "seconds")),
-             "ms": (1e-3, ("msec", "millis", "milliseconds")),
+             "ms": (1e-3, ("msec", "millis", "milliseconds")), "0.1 ms": (1e-4, ()),
              "us": (1e-6, ("µs", "usec", "micros", "microseconds")),
              "ns": (1e-9, ("nsec", "nanos", "nanoseconds")), "min": (60.0, ("minute", "minutes")),
              "h": (3600.0, ("hr", "hour", "hours"))},
@@ -131,13 +131,14 @@ COLUMNS: Mapping[str, Channel] = {
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
         "gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate giergeschwindigkeit")),
     "acceleration_x": Channel("acceleration", "forward, body axes", _words(
-        "acceleration_x ax acc_x accel_x x_acc x_accel acceleration_forward acc_forward accel_forward "
-        "acceleration_longitudinal longitudinal_acceleration longitudinal_accel acc_longitudinal a_longitudinal "
-        "a_long acc_long accel_long long_acc long_accel linear_acceleration_x laengsbeschleunigung")),
+        "acceleration_x acceleration_forward acc_forward accel_forward acceleration_longitudinal "
+        "longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal a_longitudinal a_long acc_long "
+        "accel_long long_acc long_accel lon_acc laengsbeschleunigung linear_acceleration_x ax acc_x accel_x x_acc "
+        "x_accel")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
-        "acceleration_y ay acc_y accel_y y_acc y_accel acceleration_left acceleration_lateral lateral_acceleration "
-        "lateral_accel acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel "
-        "linear_acceleration_y querbeschleunigung")),
+        "acceleration_y acceleration_left acceleration_lateral lateral_acceleration lateral_accel lateral_acc "
+        "acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel querbeschleunigung "
+        "linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
     "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
@@ -173,6 +174,9 @@ _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|s
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
 _CAMEL_CASE = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SUFFIX = re.compile(rf"(?i)[ _-]+{_SOURCE}$")
+
+_FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?)")  # normalised name of fractions of a second
+_FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
 _STEERING = "steering"  # of the steering wheel or of the road wheels
 _KIND_OF = {**{channel: about.kind for channel, about in COLUMNS.items()}, _STEERING: "angle"}
@@ -231,7 +235,9 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
         kind = COLUMNS[channel].kind
         unit = find_stated_unit(names[column], kind) or find_stated_unit(column_name, kind)
         sources[channel] = _make_source(column, names[column], channel, unit)
-    if "t" not in sources and (pair := find_stamp_columns(names)):
+    pair = find_stamp_columns(names)
+    if pair and ("t" not in sources or (sources["t"].column == pair[1] and "t" not in {
+            *layout.columns, *layout.units})):
         sources["t"] = _make_source(pair[0], names[pair[0]], "t", "s")
     if "compass_heading" in layout.columns and "yaw" not in layout.columns:
         sources.pop("yaw", None)
@@ -275,14 +281,18 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
             if len(sources) > 1}
 
 
-def find_stamp_columns(names: Sequence[str]) -> tuple[int, int] | None:
-    """Indices of the columns of a ROS stamp (header.stamp.sec or secs, nanosec or nsecs); None without such a pair."""
+def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
+    """Indices of the columns of a stamp in two parts, and the unit [s] of the second: header.stamp.sec (or secs) and
+    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms. None without such a pair."""
     plain = [normalise(name) for name in names]
     for number, name in enumerate(plain):
-        stem = re.fullmatch(r"(.*?)n(?:ano)?secs?", name)
-        for seconds in (f"{stem[1]}sec", f"{stem[1]}secs") if stem else ():
-            if seconds in plain:
-                return plain.index(seconds), number
+        if not (match := _FRACTION.fullmatch(name)):
+            continue
+        stem, unit, ending = match.groups()
+        is_time = _CHANNEL_OF.get(stem, ("", 0))[0] == "t"  # a_s and a_ms may be an acceleration
+        for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
+            if stem + seconds in plain:
+                return plain.index(stem + seconds), number, _FRACTION_FACTORS[unit]
     return None
 
 

@@ -18,6 +18,7 @@ from .errors import RunError, check_readable, format_share, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
+HEMISPHERES = {"N", "S", "E", "W"}
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING_MARKS = {"", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"}
@@ -154,6 +155,7 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
         sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
+        body = _sign_by_hemisphere(sources, body, delimiter)
     body = _use_decimal_points(file, body, delimiter)
     time, first_time = sources.get("t"), None
     if time is not None:
@@ -173,10 +175,10 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
     columns = {channel: np.where(np.isfinite(values), values, np.nan) for channel, values in columns.items()}
     first = _split_first_row(body, delimiter)
     texts = {channel: first[source.column][:40] for channel, source in sources.items() if channel in columns
-             and source.column < len(first) and not np.isfinite(columns[channel]).any()}
+             and source.column < len(first) and first[source.column] and not np.isfinite(columns[channel]).any()}
     if time is None:
         return Table(file, tuple(names), sources, columns, np.empty(0, np.int64), 0, np.empty(0, bool), tuple(warnings))
-    seconds, time = convert_to_seconds(file, _add_nanoseconds(rows, names, time.column), time, warnings)
+    seconds, time = convert_to_seconds(file, _add_fraction(rows, names, time.column), time, warnings)
     has_time, time_ns, is_usable = select_usable_times(file, seconds, time, first_time, warnings)
     columns = {channel: values[has_time] for channel, values in columns.items()}
     sources = _read_degrees(file, {**sources, "t": time}, columns, time_ns, warnings)
@@ -202,13 +204,13 @@ def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
     return joined
 
 
-def _add_nanoseconds(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
-    """Times in a column; if they are whole seconds of a ROS stamp, its nanoseconds are added (unless 1 s or more)."""
+def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
+    """Times in a column; if they are whole seconds of a stamp, its fractions are added (unless 1 s or more)."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
     if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
         return stamps
-    fraction = rows[:, pair[1]]
-    return stamps + 1e-9 * fraction if np.nanmax(fraction, initial=0.0) < 1e9 else stamps
+    fraction = pair[2] * rows[:, pair[1]]
+    return stamps + fraction if np.nanmax(fraction, initial=0.0) < 1.0 else stamps
 
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
@@ -228,7 +230,10 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
     def count_times(source: ColumnSource) -> int:
         return len({row[source.column] for row in rows if source.column < len(row)})
 
-    if "t" in sources and "t" not in {*layout.columns, *layout.units} and find_stamp_columns(names) is None:
+    pair = find_stamp_columns(names)
+    has_fraction = pair is not None and all(
+        not _parse_number(row[pair[1]]) * pair[2] >= 1.0 for row in rows if pair[1] < len(row))
+    if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
             sources["t"] = finest
@@ -353,6 +358,24 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
             if (column := sources[channel].column) < len(row):
                 row[column] = row[column].strip(' \r"\'').removesuffix(text)
     return _apply_stated_units(sources, unit_texts, layout), "\n".join(map(delimiter.join, rows))
+
+
+def _sign_by_hemisphere(sources: Mapping[str, ColumnSource], body: str, delimiter: str) -> str:
+    """The body with negative southern latitudes and western longitudes, if N, S, E or W is in the cell after each."""
+    def read_hemisphere(row: list[str], column: int) -> str:
+        return row[column + 1].strip(' \r"\'').upper() if column + 1 < len(row) else ""
+
+    rows = [line.split(delimiter) for line in body.split("\n", MAX_TIME_ROWS)[:MAX_TIME_ROWS]]
+    columns = [sources[channel].column for channel in ("latitude", "longitude") if channel in sources]
+    columns = [column for column in columns if any(read_hemisphere(row, column) in HEMISPHERES for row in rows)]
+    if not columns:
+        return body
+    rows = [line.split(delimiter) for line in body.split("\n")]
+    for row in rows:
+        for column in columns:
+            if read_hemisphere(row, column) in ("S", "W"):
+                row[column] = "-" + row[column].strip(' "\'-')
+    return "\n".join(map(delimiter.join, rows))
 
 
 def _split_unit(channel: str, cell: str) -> str:
