@@ -37,8 +37,8 @@ def identify_genesis() -> dict:
             for name, log in logs.items()}
     training = [logs[name] for name in TRAINING_DRIVES]
     others = [log for name, log in logs.items() if name not in TRAINING_DRIVES]
-    everything = fit_stiffness(training, car, "linear", also=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
-    steered = fit_stiffness(training, car, "linear", also=(*STEERING, MISALIGNMENT))
+    everything = fit_stiffness(training, car, "linear", additional=(*STEERING, "cg_to_ins_x", MISALIGNMENT))
+    steered = fit_stiffness(training, car, "linear", additional=(*STEERING, MISALIGNMENT))
     ins = identify_ins_mounting(training, car)
     results = {"prediction": everything, "prediction, lever arm as published": steered, "slow driving": ins,
                "paper, published steering": identify_stiffness(training, car),
@@ -112,7 +112,7 @@ def _format_estimates(found: Identification) -> dict:
 
 def _identify_single(log: DriveLog, car: VehicleParameters) -> dict | str:
     try:
-        return _format_estimates(fit_stiffness([log], car, "linear", also=(*STEERING, MISALIGNMENT)))
+        return _format_estimates(fit_stiffness([log], car, "linear", additional=(*STEERING, MISALIGNMENT)))
     except IdentificationError as error:
         return str(error)
 

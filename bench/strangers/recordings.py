@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from st_core.integrate import slip_speed_needed
+from st_core.integrate import required_slip_speed
 from st_core.prediction import PredictionSettings
 from st_recordings.car import read_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS, write_skeleton
@@ -71,7 +71,7 @@ def _write_car(case: Case, home: Path) -> None:
     lines = [_fill_in(line, case) for line in file.read_text().splitlines()]
     file.write_text("\n".join(lines) + "\n")
     vehicle = read_vehicle(file)
-    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, PredictionSettings().step)
+    needed = required_slip_speed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     if needed and needed > vehicle.minimum_slip_speed:
         raised = np.ceil(10 * needed) / 10
         file.write_text("\n".join(_edit_row(line, value=raised) if line.startswith("minimum_slip_speed:") else line

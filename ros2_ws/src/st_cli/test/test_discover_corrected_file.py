@@ -13,7 +13,7 @@ from experiment_tables import write_tables
 from st_core.augmented import augment
 from st_core.discovery import DiscoverySettings
 from st_core.effects import EFFECTS
-from st_core.integrate import slip_speed_needed
+from st_core.integrate import required_slip_speed
 from st_core.model_file import ModelFile
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import VehicleParameters, value_of
@@ -76,7 +76,7 @@ def test_file_that_improves_the_mean_but_worsens_a_drive_is_not_written(tmp_path
 def test_stiffer_tyres_raise_the_minimum_slip_speed(recorded_drive):
     _, update = fold_effects(recorded_drive, ("tyre_stiffness", {"factor": 2.0}))
     assert update.vehicle.minimum_slip_speed > CAR.minimum_slip_speed
-    needed = slip_speed_needed(("linear", "nonlinear"), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
+    needed = required_slip_speed(("linear", "nonlinear"), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == update.vehicle.minimum_slip_speed
 
 
@@ -85,7 +85,7 @@ def test_model_stiffer_than_the_car_raises_the_minimum_slip_speed_of_the_file(re
     best = augment("nonlinear", {"steering_ratio": {"factor": 0.92}, "yaw_inertia": {"factor": 0.5}})
     update = fold_named_effects(replace(found, model=best, minor=found.effects), make_request(recorded_drive))
     assert update.vehicle.minimum_slip_speed > CAR.minimum_slip_speed and update.vehicle.yaw_inertia == CAR.yaw_inertia
-    needed = slip_speed_needed((update.model,), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
+    needed = required_slip_speed((update.model,), update.vehicle, STABILITY_SPEEDS, PredictionSettings().step)
     assert needed == update.vehicle.minimum_slip_speed
     assert update.vehicle.sources["minimum_slip_speed"] == "stable with steps of 50 ms; before 3.0 m/s"
     assert f"for steering ratio; minimum_slip_speed 3 → {update.vehicle.minimum_slip_speed:.4g} m/s" in "".join(

@@ -255,7 +255,7 @@ class LogBatch:
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
         """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
         if self._substeps == "auto":
-            return integrate.substeps_needed(model, vehicle, self._speeds, self.step)
+            return integrate.required_substeps(model, vehicle, self._speeds, self.step)
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
         return self._substeps
 

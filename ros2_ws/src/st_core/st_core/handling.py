@@ -16,7 +16,7 @@ def stability_factor(car: VehicleParameters) -> float:
 
 
 def rear_slip_coefficient(car: VehicleParameters) -> float:
-    """Rear slip angle per lateral acceleration in steady cornering, m l_f / (l C_r) [rad s^2/m]."""
+    """|rear slip angle| / |lateral acceleration| in steady cornering, m l_f / (l C_r) [rad s^2/m]."""
     return car.mass * car.cg_to_front_axle / (car.wheelbase * car.cornering_stiffness_rear)
 
 

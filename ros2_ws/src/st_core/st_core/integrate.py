@@ -125,14 +125,14 @@ def are_stable(models: Sequence[str | Model], vehicle: VehicleParameters, speeds
     return all(growth_factor(model, vehicle, v, step) <= 1.0 for v in speeds for model in models)
 
 
-def substeps_needed(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
+def required_substeps(model: str | Model, vehicle: VehicleParameters, speeds: Iterable[float], step: float) -> int:
     """Number of substeps of a step [s] for stability at all speeds [m/s]; MAX_SUBSTEPS if more would be needed."""
     speeds = list(speeds)
     return next((count for count in range(1, MAX_SUBSTEPS) if are_stable([model], vehicle, speeds, step / count)),
                 MAX_SUBSTEPS)
 
 
-def slip_speed_needed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
+def required_slip_speed(models: Sequence[str | Model], vehicle: VehicleParameters, speeds: Iterable[float],
                       step: float) -> float | None:
     """Smallest minimum_slip_speed [m/s] for stability at all speeds [m/s]: a multiple of 0.1, not below the vehicle's.
 
@@ -165,9 +165,9 @@ def warn_if_step_too_long(model: str | Model, vehicle: VehicleParameters, speeds
     if worst is None or factors[worst] <= 1.0:
         return
     _warned.add(key)
-    needed = slip_speed_needed([model], vehicle, factors, step)
+    needed = required_slip_speed([model], vehicle, factors, step)
     slip_speed = f"a minimum_slip_speed of {needed:g} m/s in the vehicle file, or " if needed else ""
     warnings.warn(
         f"{model.name} model of {vehicle.name}: integration steps of {step * 1e3:g} ms are too long at {worst:.2f} m/s,"
         f" so the predicted lateral motion is wrong; use {slip_speed}"
-        f"substeps={substeps_needed(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)
+        f"substeps={required_substeps(model, vehicle, factors, step)}", StepTooLongWarning, stacklevel=3)

@@ -102,7 +102,7 @@ class DriveLog:
 
     @property
     def overlap(self) -> float:
-        """Duration of the common time of INS and steering [s]; 0 if there is none."""
+        """Duration for which INS and steering overlap [s]; 0 if they do not."""
         start, end = self.common_span_ns
         return max(end - start, 0) * 1e-9
 

@@ -303,14 +303,14 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
         for model in models for mode in (*MODES, *planned)}
-    known = InputSequence(angle, acceleration).known_so_far
+    inputs_known = InputSequence(angle, acceleration).known_so_far
     for model in models:
-        errors[model.name, "hindsight"][~known[:, ::2]] = np.nan
-    complete, ended = known[:, -1], times[:, -1] > signals.log.common_span_ns[1]
+        errors[model.name, "hindsight"][~inputs_known[:, ::2]] = np.nan
+    complete, has_ended = inputs_known[:, -1], times[:, -1] > signals.log.common_span_ns[1]
     known_ins = np.isfinite(acceleration).all(axis=1)
-    incomplete = {"the recording ends before the horizon": ended,
-                  "INS not known over the horizon": ~known_ins & ~ended,
-                  "steering not known over the horizon": known_ins & ~complete & ~ended}
+    incomplete = {"the recording ends before the horizon": has_ended,
+                  "INS not known over the horizon": ~known_ins & ~has_ended,
+                  "steering not known over the horizon": known_ins & ~complete & ~has_ended}
     conditions = {
         "speed": speed[:, ::2].mean(axis=1), "lateral_acceleration": (speed * yaw_rate)[:, ::2].mean(axis=1),
         "velocity_x_dot": acceleration[:, ::2].mean(axis=1),

@@ -41,7 +41,7 @@ FROZEN_TIME_CONSTANT = 0.2  # s, of the low-pass on delta'
 ANGLE_RESOLUTION = 1.0e-9  # rad; a smaller change of the steering angle is rounding
 
 INS_COLUMNS = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "filtered_velocity_x", "velocity_x_dot")
-X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED, DERIVATIVE = range(8)
+X, Y, YAW, VELOCITY_X, VELOCITY_Y, YAW_RATE, FILTERED_VELOCITY, DERIVATIVE = range(8)
 
 
 def unexplained_displacement(spacing: float, before: Sequence[float], after: Sequence[float]) -> float:
@@ -91,7 +91,7 @@ class MeasurementHistory:
         self.jump_count = 0
         self.last_jump: PositionJump | None = None
         self._detects_jumps = True
-        self._corrected: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
+        self._corrected_histories: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
     def make_corrected(self, correct: Callable[[InsSample], InsSample]) -> "MeasurementHistory":
         """An empty history that receives all later samples of this one, those of the INS as changed by `correct`.
@@ -100,12 +100,12 @@ class MeasurementHistory:
         """
         history = MeasurementHistory(*self._settings)
         history.ins.breaks, history._detects_jumps = self.ins.breaks, False
-        self._corrected.append((history, correct))
+        self._corrected_histories.append((history, correct))
         return history
 
     def add_ins(self, sample: InsSample) -> bool:
         """Add a sample at the INS point; False if it was rejected."""
-        for history, correct in self._corrected:
+        for history, correct in self._corrected_histories:
             history.add_ins(correct(sample))
         index, restarted = self.ins.add(sample.time_ns, sample[1:])
         if restarted:
@@ -120,10 +120,10 @@ class MeasurementHistory:
             spacing_ns = int(times[i] - times[i - 1]) if i else 0
             now = float(rows[i, VELOCITY_X])
             if i == 0 or spacing_ns > self.ins.maximum_gap_ns:
-                rows[i, FILTERED], rows[i, DERIVATIVE] = now, math.nan
+                rows[i, FILTERED_VELOCITY], rows[i, DERIVATIVE] = now, math.nan
             else:
-                filtered, before = float(rows[i - 1, FILTERED]), float(rows[i - 1, VELOCITY_X])
-                rows[i, FILTERED], rows[i, DERIVATIVE] = low_pass_step(
+                filtered, before = float(rows[i - 1, FILTERED_VELOCITY]), float(rows[i - 1, VELOCITY_X])
+                rows[i, FILTERED_VELOCITY], rows[i, DERIVATIVE] = low_pass_step(
                     filtered, before, now, spacing_ns * NANOSECOND, cutoff)
         if self._detects_jumps:
             self._find_jumps(index)
@@ -131,7 +131,7 @@ class MeasurementHistory:
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
         """Add a road wheel angle [rad], left +, measured at time_ns; False if it was rejected."""
-        for history, _ in self._corrected:
+        for history, _ in self._corrected_histories:
             history.add_steering(time_ns, road_wheel_angle)
         index, _ = self.steering.add(time_ns, (road_wheel_angle,))
         return index is not None

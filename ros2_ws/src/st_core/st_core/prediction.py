@@ -22,7 +22,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps [s] in a horizon [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
+    """Number of steps in a horizon, both in s. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -73,7 +73,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
 
     inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
-    with inputs interpolated linearly; see `integrate.substeps_needed`. NaN in the state or an input makes all
+    with inputs interpolated linearly; see `integrate.required_substeps`. NaN in the state or an input makes all
     states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
     """
     model = get_model(model)
@@ -86,17 +86,17 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
         w = model.inputs(float(inputs.road_wheel_angle), float(inputs.velocity_x_dot), p)
         grid = [w] * (2 * steps * substeps + 1)
     else:
-        named = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
+        by_name = {"road_wheel_angle": inputs.road_wheel_angle, "velocity_x_dot": inputs.velocity_x_dot,
                  **{name: signals[name] for name in model.signals}}
-        sampled = [np.asarray(a, float) for a in named.values()]
-        for name, values in zip(named, sampled, strict=True):
+        columns = [np.asarray(a, float) for a in by_name.values()]
+        for name, values in zip(by_name, columns, strict=True):
             if values.shape != (2 * steps + 1,):
                 raise StCoreError(f"{name}: shape {values.shape}, not ({2 * steps + 1},) for the half-step grid of "
                                   f"{steps} steps")
         if substeps > 1:
             fine_grid = np.arange(2 * steps * substeps + 1) / substeps
-            sampled = [np.interp(fine_grid, np.arange(2 * steps + 1), values) for values in sampled]
-        angle, acceleration, *others = sampled
+            columns = [np.interp(fine_grid, np.arange(2 * steps + 1), values) for values in columns]
+        angle, acceleration, *others = columns
         with np.errstate(all="ignore"):
             fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
         grid = list(zip(*fields, strict=True))

@@ -13,7 +13,7 @@ from st_core.checks.finding import Severity
 from st_core.checks.trial import check_step_length
 from st_core.discovery.settings import DiscoverySettings
 from st_core.discovery.windows import Windows
-from st_core.integrate import StepTooLongWarning, are_stable, slip_speed_needed
+from st_core.integrate import StepTooLongWarning, are_stable, required_slip_speed
 from st_core.log import DriveLog
 
 STEP = 0.05
@@ -78,7 +78,7 @@ def test_minimum_slip_speed_must_exceed_the_lowest_stable_speed(leaf):
     stiff = replace(leaf, yaw_inertia=0.35 * leaf.yaw_inertia)
     lowest = integrate.lowest_stable_speed("linear", stiff, STEP)
     assert not are_stable(["linear"], replace(stiff, minimum_slip_speed=lowest + 0.08), [0.5, 35.0], STEP)
-    needed = slip_speed_needed(["linear"], stiff, [0.5, 35.0], STEP)
+    needed = required_slip_speed(["linear"], stiff, [0.5, 35.0], STEP)
     assert needed > lowest + 0.1 and round(10 * needed, 9) == round(10 * needed)
 
 

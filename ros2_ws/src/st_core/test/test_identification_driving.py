@@ -71,7 +71,7 @@ def test_prediction_fit_recovers_stiffness_from_wrong_start_values(leaf, weaving
 def test_prediction_fit_separates_offset_misalignment_and_gyro_bias(leaf, start_vehicle):
     sensors = Sensors(misalignment=0.01, yaw_rate_bias=0.004)
     logs = [drive(leaf, speed, weave(angle), 40.0, sensors=sensors, seed=3) for speed, angle in SPEEDS.items()]
-    found = fit_stiffness(logs, start_vehicle, "linear", also=("steering_wheel_offset", MISALIGNMENT))
+    found = fit_stiffness(logs, start_vehicle, "linear", additional=("steering_wheel_offset", MISALIGNMENT))
     assert found["steering_wheel_offset"].value == pytest.approx(leaf.steering_wheel_offset, abs=np.deg2rad(0.1))
     assert found[MISALIGNMENT].value == pytest.approx(0.01, abs=0.0005)
     assert [found[name].value for name in STIFFNESSES] == pytest.approx(true_stiffnesses(leaf), rel=0.02)

@@ -52,7 +52,7 @@ def test_slow_weaving_has_too_little_excitation_for_yaw_inertia(leaf):
 def test_one_speed_has_too_little_excitation_for_steering_ratio(leaf):
     logs = [drive(leaf, 9.0 + shift, weave(0.06), 40.0) for shift in (0.5, 1.0)]
     with pytest.raises(IdentificationError, match="too little excitation: speed: 1 of 8 bins"):
-        fit_stiffness(logs, leaf, also=("steering_ratio",))
+        fit_stiffness(logs, leaf, additional=("steering_ratio",))
 
 
 def test_fast_drive_has_too_little_excitation_for_ins_mounting(leaf):

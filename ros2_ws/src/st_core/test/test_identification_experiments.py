@@ -51,7 +51,7 @@ def test_common_scale_error_does_not_average_out(leaf):
 def test_weighings_with_another_loading_are_excluded(leaf):
     data = weighings(leaf, 0, count=4)
     found = identify_mass_and_cg(replace(data, loads=("driver", "driver", "two people", "driver")), leaf)
-    assert found.used == ("1", "2", "4") and found.rejected == (("3", "another loading: two people"),)
+    assert found.used == ("1", "2", "4") and found.rejected == (("3", "different loading: two people"),)
 
 
 @pytest.mark.parametrize(("change", "message"), [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from st_core.measurement_history import DERIVATIVE, FILTERED, MeasurementHistory
+from st_core.measurement_history import DERIVATIVE, FILTERED_VELOCITY, MeasurementHistory
 from st_core.timeseries import filtered_derivative
 from st_core.types import InsSample
 
@@ -34,7 +34,7 @@ def test_filtered_acceleration_does_not_depend_on_the_order_of_arrival(data, tim
     ordered = sorted(times)
     filtered, derivative = filtered_derivative(
         T0 + np.array(ordered) * MS, np.array([speed_at(t) for t in ordered]), 5.0, 0.1)
-    np.testing.assert_array_equal(live.ins.rows[:, FILTERED], filtered)
+    np.testing.assert_array_equal(live.ins.rows[:, FILTERED_VELOCITY], filtered)
     np.testing.assert_array_equal(live.ins.rows[:, DERIVATIVE], derivative)
 
 

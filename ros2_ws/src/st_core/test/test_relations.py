@@ -22,9 +22,9 @@ from st_core.relations.candidates import (
     ALL_TERMS,
     FACTORS,
     MIN_RANGES,
+    ODD_QUANTITIES,
     QUANTITIES,
     RELATIONS,
-    SIGNED,
     TYPICAL_SIZES,
     compute_run_time,
     find_candidates,
@@ -47,7 +47,7 @@ DRIVEN = ("lane_change", "slalom", "circle", "sweep", "brake_in_turn")
 def test_terms_and_quantities_are_complete_and_relations_are_not_library_effects():
     terms, quantities, factors = map(set, zip(*RELATIONS, strict=True))
     assert terms == set(ALL_TERMS) == set(TYPICAL_SIZES)
-    assert set(SIGNED) < quantities == set(QUANTITIES) == set(MIN_RANGES)
+    assert set(ODD_QUANTITIES) < quantities == set(QUANTITIES) == set(MIN_RANGES)
     assert factors == {"", *FACTORS}
     assert not {"relation", "relation_lagged", "relation_timed"} & set(EFFECTS)
     with pytest.raises(ConfigurationError, match="unknown effect 'lax'"):

@@ -13,8 +13,8 @@ from st_core.integrate import (
     growth_factor,
     lateral_modes,
     lowest_stable_speed,
-    slip_speed_needed,
-    substeps_needed,
+    required_slip_speed,
+    required_substeps,
 )
 from st_core.prediction import PredictionSettings, Predictor, predict
 from st_core.types import ControlInput, InputSequence, VehicleState
@@ -53,7 +53,7 @@ def test_lowest_stable_speed_for_the_step_of_the_paper(stiff_car):
 def test_minimum_slip_speed_keeps_every_model_stable(car):
     for model in ("kinematic", "linear", "nonlinear"):
         assert lowest_stable_speed(model, car, STEP) == 0.0
-        assert substeps_needed(model, car, [0.5, 30.0], STEP) == 1
+        assert required_substeps(model, car, [0.5, 30.0], STEP) == 1
 
 
 def test_simulation_diverges_below_the_lowest_stable_speed(stiff_car):
@@ -66,7 +66,7 @@ def test_simulation_diverges_below_the_lowest_stable_speed(stiff_car):
 
 def test_substeps_restore_stability_and_accuracy(stiff_car):
     speed = 1.0
-    count = substeps_needed("linear", stiff_car, [speed], STEP)
+    count = required_substeps("linear", stiff_car, [speed], STEP)
     assert growth_factor("linear", stiff_car, speed, STEP / count) <= 1.0
     assert growth_factor("linear", stiff_car, speed, STEP / (count - 1)) > 1.0
     start, inputs = VehicleState(0.0, 0.0, speed, 0.0, 0.0, 0.0), ControlInput(0.1, 0.0)
@@ -89,8 +89,8 @@ def test_warning_is_issued_once_with_the_remedy(stiff_car):
         for _ in range(3):
             integrate.warn_if_step_too_long("linear", stiff_car, [2.0, 20.0], STEP)
     assert len(caught) == 1
-    floor = slip_speed_needed(["linear"], stiff_car, [2.0, 20.0], STEP)
-    count = substeps_needed("linear", stiff_car, [2.0], STEP)
+    floor = required_slip_speed(["linear"], stiff_car, [2.0, 20.0], STEP)
+    count = required_substeps("linear", stiff_car, [2.0], STEP)
     assert str(caught[0].message) == (
         f"linear model of {stiff_car.name}: integration steps of 50 ms are too long at 2.00 m/s, so the predicted "
         f"lateral motion is wrong; use a minimum_slip_speed of {floor:g} m/s in the vehicle file, or substeps={count}")
@@ -114,7 +114,7 @@ def test_extra_states_are_included_in_the_modes(leaf):
     model = augment("linear", {"tyre_relaxation": {"length": 0.2}})
     modes = lateral_modes(model, leaf, 20.0)
     assert len(modes) == 4 and modes.real.min() < lateral_modes("linear", leaf, 20.0).real.min()
-    assert substeps_needed(model, leaf, [20.0], 0.2) > substeps_needed("linear", leaf, [20.0], 0.2) == 1
+    assert required_substeps(model, leaf, [20.0], 0.2) > required_substeps("linear", leaf, [20.0], 0.2) == 1
 
 
 def test_unstable_vehicle_does_not_require_shorter_steps(leaf):

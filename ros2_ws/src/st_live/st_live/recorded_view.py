@@ -251,7 +251,7 @@ def draw_recording(path: Path, file: Path, vehicle: Path | None = None) -> int:
     bag = find_bag(path)
     if not any(f"/{topic.name}".endswith("/ins/odometry") for topic in open_bag(bag).topics):
         raise RunError(bag, "it has no topic ins/odometry, which the view requires",
-                       "play it with `st replay`, and show the folder of that run")
+                       "play it with `st replay`, and view the folder of that run")
     car, recorded, _ = find_configuration(read_metadata_records(bag), vehicle)
     batches = rr.ChunkBatcherConfig(flush_tick=FLUSH_PERIOD, flush_num_bytes=2_000_000)
     stream = rr.RecordingStream("single_track_predictor", batcher_config=batches)

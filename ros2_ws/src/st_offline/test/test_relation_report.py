@@ -17,7 +17,7 @@ from st_core.manoeuvres import CATALOGUE
 from st_core.model_file import ModelFile
 from st_core.models import MODELS
 from st_core.relations import Candidate, Formula, Relation, RelationSearch, needs_search
-from st_core.relations.candidates import ALL_TERMS, NO_PARITY, ODD, RELATIONS, SIGNED
+from st_core.relations.candidates import ALL_TERMS, NO_PARITY, ODD, ODD_QUANTITIES, RELATIONS
 from st_core.relations.next_drive import NextDrives, Option
 from st_core.vehicle import VehicleParameters
 from st_offline.discovery import quantities
@@ -38,8 +38,8 @@ CAR = VehicleParameters.from_yaml(LEAF.read_text())
 RANGE = {"slip_front": 0.1, "slip_rear": 0.1, "steering": 0.3, "acceleration_y": 6.0, "acceleration_x": 4.0,
          "speed": 20.0, "yaw_rate": 0.6, "steering_rate": 0.5, "lagging_steering": 0.3, "lean": 6.0, "north": 1.0,
          "east": 1.0, "position_x": 50.0, "position_y": 50.0, "run_time": 60.0}
-CANDIDATES = [(place, quantity, ODD if quantity in SIGNED else NO_PARITY, by) for place, quantity, by in RELATIONS
-              if quantity != "run_time"]
+CANDIDATES = [(place, quantity, ODD if quantity in ODD_QUANTITIES else NO_PARITY, by)
+              for place, quantity, by in RELATIONS if quantity != "run_time"]
 
 
 def make_relation(place: str, quantity: str, parity: float, by: str = "") -> Relation:

@@ -10,7 +10,7 @@ from canedge_bridge.signals import load_table
 from canedge_bridge.table_reader import TableError
 from st_core.errors import StCoreError
 from st_core.handling import find_implausible_values
-from st_core.integrate import slip_speed_needed
+from st_core.integrate import required_slip_speed
 from st_core.prediction import PredictionSettings
 from st_core.vehicle import (
     DEFAULT_UNCERTAINTIES,
@@ -187,7 +187,7 @@ def _find_vehicle_problems(file: Path) -> list[str]:
     except (RunError, StCoreError) as error:
         return [str(error)]
     step = PredictionSettings().step
-    needed = slip_speed_needed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
+    needed = required_slip_speed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
     if needed is None:
         return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: the "
                 f"numerical integration is unstable at any minimum_slip_speed with steps of {1e3 * step:g} ms; is one "

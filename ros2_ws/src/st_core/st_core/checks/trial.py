@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 from ..augmented import AugmentedModel
 from ..corrections import Correction, apply_corrections
 from ..errors import StCoreError
-from ..integrate import MAX_SUBSTEPS, are_stable, growth_factor, slip_speed_needed, substeps_needed
+from ..integrate import MAX_SUBSTEPS, are_stable, growth_factor, required_slip_speed, required_substeps
 from ..log import DriveLog
 from ..log_evaluation import EvaluationSettings, evaluate_log, regular_starts
 from ..models import Model, get_model
@@ -106,7 +106,7 @@ def _compute_prediction_error(run: Run | None) -> float | None:
     angle = log.road_wheel_angle
     default = PredictionSettings()
     speeds = (float(log.velocity_x.min()), float(log.velocity_x.max()))
-    step = default.step / min(substeps_needed("linear", vehicle, speeds, default.step), MAX_TRIAL_SUBSTEPS)
+    step = default.step / min(required_substeps("linear", vehicle, speeds, default.step), MAX_TRIAL_SUBSTEPS)
     settings = EvaluationSettings(prediction=replace(default, step=step))
     try:
         base, gain, offset = (
@@ -167,7 +167,7 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
         return None
     unstable = np.interp(speed, speeds, np.max(list(factors.values()), axis=0)) > 1.0
     affected = speed[unstable] if unstable.any() else speed[:1]
-    value, unit = slip_speed_needed(resolved, vehicle, speeds.tolist(), step), "m/s"
+    value, unit = required_slip_speed(resolved, vehicle, speeds.tolist(), step), "m/s"
     if value is not None and (value <= np.median(speed) or vehicle.speed_scale == 1.0):
         line = f'minimum_slip_speed: {{value: {value:g}, unit: m/s, source: "stable with steps of {1e3 * step:g} ms"}}'
         if any(isinstance(model, AugmentedModel) for model in resolved):

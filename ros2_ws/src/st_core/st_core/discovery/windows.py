@@ -20,7 +20,7 @@ from ..channels import CHANNELS, SMOOTHING_NS
 from ..composition import compose
 from ..effects import Measured
 from ..errors import StCoreError
-from ..integrate import substeps_needed
+from ..integrate import required_substeps
 from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_ideal_readings
@@ -80,7 +80,7 @@ class Batch(LogBatch):
 
     def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
-        self._substeps = max(minimum_substeps, *(substeps_needed(model, vehicle, self._speeds, self.step)
+        self._substeps = max(minimum_substeps, *(required_substeps(model, vehicle, self._speeds, self.step)
                                                  for model in TYRE_MODELS))
         self._recordings: OrderedDict[tuple, Recording] = OrderedDict()
         self._tables: OrderedDict[tuple, tuple[list[np.ndarray], np.ndarray]] = OrderedDict()

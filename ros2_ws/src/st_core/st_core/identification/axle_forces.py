@@ -6,7 +6,7 @@ The cornering stiffness is the slope of measured axle force versus slip angle. T
 
 follow from the force and moment balance of the single-track car, with a_y at the CG, and the slip angles from the
 velocity at each axle. An intercept absorbs offsets of steering and INS. Slow and nearly straight driving, |a_y| above
-4 m/s^2 and slip angles above 2 deg are left out.
+4 m/s^2 and slip angles above 2 deg are excluded.
 
 The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
 if the slip angle is noisy. `AxleRegression.model_error` is the model_a_y standard uncertainty of the stiffness at zero
@@ -80,7 +80,7 @@ class AxleSamples:
     def bin_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """(mean slip, mean force opposing it) in each bin of |slip|, (b,) each.
 
-        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are left out
+        The slip at zero force, which is due to offsets of steering and INS, is subtracted first. Bins are omitted
         if they have fewer than 5 samples, or less than 1 % of those that a uniform distribution would have there.
         """
         slip = self.slip - self.find_zero_force_slip()
@@ -165,7 +165,7 @@ def fit_axle_regressions(logs: Sequence[DriveLog], vehicle: VehicleParameters) -
 
 def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> tuple[
         tuple[AxleRegression, AxleRegression], tuple[Coverage, ...], np.ndarray, tuple[tuple[str, str], ...]]:
-    """(regressions, coverage, correlation of the two stiffnesses (2, 2), (run, reason why samples are left out))."""
+    """(regressions, coverage, correlation of the two stiffnesses (2, 2), (run, reason why samples are excluded))."""
     masks, rejected, times = [], [], [run.time for run in runs]
     for run in runs:
         slow = np.abs(run.velocity_x) < MIN_SPEED
@@ -176,12 +176,12 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
                    f"above {MAX_ACCELERATION:g} m/s^2": high_acceleration}
         rejected += [(run.name, f"{int(mask.sum())} of {len(run)} samples {reason}")
                      for reason, mask in reasons.items() if mask.any()]
-    covered = (
+    coverage = (
         measure_coverage("cornering speed", "m/s", SPEED_EDGES,
                          [run.velocity_x[m] for run, m in zip(runs, masks, strict=True)], times, 2.0, 1),
         measure_coverage("lateral acceleration", "m/s^2", ACCELERATION_EDGES,
                          [run.lateral_acceleration[m] for run, m in zip(runs, masks, strict=True)], times, 1.0, 3))
-    insufficient = "; ".join(c.describe() for c in covered if not c.sufficient)
+    insufficient = "; ".join(c.describe() for c in coverage if not c.sufficient)
     samples = []
     for index, name in enumerate(AXLES):
         rows = []
@@ -200,7 +200,7 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
         influences = np.stack([slopes[0].influence[front_rows], slopes[1].influence[rear_rows]])
         if len(front_rows) > 2 and (influences.std(axis=1) > 0.0).all():
             correlation = np.corrcoef(influences)
-    return (front, rear), covered, correlation, tuple(rejected)
+    return (front, rear), coverage, correlation, tuple(rejected)
 
 
 def _fit_slope(samples: AxleSamples) -> Slope:
@@ -254,9 +254,9 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     """
     logs, notes = prepare_drives(logs, vehicle, "velocity_y")
     runs = [sample_run(log, vehicle) for log in logs]
-    regressions, covered, correlation, rejected = _fit_regressions(runs, vehicle)
+    regressions, coverage, correlation, rejected = _fit_regressions(runs, vehicle)
     require_coverage(
-        covered, "Drive left and right turns at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
+        coverage, "Drive left and right turns at several speeds, with 0.5 to 4 m/s^2 of lateral acceleration.")
     for regression in regressions:
         if int(regression.samples.used.sum()) < MIN_AXLE_SAMPLES:
             raise IdentificationError("; ".join(regression.reasons))
@@ -264,7 +264,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
     estimates = tuple(regression.estimate(names) for regression in regressions)
     figure = {f"{key}_{regression.axle}": getattr(regression.samples, key)[regression.samples.used]
               for regression in regressions for key in ("slip", "force")}
-    return Identification("stiffness", estimates, names, rejected, correlation, covered,
+    return Identification("stiffness", estimates, names, rejected, correlation, coverage,
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 

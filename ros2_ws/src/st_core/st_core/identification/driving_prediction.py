@@ -74,34 +74,36 @@ simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 %
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear", *,
-                  also: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE) -> Identification:
+                  additional: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
-    also: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
+    additional: further parameters to fit and report, from `driving_fit.QUANTITIES` (steering_ratio needs low and high
     speeds, cg_to_ins_x tight bends). nuisance: parameters that are fitted but not reported. Raises IdentificationError.
     """
-    names, settings = tuple(dict.fromkeys((*STIFFNESSES, *also, *nuisance))), DrivingFitSettings().for_car(vehicle)
+    names = tuple(dict.fromkeys((*STIFFNESSES, *additional, *nuisance)))
+    settings = DrivingFitSettings().for_car(vehicle)
     logs, notes = prepare_drives(logs, vehicle)
-    covered = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
-                                       lateral_acceleration=(2.0, 3))
-    require_coverage(covered, "Drive left and right turns, at two or more speeds, with a lateral acceleration of 1 to "
-                              "4 m/s^2.")
+    coverage = measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 2 if RATIO in names else 1),
+                                        lateral_acceleration=(2.0, 3))
+    require_coverage(coverage, "Drive left and right turns, at two or more speeds, with a lateral acceleration of 1 to "
+                               "4 m/s^2.")
     fit = fit_driving(logs, vehicle, names, base, settings)
     method = f"multi-step prediction, {describe_model(base)}"
-    systematic = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
-    result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *also), systematic)
+    slip_range_uncertainty = estimate_slip_range_uncertainty(logs, vehicle, base, settings, fit)
+    result = _make_identification("stiffness", vehicle, fit, method, (*STIFFNESSES, *additional),
+                                  slip_range_uncertainty)
     kind = ("Secant" if get_model(base).name.startswith("linear") else
             "Slope at zero slip, with the tyre curve of the vehicle file,")
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
-        relative_error = systematic.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
+        relative_error = slip_range_uncertainty.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
         model_error = (f"the value changes with the slip range; a model error of {100.0 * relative_error:.1f} % is "
-                       "included" if systematic else
+                       "included" if slip_range_uncertainty else
                        "its change with the slip range is unknown: drive small and large lateral accelerations")
         verdict = f"{estimate.verdict} {kind} over slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."
         estimates.append(replace(estimate, verdict=verdict))
-    return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=covered,
+    return replace(result, estimates=(*estimates, *result.estimates[len(STIFFNESSES):]), coverage=coverage,
                    warnings=(*notes, *result.warnings))
 
 
@@ -144,7 +146,7 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     Raises IdentificationError for too little excitation, such as a single speed.
     """
-    result = fit_stiffness(logs, vehicle, base, also=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
+    result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
     chosen = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
@@ -163,12 +165,12 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     logs, notes = prepare_drives(logs, vehicle)
     runs = [sample_run(log, vehicle, cutoff=5.0) for log in logs]
     fast = [run.yaw_acceleration[run.velocity_x >= settings.minimum_speed] for run in runs]
-    covered = (*measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 1),
-                                         lateral_acceleration=(1.0, 3)),
-               measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
-                                [run.time for run in runs], 0.5, 5))
-    require_coverage(covered, "Steady-state cornering does not excite the yaw inertia: drive step steers, lane changes "
-                              "or a sine sweep.")
+    coverage = (*measure_driving_coverage(logs, vehicle, settings.minimum_speed, speed=(5.0, 1),
+                                          lateral_acceleration=(1.0, 3)),
+                measure_coverage("yaw acceleration", "rad/s^2", YAW_ACCELERATION_EDGES, fast,
+                                 [run.time for run in runs], 0.5, 5))
+    require_coverage(coverage, "Steady-state cornering does not excite the yaw inertia: drive step steers, lane "
+                               "changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
     # Uncertainty of the dead time, propagated to the inertia; see the module.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
@@ -176,10 +178,10 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     row, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
     # Change of the inertia per change of the dead time, with all other parameters refitted.
     change = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
-    known = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
+    known_uncertainty = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
-                                  {}, known)
+                                  {}, known_uncertainty)
     estimate = result["yaw_inertia"]
     warnings = [*notes, *result.warnings]
     inertia = VEHICLE_QUANTITIES["yaw_inertia"].clip(estimate.value)
@@ -191,21 +193,21 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
         estimate = replace(estimate, status="unidentifiable", verdict=f"{text} {estimate.verdict}")
     conflict = describe_contradiction(estimate, vehicle.yaw_inertia, 0.1 * vehicle.yaw_inertia,
                                       "the vehicle file (standard uncertainty taken as 10 %)")
-    return replace(result, estimates=(estimate, *result.estimates[1:]), coverage=covered,
+    return replace(result, estimates=(estimate, *result.estimates[1:]), coverage=coverage,
                    warnings=(*warnings, conflict) if conflict else tuple(warnings))
 
 
 def _make_identification(experiment: str, vehicle: VehicleParameters, fit: DrivingFit, method: str,
-                         reported: Sequence[str], systematic: Mapping[str, float],
-                         known: Mapping[str, float] = MappingProxyType({})) -> Identification:
-    """Result of an experiment from a fit. reported: parameters that become estimates. systematic: standard uncertainty
-    by parameter, estimated from the same drives; known: the same, not estimated from drives but, for example, from a
-    sampling interval. Both are added in quadrature to that from the variation between drives."""
+                         reported: Sequence[str], systematic_uncertainty: Mapping[str, float],
+                         known_uncertainty: Mapping[str, float] = MappingProxyType({})) -> Identification:
+    """Result of an experiment from a fit. reported: parameters that become estimates. systematic_uncertainty: by
+    parameter, estimated from the same drives; known_uncertainty: by parameter, not estimated from drives but, for
+    example, from a sampling interval. Both are added in quadrature to that from the variation between drives."""
     spread = fit.spread
     relative_error = SINGLE_TRACK_ERROR * vehicle.wheelbase**2 * fit.mean_squared_curvature
     offset_error, ratio_error, _ = SYSTEMATIC_ERRORS
     relative_errors = dict.fromkeys(STIFFNESSES, relative_error) | {RATIO: ratio_error}
-    added_uncertainty = [math.hypot(systematic.get(n, 0.0), known.get(n, 0.0),
+    added_uncertainty = [math.hypot(systematic_uncertainty.get(n, 0.0), known_uncertainty.get(n, 0.0),
                         offset_error if n == OFFSET else relative_errors.get(n, 0.0) * v)
              for n, v in zip(fit.names, fit.values, strict=True)]
     # Systematic errors are assumed to be uncorrelated: only the variances increase.
@@ -213,7 +215,7 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     chosen = [fit.names.index(name) for name in reported]
     uncertainty = np.sqrt(np.diag(covariance))
     # Student's t applies to variances estimated from these few drives, not to known ones, such as that of the model.
-    estimated_variance = np.diag(spread.covariance) + np.square([systematic.get(n, 0.0) for n in fit.names])
+    estimated_variance = np.diag(spread.covariance) + np.square([systematic_uncertainty.get(n, 0.0) for n in fit.names])
     degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated_variance.tolist(),
                                   np.diag(covariance).tolist(), spread.degrees_of_freedom.tolist()))
     runs = tuple(name for name, (used, _) in fit.windows.items() if used)

@@ -5,9 +5,10 @@ ahead of the CG and rotated by gamma to the left,
 
     v_y = -gamma v_x + (l_r + d_x) r - s v_x^2 r - e v_x dr/dt,    s = m l_f / (L C_r)
 
-with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds s [rad s^2/m], the rear slip angle
-per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the body rolls. If the
-INS is a distance d_y to the left of the CG, it is slower than the CG in left bends and faster in right bends:
+with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds s [rad s^2/m], the magnitude of the
+rear slip angle per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the
+body rolls. If the INS is a distance d_y to the left of the CG, it is slower than the CG in left bends and faster in
+right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 
@@ -46,10 +47,10 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     masks = [(run.velocity_x >= MINIMUM_SPEED) & (run.velocity_x <= MAXIMUM_SPEED)
              & (np.abs(run.velocity_x * run.yaw_rate) <= MAXIMUM_ACCELERATION) for run in runs]
     pairs, times = list(zip(runs, masks, strict=True)), [run.time for run in runs]
-    covered = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5, 1),
-               measure_coverage("curvature", "1/m", CURVATURE_EDGES,
-                                [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
-    require_coverage(covered, "Drive slowly (2 to 8 m/s): straight on, and left and right turns.")
+    coverage = (measure_coverage("speed", "m/s", SPEED_EDGES[:5], [run.velocity_x[m] for run, m in pairs], times, 5, 1),
+                measure_coverage("curvature", "1/m", CURVATURE_EDGES,
+                                 [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
+    require_coverage(coverage, "Drive slowly (2 to 8 m/s): straight on, and left and right turns.")
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
     run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
@@ -80,7 +81,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
                       f"{MAXIMUM_SPEED:g} m/s or above {MAXIMUM_ACCELERATION:g} m/s^2")
                      for run, mask in pairs if not mask.all())
-    return Identification("ins", tuple(estimates), used, rejected, correlation, covered,
+    return Identification("ins", tuple(estimates), used, rejected, correlation, coverage,
                           tuple(w for w in warnings if w), figure)
 
 

@@ -64,7 +64,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
     is_used = np.array([other == load for other in weighings.loads])
     loadings = list(zip(weighings.names, weighings.loads, strict=True))
     used = tuple(name for name, other in loadings if other == load)
-    rejected = tuple((name, f"another loading: {other or 'not noted'}") for name, other in loadings if other != load)
+    rejected = tuple((name, f"different loading: {other or 'not noted'}") for name, other in loadings if other != load)
     chosen, wheelbase, all_masses = readings[is_used], vehicle.wheelbase, readings.sum(axis=1)
     all_distances = wheelbase * readings[:, 2:].sum(axis=1) / all_masses
     masses, distances = all_masses[is_used], all_distances[is_used]
@@ -130,7 +130,7 @@ def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehic
         yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
                "on, and weigh it at least three times.")
     if rejected_count:
-        yield f"{rejected_count} of {len(readings) + rejected_count} weighings have another loading and were left out."
+        yield f"{rejected_count} of {len(readings) + rejected_count} weighings have another loading and were excluded."
     wheelbase, expected = vehicle.wheelbase, vehicle.cg_to_front_axle
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "

@@ -78,7 +78,7 @@ class OnlineFit:
 
     values: tuple[float, ...]  # (3,) in the order of NAMES
     deviations: tuple[float, ...]  # standard deviations (3,)
-    residual_ratio: float = 0.0  # RMS residual of the yaw rate divided by the RMS yaw rate, at least MIN_YAW_RATE
+    residual_ratio: float = 0.0  # RMS yaw rate residual / RMS yaw rate, or / MIN_YAW_RATE if larger
     at_bound: tuple[str, ...] = ()  # names of values at a bound
     problem: str = ""  # why the fit failed, or empty
 

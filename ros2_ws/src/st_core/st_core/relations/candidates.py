@@ -22,10 +22,10 @@ MIN_RANGES = {"slip_front": 0.005, "slip_rear": 0.005, "steering": 0.01, "accele
               "speed": 1.0, "yaw_rate": 0.03, "steering_rate": 0.03, "lagging_steering": 0.01, "lean": 0.5,
               "north": 0.1, "east": 0.1, "position_x": 20.0, "position_y": 20.0, "run_time": 10.0}
 """Minimum range of a quantity or factor in the drives; smaller ranges are mostly noise and road unevenness."""
-SIGNED = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_rate", "steering_rate", "lagging_steering",
-          "lean")
+ODD_QUANTITIES = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_rate", "steering_rate",
+                  "lagging_steering", "lean")
 """Quantities that change sign in a mirrored drive; curves in them are odd."""
-FILTERED = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
+FILTERED_QUANTITIES = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
             "lean": ("acceleration_y", "lagging", 0.15)}
 """Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
@@ -113,7 +113,7 @@ class Candidate:
         """Name of the effect that implements it."""
         if self.quantity == "run_time":
             return _relation.TimedRelationEffect.name
-        is_filtered = self.quantity in FILTERED or self.factor in FILTERED
+        is_filtered = self.quantity in FILTERED_QUANTITIES or self.factor in FILTERED_QUANTITIES
         return _relation.LaggedRelationEffect.name if is_filtered else _relation.RelationEffect.name
 
     @property
@@ -144,8 +144,8 @@ class Candidate:
         values = {"low": self.low, "spacing": (self.high - self.low) / _relation.INTERVALS, "parity": self.parity,
                   **{f"to_{term}": self.typical_size for term in terms}}
         for quantity, prefix in ((self.quantity, "in"), (self.factor, "by")):
-            if quantity in FILTERED:
-                source, kind, tau = FILTERED[quantity]
+            if quantity in FILTERED_QUANTITIES:
+                source, kind, tau = FILTERED_QUANTITIES[quantity]
                 values |= {f"of_{source}": 1.0, "tau": tau, f"{prefix}_{kind}": 1.0}
             elif quantity and quantity != "run_time":
                 values[f"{prefix}_{quantity}"] = 1.0
@@ -173,7 +173,7 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
     Each lag is approximated by a moving average over twice its duration, which has a similar range."""
     log, vehicle = windows.joined, windows.vehicle
-    moving = log.velocity_x > MIN_SPEED
+    is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
     time = stamps.astype(float)
     angle = np.interp(time, log.steering_time_ns.astype(float), log.road_wheel_angle)
@@ -185,10 +185,10 @@ def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
                       "acceleration_x": np.gradient(moving_average(stamps, speed, SMOOTHING_NS), time * NANOSECOND),
                       "speed": speed, "yaw_rate": rate, "north": np.sin(log.yaw), "east": np.cos(log.yaw),
                       "position_x": log.x, "position_y": log.y, "run_time": compute_run_time(windows, stamps)}
-        for name, (source, kind, tau) in FILTERED.items():
+        for name, (source, kind, tau) in FILTERED_QUANTITIES.items():
             lagging = moving_average(stamps, quantities[source], round(2.0 * tau / NANOSECOND))
             quantities[name] = np.gradient(lagging, time * NANOSECOND) if kind == "rate" else lagging
-    return {name: values[moving] for name, values in quantities.items()}
+    return {name: values[is_moving] for name, values in quantities.items()}
 
 
 def find_candidates(windows: Windows) -> list[Candidate]:
@@ -202,7 +202,7 @@ def find_candidates(windows: Windows) -> list[Candidate]:
             continue
         if quantity.startswith("position_") and not one_site:
             continue
-        parity = ODD if quantity in SIGNED else NO_PARITY
+        parity = ODD if quantity in ODD_QUANTITIES else NO_PARITY
         low, high = _find_range(values[quantity])
         if parity == ODD:
             high = _find_range(np.abs(values[quantity]))[1]

@@ -12,7 +12,7 @@ from .candidates import NO_PARITY, RELATIONS, Candidate
 from .relation_fit import RelationFit, RelationFits
 
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
-MIN_EXPLAINED = 0.5  # minimum fraction of the gain of the curve (quadratic approximation) that a shape explains
+MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape explains
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
 FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
 NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
@@ -58,7 +58,7 @@ SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {
                   lambda u, p: p[0] * np.sign(u) * np.maximum(np.abs(u) - np.abs(p[1]), 0.0)),
     "linear and cubic": ("y = {0:.3g} u + {1:.3g} u^3", 2, lambda u, p: p[0] * u + p[1] * u**3),
 }
-ONE_SIDED: dict[str, tuple[str, int, ShapeFunction]] = {
+ASYMMETRIC_SHAPES: dict[str, tuple[str, int, ShapeFunction]] = {
     "constant": SHAPES["constant"], "linear": SHAPES["linear"],
     "straight line": ("y = {0:.3g} + {1:.3g} u", 2, lambda u, p: p[0] + p[1] * u),
     "square": ("y = {0:.3g} + {1:.3g} u |u|", 2, lambda u, p: p[0] + p[1] * u * np.abs(u)),
@@ -83,10 +83,10 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     """0 to MAX_FORMULAS shapes, the preferred one first. profile: quadratic of the loss about the coefficients (8,),
     by block, all other parameters profiled out; fold: (b,).
 
-    The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED are considered; the best has the
-    lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain of the best
-    shape, or NEAR_SHARE with a held-out loss at most one standard error above the best, from the paired differences of
-    the blocks (Breiman et al. 1984).
+    The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED_FRACTION are considered; the
+    best has the lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain
+    of the best shape, or NEAR_SHARE with a held-out loss at most one standard error above the best, from the paired
+    differences of the blocks (Breiman et al. 1984).
     """
     points = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.compute_splines(points)
@@ -98,7 +98,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     if total <= 1e-20:
         return ()
     shapes = []
-    for shape, (text, count, function) in (SHAPES if candidate.parity != NO_PARITY else ONE_SIDED).items():
+    for shape, (text, count, function) in (SHAPES if candidate.parity != NO_PARITY else ASYMMETRIC_SHAPES).items():
         if shape == "inverse" and np.abs(points).min() < 0.05 * reach:
             continue
 
@@ -116,7 +116,7 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
         if shape == "dead zone":
             best[1] = abs(best[1])
         explained = min(1.0 - float(profile.rise(compute_distance(best)).sum()) / total, 1.0)
-        if explained >= MIN_EXPLAINED:
+        if explained >= MIN_EXPLAINED_FRACTION:
             by_fold = {int(k): fit_parameters(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
             for k, others in by_fold.items():

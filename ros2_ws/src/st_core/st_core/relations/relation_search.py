@@ -18,9 +18,9 @@ from .next_drive import NextDrives, find_sparse_ranges, suggest_drives
 from .relation_fit import RelationFit, RelationFits, RunWindows
 from .selection import ScreenedCandidate
 
-MAX_FITTED = 10  # largest number of candidates fitted by simulation
+MAX_FITTED_CANDIDATES = 10  # largest number of candidates fitted by simulation
 MIN_BLOCKS = 10  # minimum number of blocks for a curve with eight coefficients
-MAX_DETECTABLE = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
+MAX_DETECTION_LIMIT = 3.0  # typical magnitudes; a model term with only higher detection limits counts as not examined
 MIN_REPORTED_RATIO = 1.25  # smallest reported ratio of the held-out errors of a run with and without the relation
 STEERING_TIMING = ("steering_rate", "lagging_steering")
 """Quantities of relations of the front steering that imitate a delayed or advanced steering signal."""
@@ -76,13 +76,13 @@ class RelationSearch:
     detection_limits: Mapping[str, float] = field(default_factory=dict)
 
     def find_unexamined_terms(self) -> list[str]:
-        """Model terms for which all detection limits exceed MAX_DETECTABLE typical magnitudes."""
+        """Model terms for which all detection limits exceed MAX_DETECTION_LIMIT typical magnitudes."""
         smallest: dict[str, float] = {}
         for name, limit in self.detection_limits.items():
             term, _, quantities = name.partition(" over ")
             typical_size = TYPICAL_SIZES[term] / FACTORS.get(quantities.partition(" times ")[2], 1.0)
             smallest[term] = min(smallest.get(term, np.inf), limit / typical_size)
-        return [term for term, size in smallest.items() if size > MAX_DETECTABLE]
+        return [term for term, size in smallest.items() if size > MAX_DETECTION_LIMIT]
 
 
 def needs_search(discovery: Discovery) -> bool:
@@ -172,7 +172,8 @@ def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits
     before = selection.compute_position_errors(fits, without)
     # The best candidate of every term is fitted first.
     first = {trial.candidate.term: trial for trial in reversed(significant)}
-    for trial in list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))[:MAX_FITTED]:
+    trials = list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))
+    for trial in trials[:MAX_FITTED_CANDIDATES]:
         tick()
         fit = fits.fit(trial.candidate, without)
         name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)

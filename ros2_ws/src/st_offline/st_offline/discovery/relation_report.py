@@ -13,7 +13,7 @@ from st_core.effects import Effect, find_source_file, load_file, unload_folder
 from st_core.model_file import EffectValue, ModelFile, ModelProvenance
 from st_core.regression import Z95
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import ALL_TERMS, FILTERED, ODD, QUANTITIES, SENSOR_READINGS
+from st_core.relations.candidates import ALL_TERMS, FILTERED_QUANTITIES, ODD, QUANTITIES, SENSOR_READINGS
 from st_core.relations.next_drive import INDEPENDENT_OF_MANOEUVRE, Option
 from st_core.vehicle import VehicleParameters
 
@@ -337,19 +337,19 @@ def _hooks_source(relation: Relation) -> str:
 
 def _expression(name: str) -> str:
     """Python expression of a quantity, for a hook of the effect file."""
-    if name not in FILTERED:
+    if name not in FILTERED_QUANTITIES:
         return STATE_EXPRESSIONS[name]
-    source, kind, tau = FILTERED[name]
+    source, kind, tau = FILTERED_QUANTITIES[name]
     return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
 
 
 def _state_source(c: Candidate) -> tuple[str, str]:
     """(declaration of the state, hooks that integrate it) for a quantity that depends on earlier values, such as a lag;
     two empty strings for other quantities."""
-    name = next((q for q in (c.quantity, c.factor) if q in FILTERED), "")
+    name = next((q for q in (c.quantity, c.factor) if q in FILTERED_QUANTITIES), "")
     if not name:
         return "", ""
-    source, _, tau = FILTERED[name]
+    source, _, tau = FILTERED_QUANTITIES[name]
     current = STATE_EXPRESSIONS[source]
     return (f'\n    extra_states = ("lagging",)\n    extra_units = ("{QUANTITIES[source]}",)',
             f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"

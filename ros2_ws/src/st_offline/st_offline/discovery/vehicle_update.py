@@ -17,7 +17,7 @@ from st_core.discovery.result import Run
 from st_core.effects import Effect, get_effect
 from st_core.errors import ConfigurationError, StCoreError
 from st_core.handling import find_implausible_values
-from st_core.integrate import slip_speed_needed
+from st_core.integrate import required_slip_speed
 from st_core.log import DriveLog, LogSignals
 from st_core.log_evaluation import regular_starts, usable_starts
 from st_core.prediction import PredictionSettings
@@ -138,7 +138,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
     """Lowest minimum_slip_speed [m/s] at which the base models and this model are stable. Models that no value
     stabilises are ignored; if that leaves none, the value of the car."""
     step = PredictionSettings().step
-    required = [slip_speed_needed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
+    required = [required_slip_speed((m,), car, STABILITY_SPEEDS, step) for m in ("linear", "nonlinear", model)]
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 
