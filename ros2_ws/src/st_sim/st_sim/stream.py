@@ -31,8 +31,7 @@ LOCKING_DURATION = 11.0  # s
 
 
 class Output(NamedTuple):
-    """due: time of sending [s since the start]. order: rank among outputs due at the same time. payload: NCOM packet,
-    frame, or true state."""
+    """due: time of sending [s since the start]. order: rank at equal times. payload: packet, frame or true state."""
 
     due: float
     order: int

@@ -45,8 +45,7 @@ class BagDrive(LoadedRun):
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a rosbag2 directory, one of its storage files, or a bag of ROS 1."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (
-        *EXTENSIONS, ROS1_EXTENSION)
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in (*EXTENSIONS, ROS1_EXTENSION)
 
 
 def has_odometry(path: Path) -> bool:

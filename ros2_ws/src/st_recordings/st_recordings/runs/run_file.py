@@ -38,8 +38,7 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 
 def find_described_run(file: Path) -> RunSource | None:
-    """Finds the run of a recording that its own run.yaml describes, or one with `each` in the same folder; None
-    without one. Raises RunError."""
+    """The run that the recording's run.yaml describes, or one with `each` in its folder, else None. Raises RunError."""
     own = _read_own_run_file(file.parent, file)
     if own and own.problem:
         raise own.problem
@@ -124,8 +123,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads another run.yaml, with the stem or in the folder of `file`, that lists `file`, or is invalid and may be
-    about it; else None."""
+    """Reads another run.yaml, of the stem or folder of `file`, that lists it, or is invalid and may be about it."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:

@@ -30,8 +30,7 @@ HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers
 MAX_DAMAGED_SHARE = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
 
-def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str,
-                warnings: list[str]) -> tuple[str, str]:
+def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, warnings: list[str]) -> tuple[str, str]:
     """(rows with dates and times of day in seconds, first time as text). first: cell of the column in the first row."""
     if (match := _NAMED_MONTH.search(first)) and month_number(match[2]):
         body = _NAMED_MONTH.sub(_replace_month_name, body)
