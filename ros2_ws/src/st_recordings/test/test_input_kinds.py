@@ -256,6 +256,9 @@ TABLES = [
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),
     Table("hemispheres.csv", with_hemispheres),
+    Table("names_above_an_ascii_log.csv", lambda log: csv(
+        [["#INSPVAXA", "COM1", "4e77;INS_SOLUTION_GOOD", *row] for row in rows(log)],
+        ",".join(("log", "port", "status", *NAMES)))),
     # Names and units of columns.
     Table("repeated_column.csv", lambda log: with_columns(log, {"vx": "9"}),
           "column vx occurs 2 times; the first is used"),

@@ -441,7 +441,9 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
     """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
     out. Raises RunError if they are half of the rows or more, or the others cannot be read."""
-    lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}') and not _is_comment(line, delimiter)]
+    filled = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
+    # In an ASCII log of NovAtel, every row begins with #.
+    lines = [line for line in filled if not _is_comment(line, delimiter)] or filled
     try:
         return _parse_rows(lines, delimiter, width)
     except ValueError as parse_error:
