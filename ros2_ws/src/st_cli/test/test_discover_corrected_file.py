@@ -20,7 +20,7 @@ from st_core.vehicle import VehicleParameters, value_of
 from st_offline.discovery.discovery_report import build_model_file
 from st_offline.discovery.drives import Drive, Request, read_drive
 from st_offline.discovery.report_text import recommend
-from st_offline.discovery.vehicle_update import KEYS, edit_entries, fold_named_effects, update_vehicle
+from st_offline.discovery.vehicle_update import ENTRIES, edit_entries, fold_named_effects, update_vehicle
 from st_recordings.car_skeleton import STABILITY_SPEEDS
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF
@@ -62,15 +62,16 @@ def test_file_that_predicts_worse_is_not_written(recorded_drive):
     assert written.error == folded.error
     (advice,) = [line for line in recommend(found, written) if "is not written" in line]
     assert "alone it would change" in advice and "on these drives" in advice  # one drive, so none is held out
-    outside = replace(written, error=(0.0, math.inf), worse=("weave",))
+    outside = replace(written, error=(0.0, math.inf), worse_drives=("weave",))
     assert "values fitted without weave are outside the limits" in "".join(recommend(found, outside))
 
 
 def test_file_that_improves_the_mean_but_worsens_a_drive_is_not_written(tmp_path):
     long = record_drive(tmp_path, 90.0)
     _, folded = fold_effects(long, ("mass", {"factor": 1.5}))
-    assert folded.worse == (long.log.name,)
-    assert not replace(folded, error=(1.0, 0.5)).improves and replace(folded, error=(1.0, 0.5), worse=()).improves
+    assert folded.worse_drives == (long.log.name,)
+    assert not replace(folded, error=(1.0, 0.5)).improves
+    assert replace(folded, error=(1.0, 0.5), worse_drives=()).improves
 
 
 def test_stiffer_tyres_raise_the_minimum_slip_speed(recorded_drive):
@@ -122,7 +123,7 @@ def test_updated_file_has_the_values_of_the_folded_effect(recorded_drive, name):
     found, update = fold_effects(recorded_drive, (name, values))
     assert update.folded == (name,) and not update.not_folded
     expected = EFFECTS[name].fold(CAR, EFFECTS[name].Theta(**values, constants=()))
-    for key in KEYS:
+    for key in ENTRIES:
         assert value_of(update.vehicle, key) == pytest.approx(value_of(expected, key), rel=1e-5, abs=1e-9), key
     assert all(low <= high for _, _, low, high in update.changes.values())
     assert build_model_file(found, make_request(recorded_drive), update) is None

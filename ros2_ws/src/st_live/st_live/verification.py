@@ -54,7 +54,7 @@ class Comparison:
     n_settling: int = 0  # forecasts not compared because the acceleration filter had not settled
 
     @property
-    def largest(self) -> float:
+    def largest_difference(self) -> float:
         """The largest difference of a position or an error [m]."""
         return max(self.path_difference, *self.score_difference.values())
 
@@ -69,8 +69,8 @@ class Verification:
     warnings: tuple[str, ...]
 
     @property
-    def largest(self) -> float:
-        return max((c.largest for c in self.comparisons), default=0.0)
+    def largest_difference(self) -> float:
+        return max((c.largest_difference for c in self.comparisons), default=0.0)
 
     @property
     def n_starts(self) -> int:
@@ -257,7 +257,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
     n_settling = sum(c.n_settling for c in result.comparisons)
     n_planned = sum(c.n_planned for c in result.comparisons)
     yaw_difference = max(c.yaw_difference for c in result.comparisons)
-    passed = max(result.largest, yaw_difference) <= tolerance and not n_one_sided
+    passed = max(result.largest_difference, yaw_difference) <= tolerance and not n_one_sided
     verdict = "[green]live equals offline[/green]" if passed else "[red]live differs from offline[/red]"
     worst = max(result.comparisons, key=lambda c: c.path_difference)
     location = ""
@@ -266,7 +266,7 @@ def _print_conclusion(result: Verification, tolerance: float, console: Console) 
         location = f"; the path that differs most: {worst.model} at {time} UTC"
     planned = f", {n_planned} more with inputs of a plan or course," if n_planned else ""
     console.print(f"{verdict}: {result.n_starts} predictions{planned} and {n_scores} scores compared, largest "
-                  f"difference {result.largest * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
+                  f"difference {result.largest_difference * 1000:.3g} mm (limit {tolerance * 1000:g} mm), in yaw "
                   f"{yaw_difference * 1000:.3g} mrad (limit {tolerance * 1000:g} mrad); {n_one_sided} scores complete "
                   f"on one side only, {n_truncated} incomplete because the nodes stopped{location}",
                   highlight=False, soft_wrap=True)

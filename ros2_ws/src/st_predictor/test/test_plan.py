@@ -104,7 +104,7 @@ def test_recording_with_plans_is_verified_and_replayed(path_folder: Path, tmp_pa
     assert process.returncode == 0, process.stdout + process.stderr
     for recording in (path_folder / "bag", replayed):
         result = verify(recording, LEAF)
-        assert result is not None and result.largest < 1.0e-6
+        assert result is not None and result.largest_difference < 1.0e-6
         assert all(c.n_planned > 60 and c.n_scores["plan"] > 40 and not c.n_one_sided for c in result.comparisons)
 
 

@@ -49,10 +49,10 @@ class OutputError(OSError):
     """An output folder cannot be used. The text is one line for the user."""
 
 
-def new_folder(given: Path | None, name: str, create: bool = True) -> Path:
-    """Absolute path of `given`, or else of runs/<name>-<time>, created if `create`. Raises OutputError if it is a file,
-    is not empty, or cannot be read or created; with `create`, also if its disk is full."""
-    folder = given or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+def new_folder(output: Path | None, name: str, create: bool = True) -> Path:
+    """Absolute path of `output`, or else of runs/<name>-<time>, created if `create`. Raises OutputError if it is a
+    file, is not empty, or cannot be read or created; with `create`, also if its disk is full."""
+    folder = output or Path("runs") / f"{name}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
     try:
         if folder.exists() and (folder.is_file() or any(folder.iterdir())):
             problem = "is a file" if folder.is_file() else "is not empty"

@@ -111,7 +111,7 @@ def identify(
     if what is None:
         table = Table("experiment", "identifies", "data", box=None)
         for experiment in EXPERIMENTS.values():
-            table.add_row(experiment.name, experiment.description, experiment.files)
+            table.add_row(experiment.name, experiment.description, experiment.required_files)
         shared.console.print(table)
         return
     if what not in EXPERIMENTS:

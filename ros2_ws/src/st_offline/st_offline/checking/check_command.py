@@ -148,7 +148,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         lines.append(f"#   {escape_unprintable(comment)}\n")
     if options := _format_steering_options(read):
         lines.append(f"# read with {options}\n")
-    settings = append_corrections(_settings(source, file, read), corrections)
+    settings = append_corrections(_merge_settings(source, file, read), corrections)
     parts = [_relative(path, file) for path in source.files]
     files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
              **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
@@ -205,7 +205,7 @@ def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
+def _merge_settings(source: RunSource, file: Path, read: ReadSettings) -> dict[str, Any]:
     """Settings of the run's own run.yaml, overridden by the options of the command line. A run.yaml cannot state the
     sign of a steering column, so with --steering-sign -1 it does not name the column."""
     # A car whose recordings are tables has neither DBC nor signal table.

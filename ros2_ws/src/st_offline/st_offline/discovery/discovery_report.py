@@ -23,7 +23,7 @@ from ..terminal import list_files, make_table, report_problem
 from . import quantities, report_text
 from .drives import Drive, Request
 from .relation_report import RelationReport
-from .vehicle_update import KEYS, VehicleUpdate
+from .vehicle_update import ENTRIES, VehicleUpdate
 
 SCHEMA = 3
 FIRST_VERDICTS = ("alternative", "varies")  # these effects come first in the table of other effects
@@ -166,7 +166,7 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
 
 def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Row of a changed entry of the vehicle file [SI]."""
-    unit, limits = unit_symbol(KEYS[key].si_unit), (KEYS[key].minimum, KEYS[key].maximum)
+    unit, limits = unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
             f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",

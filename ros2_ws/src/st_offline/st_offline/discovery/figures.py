@@ -84,11 +84,11 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     axes.set_yticks(range(len(steps) + 2), [*rows, end])
     axes.set(ylim=(len(steps) + 1.6, -0.6), xlim=(0.0, 1.16 * max(first, *(s.position_5s.base for s in steps))),
              xlabel="mean position error after 5 s on held-out driving, m")
-    rises = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
+    has_increase = any(s.position_5s.augmented - s.position_5s.base > MIN_CHANGE for s in steps)
     handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
                Patch(color=AFTER_COLOUR, label=end),
                Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
-               *([Patch(color=BAD, alpha=0.65, label="increase")] if rises else []),
+               *([Patch(color=BAD, alpha=0.65, label="increase")] if has_increase else []),
                Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
@@ -208,18 +208,18 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
     for e in effects:
         for partition, entries in e.agreement.items():
             parts.setdefault(partition, {}).update(dict.fromkeys(v.where for v in entries))
-    crowded = {partition: f"{len(names)} {partition}s" for partition, names in parts.items()
-               if partition == "place" or len(names) > MAX_ROWS}
+    single_row_labels = {partition: f"{len(names)} {partition}s" for partition, names in parts.items()
+                         if partition == "place" or len(names) > MAX_ROWS}
     labels = [(partition, where) for partition, names in parts.items()
-              for where in ([crowded[partition]] if partition in crowded else names)]
+              for where in ([single_row_labels[partition]] if partition in single_row_labels else names)]
     figure, panels = plt.subplots(1, len(effects), figsize=(HALF_WIDTH, 1.3 + 0.17 * len(labels)), sharey=True,
                                   squeeze=False)
     for axes, effect in zip(panels[0], effects, strict=True):
         _draw_ratios(axes, [(labels.index((partition, v.where)), v) for partition, entries in effect.agreement.items()
-                            if partition not in crowded for v in entries])
-        for partition in crowded.keys() & effect.agreement.keys():
+                            if partition not in single_row_labels for v in entries])
+        for partition in single_row_labels.keys() & effect.agreement.keys():
             ratios = np.clip([v.ratio for v in effect.agreement[partition]], *axes.get_xlim())
-            row = labels.index((partition, crowded[partition]))
+            row = labels.index((partition, single_row_labels[partition]))
             axes.plot(ratios, np.full(len(ratios), row), "|", ms=7, color=AFTER_COLOUR, alpha=0.6)
         title = textwrap.fill(quantities.to_words(effect.name), 64 // len(effects), break_long_words=False)
         axes.set_title(title, fontsize=8)

@@ -25,7 +25,7 @@ from .quantities import (
     format_value,
     to_words,
 )
-from .vehicle_update import KEYS, SLIP_SPEED_KEY, VehicleUpdate
+from .vehicle_update import ENTRIES, SLIP_SPEED_KEY, VehicleUpdate
 
 MAX_PARTS = 6  # local estimates of a varying effect listed in a sentence
 MAX_UNDETECTABLE = 4  # effects listed in a sentence; the table contains all
@@ -319,7 +319,7 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
     lines = []
     if update is not None and not update.text and not update.improves:
         before, after = update.error
-        worse = ", ".join(update.worse)
+        worse = ", ".join(update.worse_drives)
         where = f", with a significant increase in {worse}" if worse else ""
         drives = "held-out drives" if discovery.leave_one_out else "these drives"
         reason = (f"values fitted without {worse} are outside the limits of a vehicle file" if math.isinf(after) else
@@ -407,7 +407,7 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     texts = []
     for key, values in changes.items():
         before, after = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in values[:2])
-        texts.append(f"{key} {before} → {after} {unit_symbol(KEYS[key].si_unit)}".rstrip())
+        texts.append(f"{key} {before} → {after} {unit_symbol(ENTRIES[key].si_unit)}".rstrip())
     return ", ".join(texts)
 
 

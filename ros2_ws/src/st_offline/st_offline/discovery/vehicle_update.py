@@ -38,7 +38,8 @@ SIGNIFICANCE_LEVEL = 0.05  # of a one-sided paired t-test over the predictions o
 SIGNIFICANT_DIGITS = 6  # of a written value
 SCALE_SOURCE = "value before the corrections of other entries"  # source of a lambda_ky that the file does not contain
 SLIP_SPEED_KEY = "minimum_slip_speed"
-KEYS = VEHICLE_QUANTITIES | {f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}
+ENTRIES = {**VEHICLE_QUANTITIES,
+           **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class VehicleUpdate:
     folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
     because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
     error: mean position error of the base model after 5 s [m], held-out with several drives, (original, updated file).
-    worse: drives with a significantly larger error with the updated file. objections: implausible values of the car.
+    worse_drives: drives with a significantly larger error with the updated file. objections: implausible values.
     required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
     """
 
@@ -61,14 +62,14 @@ class VehicleUpdate:
     changes: Mapping[str, tuple[float, float, float, float]]
     not_folded: Mapping[str, Mapping[str, tuple[float, float]]]
     error: tuple[float, float] = (math.nan, math.nan)
-    worse: tuple[str, ...] = ()
+    worse_drives: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
     required_slip_speed: float = 0.0
 
     @property
     def improves(self) -> bool:
         """Whether the mean error does not grow, and no drive has a significantly larger error."""
-        return not (self.error[1] > self.error[0] or self.worse)
+        return not (self.error[1] > self.error[0] or self.worse_drives)
 
 
 def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | None:
@@ -77,7 +78,7 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
     if update is None or not update.text or update.improves:
         return update
     model = discovery.model or update.model
-    return _without_file(request.vehicle, model, update.not_folded, update.error, update.worse)
+    return _without_file(request.vehicle, model, update.not_folded, update.error, update.worse_drives)
 
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
@@ -103,18 +104,18 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
             folded = candidate
         else:
             alone = fold(request.vehicle, (effect,), discovery.named.values)
-            not_folded[effect.name] = _changed_values(request.vehicle, alone)
+            not_folded[effect.name] = _find_changes(request.vehicle, alone)
     if not folded:
         return _without_file(request.vehicle, discovery.model, not_folded)
     car = fold(request.vehicle, folded, discovery.named.values)
-    model = _remaining_model(discovery, car, folded, drives, request.vehicle)
+    model = _adapt_model(discovery, car, folded, drives, request.vehicle)
     required = _required_slip_speed(car, model)
     if required > car.minimum_slip_speed:  # the written file must keep the model stable
         car = replace(car, minimum_slip_speed=required)
-        model = _remaining_model(discovery, car, folded, drives, request.vehicle)
+        model = _adapt_model(discovery, car, folded, drives, request.vehicle)
     error, worse = _held_out_error(discovery, request.vehicle, folded, drives)
     changes = {key: (*change, *_confidence_interval(discovery, request.vehicle, folded, key))
-               for key, change in _changed_values(request.vehicle, car).items()}
+               for key, change in _find_changes(request.vehicle, car).items()}
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
     runs = [run for run in discovery.runs if run.role == "suspect"]
@@ -128,7 +129,7 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
 
 def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
                   *measured: Any) -> VehicleUpdate:
-    """Update that keeps the original file. measured: `error` and `worse`, if an updated file was tried."""
+    """Update that keeps the original file. measured: `error` and `worse_drives`, if an updated file was tried."""
     required = _required_slip_speed(vehicle, model)
     return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *measured),
                    required_slip_speed=required if required > vehicle.minimum_slip_speed else 0.0)
@@ -144,8 +145,8 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
 
 def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
-    """`error` and `worse` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if any.
-    (0, inf) and the drive if these values are outside the limits of a vehicle file."""
+    """`error` and `worse_drives` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if
+    any. (0, inf) and the drive if these values are outside the limits of a vehicle file."""
     assert discovery.named is not None  # because there are named effects
     errors, worse = [], []
     for drive in drives:
@@ -164,8 +165,8 @@ def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Se
     return (before_mean, after_mean), tuple(worse)
 
 
-def _remaining_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
-                     drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
+def _adapt_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[type[Effect]],
+                 drives: Sequence[DriveLog], vehicle: VehicleParameters) -> AugmentedModel:
     """Model for the updated vehicle. Effective corrections are dropped if with them its predictions differ from those
     of the complete model by more than MAX_POSITION_DIFFERENCE."""
     assert discovery.model is not None and discovery.named is not None
@@ -183,9 +184,9 @@ def _remaining_model(discovery: Discovery, car: VehicleParameters, folded: Seque
     return model if is_similar else without_effects(discovery.named, folded)
 
 
-def _changed_values(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
+def _find_changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
     """(before, after) of each key that differs between two vehicles."""
-    pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in KEYS}
+    pairs = {key: (value_of(vehicle, key), value_of(other, key)) for key in ENTRIES}
     return {key: pair for key, pair in pairs.items() if not math.isclose(*pair, rel_tol=1e-9, abs_tol=1e-12)}
 
 
@@ -195,7 +196,7 @@ def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], value
     if not effect.fold:
         return {}
     try:
-        pairs = _changed_values(vehicle, fold(vehicle, (effect,), {effect.name: values}))
+        pairs = _find_changes(vehicle, fold(vehicle, (effect,), {effect.name: values}))
     except StCoreError:  # outside the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
@@ -251,7 +252,7 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
         previous, *ends = (format_number(float(f"{x:.{SIGNIFICANT_DIGITS}g}")) for x in (before, low, high))
         source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
                   f"{found}, 95 % interval {' to '.join(ends)}")
-        sources[key] = f"{source}; before {previous} {KEYS[key].si_unit}".removesuffix(" 1")
+        sources[key] = f"{source}; before {previous} {ENTRIES[key].si_unit}".removesuffix(" 1")
         deviation = float(f"{(high - low) / (2.0 * Z95):.3g}")
         entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
     return replace(car, sources=sources, provenance=entries)
@@ -268,8 +269,8 @@ def edit_vehicle_text(text: str, keys: Iterable[str], car: VehicleParameters, di
             read = VehicleParameters.from_yaml(edited)
         except (ConfigurationError, yaml.YAMLError):
             break
-        wrong = [key for key in KEYS if not math.isclose(value_of(read, key), value_of(car, key), rel_tol=tolerance,
-                                                         abs_tol=1e-4 * tolerance)]
+        wrong = [key for key in ENTRIES if not math.isclose(value_of(read, key), value_of(car, key), rel_tol=tolerance,
+                                                            abs_tol=1e-4 * tolerance)]
         if not wrong:
             return edited
         keys += [key for key in wrong if key.endswith("lambda_ky")]
@@ -300,7 +301,7 @@ def edit_entries(text: str, entries: Mapping[str, Callable[[str, float], str]]) 
 def _locate_edit(root: yaml.Node, key: str, write_entry: Callable[[str, float], str]) -> tuple[int, int, str]:
     """(start, end, replacement) of one entry in the text of the file."""
     tyre, _, name = key.rpartition(".")
-    section, units = _find_entry(root, tyre) if tyre else root, KEYS[key].units
+    section, units = _find_entry(root, tyre) if tyre else root, ENTRIES[key].units
     assert isinstance(section, yaml.MappingNode)  # already parsed as a vehicle file
     node = _find_entry(section, name)
     if node is None:

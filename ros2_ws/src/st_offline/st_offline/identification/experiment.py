@@ -37,13 +37,13 @@ class IdentificationJob:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment. name: as on the command line. description: one line. files: description of the files needed.
+    """One experiment. name: as on the command line. description: one line. required_files: description of the files.
     identify: reads the files and computes one or more results; raises StCoreError or RunError. draw: draws the figure
     of a result. files_needed: whether files must be given. uses_recordings: whether the files are recorded drives."""
 
     name: str
     description: str
-    files: str
+    required_files: str
     identify: Callable[[IdentificationJob], tuple[Identification, ...]]
     draw: Callable[[Identification, FigureOutput], PageFigure] | None = None
     files_needed: bool = True

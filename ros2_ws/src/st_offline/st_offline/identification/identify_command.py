@@ -39,7 +39,8 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     Raises StCoreError, RunError, OutputError."""
     with console.status(f"identifying: {job.experiment.description}"):
         if job.experiment.files_needed and not job.files:
-            raise result.IdentificationError(f"no files were given; {job.experiment.name} needs {job.experiment.files}")
+            raise result.IdentificationError(f"no files were given; {job.experiment.name} needs "
+                                             f"{job.experiment.required_files}")
         try:
             outcomes = job.experiment.identify(job)
         except result.IdentificationError as error:
