@@ -27,6 +27,8 @@ DEFINITIONS = {
     "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",
     "autoware_vehicle_msgs/msg/VelocityReport": "std_msgs/Header header\nfloat32 longitudinal_velocity\n"
                                                 "float32 lateral_velocity\nfloat32 heading_rate\n",
+    "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\n",
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
     "own_msgs/msg/Wheel": "builtin_interfaces/Time stamp\nfloat64 steering_wheel_angle_deg\n"}
 Messages = dict[str, Callable[[int], Any]]
 
@@ -72,10 +74,10 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
                               twist=twist(k, yaw=log.yaw[k], yaw_rate=0.0))
 
     return {
-        "/imu/data": lambda k: make(
+        **dict.fromkeys(("/imu/data", "/imu/second"), lambda k: make(
             "sensor_msgs/msg/Imu", header=stamped(k), orientation=orientation(k), orientation_covariance=nine,
             angular_velocity=vector(0, 0, log.yaw_rate[k]), angular_velocity_covariance=nine,
-            linear_acceleration=vector(0, 0, 9.8), linear_acceleration_covariance=nine),
+            linear_acceleration=vector(0, 0, 9.8), linear_acceleration_covariance=nine)),
         "/fix": lambda k: make(
             "sensor_msgs/msg/NavSatFix", header=stamped(k), latitude=float(latitude[k]), longitude=float(longitude[k]),
             altitude=0.0, status=make("sensor_msgs/msg/NavSatStatus", status=0, service=1), position_covariance=nine,
@@ -89,7 +91,9 @@ def make_messages(log: DriveLog, store: Typestore = STORE, stamp_offset_ns: int 
         "/wheel": lambda k: store.types["own_msgs/msg/Wheel"](
             stamp=stamped(k).stamp, steering_wheel_angle_deg=float(np.degrees(wheel[k]))),
         "/clock": lambda k: make("rosgraph_msgs/msg/Clock", clock=stamped(k).stamp),
-        "/steer": lambda k: make("std_msgs/msg/Float64", data=float(wheel[k])),
+        **dict.fromkeys(("/steer", "/steering_cmd"), lambda k: make("std_msgs/msg/Float64", data=float(wheel[k]))),
+        "/drive": lambda k: store.types["ackermann_msgs/msg/AckermannDriveStamped"](
+            header=stamped(k), drive=store.types["ackermann_msgs/msg/AckermannDrive"](steering_angle=float(wheel[k]))),
         **dict.fromkeys(("/vehicle/status/steering_status", "/second/steering_status"), lambda k: store.types[
             "autoware_vehicle_msgs/msg/SteeringReport"](
             stamp=stamped(k).stamp, steering_tire_angle=float(CAR.road_wheel_angle(wheel[k])))),
@@ -216,6 +220,14 @@ def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> Non
     assert_warned(run.warnings, "yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
 
 
+@pytest.mark.parametrize("topic", ["/steering_cmd", "/drive"])
+def test_command_in_place_of_the_steering_angle_is_reported(tmp_path: Path, drive_log: DriveLog, topic: str) -> None:
+    folder = write(tmp_path / "drive", drive_log, "/odom", topic)
+    field = {"/steering_cmd": "data", "/drive": "drive.steering_angle"}[topic]
+    run = read(find_runs([folder])[0], CAR, ReadSettings(steering=SteeringField(topic, field)))
+    assert_warned(run.warnings, f"{topic} is a command by its name or type, not a measurement")
+
+
 def test_fixes_with_the_status_of_no_fix_are_left_out(tmp_path: Path, drive_log: DriveLog) -> None:
     def spoil(message: Any, k: int) -> Any:
         return replace(message, latitude=51.9 + 1e-5 * k, status=replace(message.status, status=-1)) if (
@@ -251,7 +263,7 @@ def test_bag_with_stamps_of_another_clock_is_read_by_the_times_of_reception(tmp_
     folder = write(tmp_path / "drive", drive_log, "/pose", "/twist", "/steer", stamp_offset_ns=-10**18)
     run = read(find_runs([folder])[0], CAR, STEER)
     assert_same(run.log, drive_log, max_lost=0)
-    assert_warned(run.warnings, "the stamps of its topics do not overlap in time; the times of reception are used")
+    assert_warned(run.warnings, "stamps of /pose and /twist and /steer do not overlap in time; the times of reception")
 
 
 @pytest.mark.parametrize("topics", [("/odom", "/steer"), ("/pose", "/twist", "/steer")])
@@ -283,6 +295,7 @@ def test_simulation_at_half_speed_is_read_by_its_clock(tmp_path: Path, drive_log
      "angle with --steering-topic; or record"),
     (("/pose", "/vehicle/status/velocity_status", "/vehicle/status/steering_status", "/second/steering_status"),
      ReadSettings(), "may each contain the road_wheel_angle; name the right one with --steering-topic"),
+    (("/imu/data", "/imu/second", "/fix", "/twist", "/steer"), STEER, "may each be orientation_x; record"),
     (("/steer",), STEER, "no message of type nav_msgs/msg/Odometry; recorded: /steer .*, or another of this type"),
     (("/odom", "/vehicle/status/steering_status"), ReadSettings(), "no message of type st_msgs/msg/Steering; .*, or "
      "name the topic of the steering angle with --steering-topic")])

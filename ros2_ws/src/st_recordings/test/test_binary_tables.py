@@ -74,6 +74,13 @@ def save_time_series_structs(file: Path, columns: Columns) -> None:
                            for name, values in columns.items() if name != "t"}})
 
 
+def test_channels_on_different_clocks_are_refused(columns: Columns, tmp_path: Path) -> None:
+    gyro = {"t": columns["t"] + 100.0, "yaw_rate": columns["yaw_rate"]}
+    savemat(tmp_path / "a.mat", {"gyro": gyro, "ins": {name: columns[name] for name in columns if name != "yaw_rate"}})
+    with pytest.raises(RunError, match="its channels have numbers at different times; export them with times of one"):
+        load(tmp_path / "a.mat")
+
+
 def save_signal_structs(file: Path, columns: Columns) -> None:
     """Each signal is a struct with its samples and unit, as IPG CarMaker exports them."""
     degrees = {"yaw_rate", "road_wheel_angle"}

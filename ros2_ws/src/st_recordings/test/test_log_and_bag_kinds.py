@@ -301,7 +301,7 @@ BAGS: list[tuple[str, Callable[[Path, DriveLog], Path], ReadSettings, str]] = [
     ("stamps of whole seconds", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="seconds"), ReadSettings(),
      r"stamps \(9\d %\) of /odom repeat the previous one; the times of reception are used"),
     ("stamps since boot", lambda folder, log: write_bag(folder / "a.mcap", log, stamps="boot"), ReadSettings(),
-     "do not overlap in time; the times of reception are used for both"),
+     "do not overlap in time; the times of reception are used"),
     ("twelve splits", write_splits, ReadSettings(), ""),
     ("custom type, degrees, right positive", lambda folder, log: write_bag(
         folder / "a.mcap", log, custom_steering=True),

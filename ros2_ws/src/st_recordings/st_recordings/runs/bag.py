@@ -175,23 +175,13 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
             notes.append(f"{problem}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
         by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
-        if min(map(len, by_kind.values())) > 1 and not _overlap(*by_kind.values()):
-            received = {kind: storage.read_log_times(topic, by_kind[kind]) for kind, topic in topics.items()}
-            if _overlap(*received.values()):
-                for kind, times in received.items():
-                    columns[kind]["header.stamp"] = times
-                notes.append(f"the stamps of {' and '.join(topics.values())} do not overlap in time; the times of "
-                             "reception are used for both")
-        elif is_foreign:
-            aligned, clock_notes = storage.align_stamps([(topics[kind], stamps) for kind, stamps in by_kind.items()])
+        if min(map(len, by_kind.values())) > 1:
+            aligned, clock_notes = storage.align_stamps(
+                [(topics[kind], stamps) for kind, stamps in by_kind.items()], is_foreign)
             for kind, stamps in zip(topics, aligned, strict=True):
                 columns[kind]["header.stamp"] = stamps
             notes += clock_notes
     return notes
-
-
-def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    return bool(max(first.min(), second.min()) <= min(first.max(), second.max()))
 
 
 def read_metadata_records(path: Path) -> dict[str, dict[str, str]]:

@@ -128,21 +128,36 @@ class Storage(ABC):
         received, simulated = (np.array(sorted(ticks)) - ticks[0]).T
         return ticks[0][1] + np.round(np.interp(times - ticks[0][0], received, simulated)).astype(np.int64)
 
-    def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]]) -> tuple[list[np.ndarray], list[str]]:
-        """(stamps of each topic [ns], notes). If the clocks differ, all are shifted to the clock of the first.
+    def align_stamps(self, stamps: Sequence[tuple[str, np.ndarray]], compares_clocks: bool = True
+                     ) -> tuple[list[np.ndarray], list[str]]:
+        """(times of each topic [ns] on one clock, notes). These are the stamps if they have one clock; the times of
+        reception if the stamps do not overlap; else the stamps, shifted to the clock of the first.
 
         An INS may stamp with GPS time, 18 s ahead of UTC. If a delay varies, the times of reception are not those of
         the drive, as in topics that were computed later, and the stamps are not changed.
         """
-        delays = [self.read_log_times(topic, times) - times for topic, times in stamps]
+        given, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
+        is_common = _overlap(given)
+        if is_common and not compares_clocks:
+            return given, []
+        received = [self.read_log_times(topic, each) for topic, each in stamps]
+        if not is_common and _overlap(received):
+            return received, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
+        delays = [times - each for times, each in zip(received, given, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
-        delays_vary = any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
+        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
         if delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_NS:
-            return [times for _, times in stamps], []
+            return given, []
         ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
-        return [times + shift - shifts[0] for (_, times), shift in zip(stamps, shifts, strict=True)], [
+        return [each + shift - shifts[0] for each, shift in zip(given, shifts, strict=True)], [
             f"compared with the times of reception, the clock of {ahead} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
             f"ahead of that of {behind}; all stamps were moved to the clock of {stamps[0][0]}"]
+
+
+def _overlap(times: Sequence[np.ndarray]) -> bool:
+    """Whether the spans of these times, without zeros, have a common part."""
+    known = [each[each != 0] for each in times]
+    return all(map(len, known)) and bool(max(each.min() for each in known) <= min(each.max() for each in known))
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:

@@ -25,9 +25,6 @@ UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a messag
 FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
 """Types whose status.status is negative without a fix; position and velocity are then old or arbitrary."""
 
-Part = tuple[str, np.ndarray, dict[str, np.ndarray]]
-"""Topic, its stamps [ns], its columns."""
-
 
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
                       files: Sequence[Path] = ()) -> LoadedRun | None:
@@ -51,9 +48,10 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         if len(topics := [name for name, _, part in parts if channel in part]) > 1:
             raise RunError(path, f"topics {' and '.join(topics)} may each contain the {channel}",
                            "name the right one with --steering-topic")
-    parts, notes = _move_to_one_clock(storage, parts)
+    aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
     warnings += [f"{path}: {note}" for note in notes]
-    frames = [pd.DataFrame(part, index=stamps) for _, stamps, part in parts]
+    frames = [pd.DataFrame(part, index=times)[stamps != 0]
+              for times, (_, stamps, part) in zip(aligned, parts, strict=True)]
     merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)
     text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
     table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), warnings)
@@ -67,17 +65,6 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         has_steering = {*STEERING} & table.sources.keys()
         raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
                        f"--steering-topic; or {ADVICE}") from None
-
-
-def _move_to_one_clock(storage: Storage, parts: Sequence[Part]) -> tuple[list[Part], list[str]]:
-    """(parts with times on one clock, notes). The times are the nonzero stamps, or else the times of reception."""
-    nonzero_stamps = [stamps[stamps != 0] for _, stamps, _ in parts]
-    if max(stamps.min() for stamps in nonzero_stamps) > min(stamps.max() for stamps in nonzero_stamps):
-        return [(name, storage.read_log_times(name, stamps), part) for name, stamps, part in parts], [
-            "the stamps of its topics do not overlap in time; the times of reception are used"]
-    aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
-    return [(name, times[stamps != 0], {column: values[stamps != 0] for column, values in part.items()})
-            for (name, stamps, part), times in zip(parts, aligned, strict=True)], notes
 
 
 def has_ins_channels(path: Path) -> bool:

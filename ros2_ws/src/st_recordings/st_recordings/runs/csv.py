@@ -80,7 +80,9 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     has_steering = table.is_usable & all_finite(columns, steering_channels)
     if min(has_ins.sum(), has_steering.sum()) < 2:
         reason, advice = "", "remove it from the command"
-        if missing:
+        if has_ins.sum() < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
+            reason, advice = ": its channels have numbers at different times", "export them with times of one clock"
+        elif missing:
             worst = max(missing, key=lambda name: missing[name])
             total = len(table.time_ns) + table.rows_without_time
             reason = f": {worst} has no number in {format_share(missing[worst], total, 'rows')}"
@@ -184,7 +186,8 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                        "add a header line with names from docs/csv_columns.md")
     unclear = describe_unknown_units(table.names, table.sources)
     candidates = [*missing, *(COMPUTED_FROM[name] for name in missing if name in COMPUTED_FROM),
-                  *([STEERING_WHEEL] if ROAD_WHEEL in missing else [])]
+                  *([STEERING_WHEEL] if ROAD_WHEEL in missing else []),
+                  *(QUATERNION_CHANNELS if "yaw" in missing else [])]
     if text := next((unclear[name] for name in candidates if name in unclear), ""):
         raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")

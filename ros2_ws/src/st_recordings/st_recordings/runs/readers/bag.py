@@ -1,6 +1,7 @@
 """Registers the reader of bags: directories and single storage files of rosbag2, and files of ROS 1."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from .. import bag
 from ..bag_storage import EXTENSIONS, ROS1_EXTENSION
 from ..ins_log import InsLog
 from ..readers import Reader, register
-from ..run_types import Label, LoadedRun, ReadSettings, RunSource
+from ..run_types import Label, LoadedRun, ReadSettings, RunSource, SteeringField
+
+_COMMAND = re.compile(r"(?i)cmd|command|control|target|desired|setpoint|ackermann|\bdrive\.steering_angle")
 
 
 def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings) -> LoadedRun:
@@ -19,6 +22,15 @@ def read(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSet
         from ..raw import read_raw_run
 
         return read_raw_run(source, vehicle, settings)
+    run = _read_bag(source, vehicle, settings, steering)
+    if steering is None or not _COMMAND.search(f"{steering.topic} {steering.field}"):
+        return run
+    note = f"{steering.topic} is a command by its name or type, not a measurement; the car follows it with a delay"
+    return replace(run, warnings=(*run.warnings, f"{source.path}: {note}"))
+
+
+def _read_bag(source: RunSource, vehicle: VehicleParameters | None, settings: ReadSettings,
+              steering: SteeringField | None) -> LoadedRun:
     if settings.odometry is None and bag.lacks_odometry(source.path, source.files):
         from ..bag_table import read_bag_as_table
 
