@@ -35,8 +35,7 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
-    """The drive with heading and velocities of steady cornering; unchanged if it has velocity_y or little sideslip, or
-    if its yaw is a heading."""
+    """The drive with steady-state sideslip; unchanged if it has velocity_y, little sideslip or a heading as yaw."""
     fast = log.velocity_x > MIN_SPEED
     if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not fast.any():
         return log

@@ -1,8 +1,7 @@
 """Time series: samples sorted by time, interpolation except in gaps, and forward acceleration from speed.
 
 The acceleration is the derivative of the speed u after a first-order Butterworth low-pass, solved exactly for a speed
-that is linear between its samples. It uses the actual spacing dt of each pair of samples, so uneven spacing adds no
-noise:
+that is linear between its samples. It uses the actual spacing dt, so uneven spacing adds no noise:
 
     tau y_dot = u - y,   tau = 1 / (2 pi f_c)
     x = dt / tau,  e = exp(-x),  g = (1 - e) / x,   y_k = e y_{k-1} + (g - e) u_{k-1} + (1 - g) u_k
@@ -36,8 +35,7 @@ class TimeSeries:
     angles: columns interpolated along the shorter arc. span [s]: at least one second is kept. maximum_gap [s]: between
     samples further apart the signal is unknown. The number of samples is limited to MAXIMUM_SAMPLES.
 
-    breaks: by time of a sample [ns], the reason why the signal is unknown between the previous sample and this one; set
-    by the owner.
+    breaks, set by the owner: by sample time [ns], reason why the signal is unknown since the previous sample.
     """
 
     def __init__(self, columns: Sequence[str], span: float, maximum_gap: float, angles: Sequence[str] = ()):

@@ -7,8 +7,7 @@ ahead of the CG and rotated by gamma to the left,
 
 with v_x, v_y at the INS. Straights determine gamma, bends d_x, bends at two speeds s [rad s^2/m], the magnitude of the
 rear slip angle per lateral acceleration. The term e [s^2] is the lateral motion of an INS above the roll axis as the
-body rolls. If the INS is a distance d_y to the left of the CG, it is slower than the CG in left bends and faster in
-right bends:
+body rolls. An INS at d_y to the left of the CG is slower than the CG in left bends and faster in right bends:
 
     phi + c phi^3 = delta - K v_x r,    phi = atan(L r / (v_x + r d_y))
 

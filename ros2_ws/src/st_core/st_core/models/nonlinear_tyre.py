@@ -2,8 +2,7 @@
 
     F_z,f = m / l (g l_r - a_x h),  F_z,r = m / l (g l_f + a_x h),  a_x = v_x_dot (the input)
 
-The formula is evaluated for one tyre at half the axle load, and the force is doubled. Source: paper, dynamic model and
-appendix.
+The formula is evaluated for one tyre at half the axle load, its force doubled. Source: paper, dynamic model, appendix.
 """
 
 from typing import NamedTuple

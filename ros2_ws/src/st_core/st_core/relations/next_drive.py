@@ -75,8 +75,7 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
                    points: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
     """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: see
-    `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) standard deviation of the curve.
-    sparse: `find_sparse_ranges`."""
+    `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve. sparse: `find_sparse_ranges`."""
     candidate = fit.candidate
     assert candidate is not None
     if candidate.quantity in INDEPENDENT_OF_MANOEUVRE:

@@ -170,8 +170,7 @@ class RelationFits:
         return best
 
     def profile(self, fit: RelationFit) -> Quadratic:
-        """Quadratic by block about the fit, in the coefficients alone: all other parameters, including those of the
-        vehicle file, are profiled out."""
+        """Quadratic by block about the fit, in the coefficients; all others, with the vehicle's, are profiled out."""
         assert fit.candidate is not None
         loss = self.make_loss(fit.candidate)
         car = loss.sensitivities(fit.vector, self.vehicle_indices)

@@ -81,8 +81,7 @@ def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict
 def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, vehicle_sensitivities: np.ndarray,
                       candidate: Candidate, signs: np.ndarray) -> ScreenedCandidate | None:
     """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
-    if it changes no prediction. base: (b,) held-out loss without a relation. vehicle_sensitivities: to the vehicle
-    parameters. signs: (DRAWS, b)."""
+    if it changes no prediction. base: (b,) held-out loss without a relation. signs: (DRAWS, b)."""
     loss = fits.make_loss(candidate)
     sensitivities = loss.sensitivities(without.vector, fits.relation_indices)
     q = fits.sum_quadratic(loss, without.residuals, np.concatenate([without.sensitivities, sensitivities]))
