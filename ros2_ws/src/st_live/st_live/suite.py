@@ -3,7 +3,7 @@
 Each child leaves the process group of the terminal: Ctrl-C reaches only this process, which then ends the children in
 order. If this process is killed, the kernel interrupts the children (parent-death signal of setpriv, if installed).
 
-Recorder, evaluator and passenger lower their priority; `st live --realtime` schedules bridges and predictor in real time.
+Recorder, evaluator and passenger lower their priority; `st live --realtime` runs bridges and predictor in real time.
 """
 
 import os
