@@ -48,6 +48,8 @@ FAULTS = [
     ("velocity_scale", 1.02 * 3.6, scaled(1.02 * 3.6, *VELOCITY)),
     ("velocity_scale", 0.97, scaled(0.97, *VELOCITY)),
     ("velocity_x_scale", 3.6, scaled(3.6, "velocity_x")),
+    ("velocity_y_scale", 3.0, scaled(3.0, "velocity_y")),
+    ("velocity_y_scale", 0.5, scaled(0.5, "velocity_y")),
     ("velocity_lag", 0.2, delayed(0.2, *VELOCITY)),
     ("velocity_lag", -0.1, delayed(-0.1, *VELOCITY)),
     ("velocity_x_bias", 0.4, biased(0.4, "velocity_x")),
@@ -81,7 +83,7 @@ FAULTS = [
     ("steering_lag", -0.3, delayed(-0.3, *STEERING)),
     ("heading_misaligned", 0.0098, ins_rotated(0.0098)),
 ]
-GROSS_SCALES = {"yaw_scale", "yaw_rate_scale", "steering_scale", "velocity_scale"}
+GROSS_SCALES = {"yaw_scale", "yaw_rate_scale", "steering_scale", "velocity_scale", "velocity_y_scale"}
 """Scale errors by a factor of 2 or more in these channels are errors: no parameter is fitted to them."""
 # Faults of units, axes and conventions, without an estimate other than the factor.
 CONVENTION_FAULTS = [
@@ -252,6 +254,24 @@ def test_displaced_measuring_point_is_corrected_in_the_vehicle_file(log, leaf, a
     assert finding.advice.kind == "vehicle" and low <= ahead <= high
     assert f"value: {finding.advice.entry['cg_to_ins_x']:.2f}" in finding.advice.line
     assert findings_by_name(wrong, replace(leaf, **finding.advice.entry)) == {}
+
+
+def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
+    low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
+    assert low <= -2.0 <= high
+
+
+def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf):
+    """The rear wheels, steered against the front ones at low speed and with them at high speed, turn the heading."""
+    log = exact_drive(leaf, 120.0)
+    time, speed = log.ins_time_ns, log.velocity_x
+    angle = np.interp(speed, [speed.min(), speed.max()], [-0.3, 0.2]) * np.interp(
+        time, log.steering_time_ns, log.road_wheel_angle)
+    velocity = (speed + 1j * log.velocity_y) * np.exp(1j * angle)
+    steered = replace(log, yaw=log.yaw - angle, velocity_x=velocity.real, velocity_y=velocity.imag,
+                      yaw_rate=log.yaw_rate - np.gradient(angle, time * 1e-9))
+    finding = findings_by_name(steered, leaf)["measuring_point"]
+    assert finding.advice.kind == "look" and "at other speeds velocity_y is that of another point" in finding.text
 
 
 @pytest.mark.parametrize(("first", "second"), [

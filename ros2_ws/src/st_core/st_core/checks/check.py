@@ -165,11 +165,12 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, _Results]:
     """Check the relations that are valid for any vehicle. removed_factors: see `_find_removed_factors`."""
     results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
-    motion, results.findings = position.check_lateral_sign(motion)
+    motion, sign_findings = position.check_lateral_sign(motion)
     yaw_rate, tolerances = inertial.compare_yaw_rate(motion)
     motion, lag_findings = _check_yaw_lag(motion, yaw_rate)
     recorded = motion
     motion, position_findings, estimates = position.check_positions(motion)
+    position_findings = position.merge_lateral_sign(sign_findings, position_findings, estimates)
     results.estimates = estimates
     if "wheel_speed" in motion.speeds and (wheel := inertial.compare_speed(recorded, "wheel_speed")):
         motion, position_findings = position.attribute_scale_to_positions(

@@ -6,6 +6,7 @@ Each cause of a residual contributes a term that is linear in the size of the ca
 
     x or y scale s        p = s p_true                           s - 1 times the derived displacement along that axis
     velocity scale 1/s    v = v_true / s                         s - 1 times the derived displacement
+    lateral scale 1/s     v_y = v_y_true / s                     s - 1 times the integral of R(yaw) (0, v_y) dt
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
     yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
@@ -24,7 +25,16 @@ from scipy.stats import binomtest
 
 from ..regression import SIGMA_PER_MAD
 from .finding import HORIZON, LIMITS, WHEEL_SCALE_TOLERANCE, Advice, Comparison, Finding, Severity, neutral_value
-from .motion import MAX_GAP, MAX_LISTED, MIN_MOVING_SPEED, Motion, find_groups, find_time_intervals, has_varying_speed
+from .motion import (
+    MAX_GAP,
+    MAX_LISTED,
+    MIN_MOVING_SPEED,
+    Motion,
+    find_groups,
+    find_time_intervals,
+    has_varying_speed,
+    is_near,
+)
 from .regression import Estimate, Regression, add_systematic_uncertainty, is_relevant
 from .sampling import estimate_resolution
 
@@ -40,13 +50,23 @@ MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign a
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
+# Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, 0.25 m more change
+# velocity_y by 0.17 of its value.
+MIN_LATERAL_SCALE_ERROR = 0.15
 AXIS_SCALES = ("x_scale", "y_scale")
-# Causes that are confounded at constant speed. Only one of them is fitted; a bias only if its loss is clearly smaller.
+VELOCITY_SCALES = ("velocity_scale", "velocity_y_scale")
+# Causes that are confounded at constant speed. Only one of them is fitted.
 BIASES = {"velocity_x_bias": {*AXIS_SCALES, "velocity_scale"}, "velocity_y_bias": {"yaw_offset"}}
 CONFOUNDED = {"velocity_scale": {*AXIS_SCALES, "velocity_x_bias"}, "yaw_offset": {"velocity_y_bias"}, **BIASES,
               **{axis: {"velocity_scale", "velocity_x_bias"} for axis in AXIS_SCALES}}
-MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS}
-"""Smallest reported value of a cause, by its unit."""
+# Causes that are selected only if their loss is clearly smaller than that of the confounded ones.
+RARE_CAUSES = {**BIASES, "velocity_y_scale": {"position_reference", "yaw_offset"}}
+MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_BIAS,
+                "velocity_y_scale": MIN_LATERAL_SCALE_ERROR}
+"""Smallest reported value of a cause, by its name or unit."""
+LATERAL_CAUSES = {"velocity_y_scale": ("position_reference", "yaw_offset"), "position_reference": ("velocity_y_scale",),
+                  "yaw_offset": ("velocity_y_scale",)}
+"""Other causes by which a drive at one speed may explain the same residual, by the cause found."""
 
 
 class Cause(NamedTuple):
@@ -68,6 +88,8 @@ CAUSES = {
                        "from its origin?"),
     "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
                             "velocity is {value:.4f} ± {half:.4f} times the rate of change of positions"),
+    "velocity_y_scale": Cause(("velocity_y",), "velocity_y", "scale", "1", "velocity_y is {value:.3f} ± {half:.3f} "
+                              "times its value from positions, yaw and velocity_x"),
     "yaw_offset": Cause(("yaw",), "yaw", "add", "rad", "yaw points {size:.4f} ± {half:.4f} rad ({degrees:.2f} deg) too "
                         "far {side}, according to positions and velocities"),
     "position_lag": Cause(("x", "y"), "position", "earlier", "s",
@@ -92,7 +114,8 @@ def make_residual_regression(motion: Motion) -> Regression:
     displacement, velocity_change = windows.integral(velocity), windows.change(velocity)
     columns = {
         "x_scale": displacement.real, "y_scale": 1j * displacement.imag, "map_shear": displacement.imag,
-        "velocity_scale": displacement, "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
+        "velocity_scale": displacement, "velocity_y_scale": windows.integral(1j * motion.velocity_y * heading),
+        "yaw_offset": -1j * displacement, "position_lag": -velocity_change,
         "velocity_lag": velocity_change - windows.integral(1j * motion.yaw_rate * velocity),
         "position_reference": windows.change(heading),
         "velocity_x_bias": -windows.integral(heading), "velocity_y_bias": -1j * windows.integral(heading),
@@ -113,20 +136,27 @@ def check_positions(motion: Motion) -> tuple[Motion, list[Finding], dict[str, Es
             return motion, [], {}
         effects = {name: problem.compute_effect(name, HORIZON_WINDOWS) for name in problem.columns}  # m per unit
         min_values = {name: max(LIMITS.min_reported_effect / max(effect, 1e-9),
-                                MIN_REPORTED.get(CAUSES[name].unit, 0.0)) for name, effect in effects.items()}
+                                MIN_REPORTED.get(name, MIN_REPORTED.get(CAUSES[name].unit, 0.0)))
+                      for name, effect in effects.items()}
         refined = _refine_causes(problem, causes, min_values, has_varying_speed(motion.velocity_x))
         causes = {name: estimate for name, estimate in refined.items() if is_relevant(estimate, min_values[name])}
         corrected = _correct_causes(motion, causes)
         if not causes:
             break
-    findings = [_make_finding(name, estimate, abs(estimate.value) * effects[name]) for name, estimate in causes.items()
-                if not _convert_to_reported(name, estimate).covers(neutral_value(name))]
     problem = make_residual_regression(corrected)
+    errors = {name: _convert_to_reported(name, estimate).shifted(-neutral_value(name))
+              for name, estimate in causes.items()}
+    findings = [_make_finding(name, causes[name], abs(error.value) * effects[name]) for name, error in errors.items()
+                if not error.covers(0.0)]
+    findings = _add_lateral_alternative(findings, problem, causes)
     estimates = {}
-    for name in problem.columns:  # each is fitted together with the causes found
+    for name, column in problem.columns.items():  # each is fitted together with the causes found
+        if name == "velocity_y_scale" and not column.any():
+            continue
         alongside = tuple(other for other in causes if other != name and other not in CONFOUNDED.get(name, ()))
         estimate = problem.estimate((*alongside, name))[name]
-        estimates[name] = _convert_to_reported(name, estimate.shifted(causes[name].value if name in causes else 0.0))
+        estimate = _add_refinement(name, causes[name].value if name in causes else 0.0, estimate)
+        estimates[name] = _convert_to_reported(name, estimate)
     estimates["position_scale"] = estimates["velocity_scale"].inverse()  # assumes a correct velocity
     return corrected, findings, estimates
 
@@ -180,7 +210,7 @@ def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
     yaw_rate = motion.yaw_rate
     reference = -2.0 * float(motion.velocity_y @ yaw_rate) / max(float(yaw_rate @ yaw_rate), 1e-12)  # m
     misfits = []
-    for name in problem.columns.keys() - {*AXIS_SCALES, *BIASES, "velocity_scale"}:
+    for name in problem.columns.keys() - {*AXIS_SCALES, *RARE_CAUSES, "velocity_scale"}:
         theta, misfit, _ = problem.fit((*AXIS_SCALES, name))
         # v_y is mostly the yaw rate times a distance d, so a wrong sign resembles a reference point 2 d away.
         expected, fitted = abs(reference), theta[name] * np.sign(reference)
@@ -197,6 +227,56 @@ def make_lateral_sign_finding() -> Finding:
                    "positive)", -1.0, advice=Advice.correct("velocity_y", scale=-1.0))
 
 
+def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
+                       estimates: dict[str, Estimate]) -> list[Finding]:
+    """All findings, with only one if both sign and scale of velocity_y are wrong.
+
+    sign: of `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
+    sign of the recorded velocity_y.
+    """
+    name = "velocity_y_scale"
+    if not sign:
+        return findings
+    scale = estimates[name] = estimates[name].scaled(-1.0)
+    if name not in {finding.name for finding in findings}:
+        return [*sign, *findings]
+    text = f"velocity_y is {scale} times its value from positions, yaw and velocity_x: it has the opposite sign"
+    advice = Advice.correct("velocity_y", scale=float(f"{1.0 / scale.value:.5g}"))
+    return [replace(finding, severity=Severity.ERROR, text=text, value=scale.value, interval=scale.interval,
+                    advice=advice) if finding.name == name else finding for finding in findings]
+
+
+def _add_lateral_alternative(findings: list[Finding], problem: Regression,
+                             causes: dict[str, Estimate]) -> list[Finding]:
+    """The findings; those of causes that a scale of velocity_y explains equally well, or the reverse, lose their
+    correction. problem: of the motion corrected for the causes."""
+    found = [name for name in LATERAL_CAUSES if name in causes]
+    if not found or {*found} > {"velocity_y_scale"}:
+        return findings
+    sizes = {name: causes[name].value for name in found}
+    if found[0] == "velocity_y_scale":  # the column has the corrected velocity_y
+        sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
+    recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
+    explained, others = (*AXIS_SCALES, *found), (*AXIS_SCALES, *LATERAL_CAUSES[found[0]])
+    _, scale, _ = recorded.fit(explained)
+    if recorded.compute_loss(others, scale) > MIN_LOSS_RATIO * recorded.compute_loss(explained, scale):
+        return findings
+    alternative = "the reference point of the positions and the yaw offset are wrong"
+    if others[-1] == "velocity_y_scale":
+        factor = 1.0 / (1.0 + recorded.fit(others)[0]["velocity_y_scale"])
+        if is_near(factor, -1.0, LIMITS.unit_ratio):  # see `add_sign_alternative`
+            return findings
+        alternative = f"velocity_y is {factor:.2f} times its true value"
+    return [_add_alternative(finding, alternative) if finding.name in found else finding for finding in findings]
+
+
+def _add_alternative(finding: Finding, alternative: str) -> Finding:
+    """The finding with an alternative that involves velocity_y, and thus without a correction."""
+    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
+    return replace(finding, advice=advice, channels=tuple(dict.fromkeys((*finding.channels, "velocity_y"))),
+                   text=f"{finding.text}, or {alternative}: both fit this drive")
+
+
 def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: Motion) -> list[Finding]:
     """The findings, without the correction of those that a wrong sign of velocity_y also explains, as on a circle."""
     names = {"yaw_offset", "position_reference", "velocity_y_bias"}
@@ -206,10 +286,8 @@ def add_sign_alternative(findings: list[Finding], recorded: Motion, corrected: M
     if not mirrored < min(MAX_SIGN_MISFIT_RATIO * compute_scaled_misfit(corrected),
                           0.5 * compute_scaled_misfit(recorded)):
         return findings
-    advice = Advice("look", "drive bends of different speed and radius, to distinguish the two")
-    return [replace(finding, advice=advice, channels=(*finding.channels, "velocity_y"),
-                    text=f"{finding.text}, or velocity_y has the opposite sign (left is positive): both fit this drive")
-            if finding.name in names else finding for finding in findings]
+    alternative = "velocity_y has the opposite sign (left is positive)"
+    return [_add_alternative(finding, alternative) if finding.name in names else finding for finding in findings]
 
 
 def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values: dict[str, float],
@@ -217,18 +295,26 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
     """Refined values of the causes found so far, and further causes. min_values: smallest reported value by cause."""
     excluded = {*causes, *(other for name in causes for other in CONFOUNDED.get(name, ()))}
     candidates = [name for name in min_values if name not in excluded]
-    further = _find_causes(problem, [name for name in candidates if name not in BIASES], min_values, tuple(causes))
+    further = _find_causes(problem, [name for name in candidates if name not in RARE_CAUSES], min_values, tuple(causes))
     _, scale, _ = problem.fit((*causes, *further))
     loss = problem.compute_loss((*causes, *further), scale)
-    for bias, confounded in BIASES.items():
-        if bias in candidates and confounded & {*further} and speed_varies:
-            others = [name for name in candidates if name not in {*confounded, *BIASES} - {bias}]
+    for rare, confounded in RARE_CAUSES.items():
+        is_tried = confounded & {*further} or rare not in CONFOUNDED  # a wrong velocity_y may yield no other
+        if rare in candidates and is_tried and speed_varies:
+            others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES} - {rare}]
             alternative = _find_causes(problem, others, min_values, tuple(causes))
-            if bias in alternative and MIN_LOSS_RATIO * problem.compute_loss((*causes, *alternative), scale) < loss:
-                further = alternative
+            loss_of_alternative = problem.compute_loss((*causes, *alternative), scale)
+            if rare in alternative and MIN_LOSS_RATIO * loss_of_alternative < loss:
+                further, loss = alternative, loss_of_alternative
     estimates = problem.estimate((*causes, *further))
-    return {name: estimate.shifted(causes[name].value) if name in causes else estimate
+    return {name: _add_refinement(name, causes[name].value, estimate) if name in causes else estimate
             for name, estimate in estimates.items()}
+
+
+def _add_refinement(name: str, found: float, refinement: Estimate) -> Estimate:
+    """Estimate of a cause from its value found so far and the estimate for the motion corrected by it."""
+    factor = 1.0 + found if name in VELOCITY_SCALES else 1.0
+    return refinement.scaled(factor).shifted(found)
 
 
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
@@ -264,6 +350,8 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
         lag="lag" if positive else "lead", ahead="ahead of" if positive else "behind",
         change="increases" if positive else "decreases", high="high" if positive else "low")
     severity = LIMITS.severity(effect, cause.unit == "s" and abs(estimate.value) >= LIMITS.severe_lag)
+    if name == "velocity_y_scale" and not is_near(reported.value, 1.0, LIMITS.unit_ratio):
+        severity = Severity.ERROR
     correction = {"scale": 1.0 / (reported.value or np.inf), "earlier": reported.value}.get(cause.key, -reported.value)
     advice = (Advice.correct(cause.corrected_channel, **{cause.key: float(f"{correction:.5g}")}) if cause.key else
               Advice("look", "project latitude and longitude with an origin near the drive"))
@@ -273,7 +361,7 @@ def _make_finding(name: str, estimate: Estimate, effect: float) -> Finding:
 
 def _convert_to_reported(name: str, cause: Estimate) -> Estimate:
     """Estimate of a cause as its finding reports it, with systematic uncertainty; a scale without error is 1."""
-    if name == "velocity_scale":
+    if name in VELOCITY_SCALES:
         return add_systematic_uncertainty(name, cause.shifted(1.0).inverse())
     return add_systematic_uncertainty(name, cause.shifted(1.0) if name.endswith("_scale") else cause)
 
@@ -282,12 +370,13 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
     """The motion corrected for these causes."""
     value = {name: causes[name].value if name in causes else 0.0 for name in CAUSES}
     ahead, scale = value["position_reference"], 1.0 + value["velocity_scale"]
+    lateral_scale = scale * (1.0 + value["velocity_y_scale"])
     y = motion.y / (1.0 + value["y_scale"])
     x = motion.x / (1.0 + value["x_scale"]) - value["map_shear"] * y
     motion = replace(motion, x=x - ahead * np.cos(motion.yaw), y=y - ahead * np.sin(motion.yaw),
                      yaw=motion.yaw - value["yaw_offset"],
                      velocity_x=motion.velocity_x * scale - value["velocity_x_bias"],
-                     velocity_y=motion.velocity_y * scale - value["velocity_y_bias"])
+                     velocity_y=motion.velocity_y * lateral_scale - value["velocity_y_bias"])
     for cause in {"position_lag", "velocity_lag"} & causes.keys():
         motion = motion.shifted_earlier(value[cause], *CAUSES[cause].channels)
     return motion

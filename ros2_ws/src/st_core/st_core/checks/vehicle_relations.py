@@ -30,6 +30,7 @@ CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
 WINDOW, STANDSTILL_WINDOW = 0.5, 2.0  # s
 MIN_REAR_AXLE_WINDOWS = 30
+SLIP_RANGE = 0.5, 1.5  # range of the rear slip, as a fraction of that of the vehicle file
 MAX_COSINE = 0.9  # cosine similarity of speed and yaw rate; 1 on a circle, where heading and point are confounded
 MIN_STEERING_ANGLE = 0.01  # rad; minimum root mean square that determines the steering gain
 MIN_ANGLE_FOR_SIGN = 0.003  # rad; minimum root mean square; fast wide bends determine only the sign of the gain
@@ -245,7 +246,8 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
                 "at an angle, or the road is banked")
         advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
         findings = [_make_finding("heading_misaligned", ("yaw", "velocity_y"), text, heading, "rad", effect, advice)]
-    point_or_sign = make_lateral_sign_finding() if is_mirrored else _make_point_finding(point, motion, vehicle)
+    point_or_sign = (make_lateral_sign_finding() if is_mirrored else
+                     _make_point_finding(point, estimates["slip"], motion, vehicle))
     findings += [point_or_sign] if point_or_sign else []
     axle_motion = sum(estimates[name].value * problem.columns[name][:, 0] for name in ("slip", "roll"))
     panel = Comparison("velocity_y", "lateral velocity: measured versus derived from the rear axle", "m/s",
@@ -268,13 +270,18 @@ def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: b
     middle, low, high = (
         Regression(problem.time, problem.compute_residual({"slip": slip}), problem.columns).estimate(
             ("heading", "point", "roll"))
-        for slip in (expected, 0.5 * expected, 1.5 * expected))
+        for slip in (expected, *(factor * expected for factor in SLIP_RANGE)))
     return {"slip": Estimate(expected, 0.25 * expected, 0.5 * expected), **{
         name: estimate.widened(max(abs(other[name].value - estimate.value) for other in (low, high)))
         for name, estimate in middle.items()}}
 
 
-def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
+def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle: VehicleParameters) -> Finding | None:
+    """Finding of a displaced INS point; None if it is small. slip: of the rear axle, see `_fit_rear_axle`.
+
+    Rear wheels steered by k times the front angle act like a point k wheelbases further ahead. A k that depends on the
+    speed changes the slip too, so there is no correction if the slip does not agree with the vehicle file.
+    """
     if not point.significant or abs(point.value) < LIMITS.ins_position:
         return None
     windows = motion.make_windows(HORIZON)
@@ -288,9 +295,16 @@ def _make_point_finding(point: Estimate, motion: Motion, vehicle: VehicleParamet
     value = vehicle.cg_to_ins_x + point.value
     advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}  # measure it: "
                     "rear-wheel steering has the same effect", {"cg_to_ins_x": round(value, 2)})
+    low, high = (factor * rear_slip_coefficient(vehicle) for factor in SLIP_RANGE)
     if abs(value) > vehicle.wheelbase:
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
         advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")
+    elif slip.interval[1] < low or slip.interval[0] > high:
+        text += ", but at other speeds velocity_y is that of another point"
+        advice = Advice("look", "measure the INS position: rear wheels that steer differently with speed, or another "
+                        "cornering_stiffness_rear, have the same effect")
+    else:
+        text += ", or the rear wheels steer"
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
 
 
