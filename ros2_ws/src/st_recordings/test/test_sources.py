@@ -229,6 +229,13 @@ def test_text_log_of_an_ins_with_the_extension_asc_is_not_a_can_log(tmp_path: Pa
     assert "ins.asc: this is not a CAN log; export other recordings as .csv" in str(run.problem)
 
 
+def test_pattern_of_a_run_yaml_leaves_out_can_logs_in_csv(tmp_path: Path) -> None:
+    touch(tmp_path, "drive.csv", content="t,x,y,yaw,vx,vy,yaw_rate,delta\n")
+    touch(tmp_path, "bus.csv", content="Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n")
+    (tmp_path / "all.run.yaml").write_text('each: "*.csv"\n')
+    assert [run.name for run in find_runs([tmp_path / "all.run.yaml"])] == ["drive"]
+
+
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
     touch(tmp_path, "run.ncom", "run.csv", content="Time,CAN ID,Dir,Bus,LEN,Data\n")
     (run,) = find_runs([tmp_path])

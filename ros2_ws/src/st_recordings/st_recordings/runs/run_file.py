@@ -119,7 +119,8 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
     if not files:
         raise RunError(path, f"each: no file matches {content['each']!r}",
                        "patterns are relative to the folder of the run.yaml")
-    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in files]
+    drives = [file for file in files if not is_can_log(file)] or files  # *.csv may also match CAN logs
+    return [_read_own_run_file(path, file) or _parse_run_of_each(path, content, file) for file in drives]
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
