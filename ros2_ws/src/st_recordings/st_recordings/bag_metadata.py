@@ -144,12 +144,12 @@ def read_definition(type_name: str) -> str:
     Raises UnknownTypeError.
     """
     texts: dict[str, str] = {}
-    waiting = [type_name]
-    while waiting:
-        name = waiting.pop(0)
+    pending = [type_name]
+    while pending:
+        name = pending.pop(0)
         if name not in texts:
             texts[name] = _find_interface_file(name, ".msg").read_text().rstrip("\n") + "\n"
-            waiting += _list_field_types(name, texts[name])
+            pending += _list_field_types(name, texts[name])
     return "".join(text if name == type_name else f"{TYPE_SEPARATOR}\nMSG: {name}\n{text}"
                    for name, text in texts.items())
 

@@ -24,16 +24,16 @@ DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 @drawing.apply_style()
-def draw_comparison(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
+def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
     """Draw one comparison, with the time intervals of its findings shaded. prefix: start of the title."""
-    findings = sorted((finding for finding in run.checked.findings if finding.name in pair.findings),
+    findings = sorted((finding for finding in run.checked.findings if finding.name in comparison.findings),
                       key=check_report.severity_rank)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
     for axes, values, colour, width, label in (
-            (upper, pair.measured, MEASURED_COLOUR, 2.6, pair.measured_label),
-            (upper, pair.derived, DERIVED_COLOUR, 0.9, pair.derived_label),
-            (lower, pair.measured - pair.derived, drawing.TEXT, 0.9, None)):
-        line = drawing.reduce_points(*drawing.cut_at_gaps(pair.time, values, MAX_LINE_GAP))
+            (upper, comparison.measured, MEASURED_COLOUR, 2.6, comparison.measured_label),
+            (upper, comparison.derived, DERIVED_COLOUR, 0.9, comparison.derived_label),
+            (lower, comparison.measured - comparison.derived, drawing.TEXT, 0.9, None)):
+        line = drawing.reduce_points(*drawing.cut_at_gaps(comparison.time, values, MAX_LINE_GAP))
         axes.plot(*line, color=colour, lw=width, label=label)
     shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
     for finding in findings:
@@ -42,18 +42,18 @@ def draw_comparison(pair: Comparison, run: CheckedRun, prefix: str) -> drawing.P
                 axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
     lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
     lower.set_xlabel("time after the first INS measurement, s")
-    unit = check_report.unit_symbol(pair.unit) or "1"
+    unit = check_report.unit_symbol(comparison.unit) or "1"
     upper.set_ylabel(unit)
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
     figure.legend(loc="outside lower left", ncols=2)
     output = drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-")
     shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
-    caption = f"Grey: {pair.measured_label}; blue: {pair.derived_label}; below, grey minus blue{shaded}."
-    size = f"{residual_rms(pair):.2g} {check_report.unit_symbol(pair.unit)}".strip()
+    caption = f"Grey: {comparison.measured_label}; blue: {comparison.derived_label}; below, grey minus blue{shaded}."
+    size = f"{residual_rms(comparison):.2g} {check_report.unit_symbol(comparison.unit)}".strip()
     found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
-    title = f"{prefix}{pair.title[0].upper()}{pair.title[1:]}: {found}"
-    return drawing.save_figure(figure, output, f"comparison-{pair.name}", title, caption)
+    title = f"{prefix}{comparison.title[0].upper()}{comparison.title[1:]}: {found}"
+    return drawing.save_figure(figure, output, f"comparison-{comparison.name}", title, caption)
 
 
 def page_title(runs: Sequence[CheckedRun]) -> str:

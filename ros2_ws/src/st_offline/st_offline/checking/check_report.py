@@ -21,7 +21,7 @@ from st_recordings.runs.raw import summarise_alignment
 
 from ..terminal import format_count, print_line
 
-MAX_ZONE_DEVIATION = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
+MAX_ZONE_DIFFERENCE = 120.0  # s; an offset this close to a multiple of half an hour is due to time zones
 MAX_INTERVALS = 4  # time intervals of a finding that are listed
 MAX_LISTED = 3  # findings in a headline
 MAX_RUNS = 8  # runs that are printed one by one; with more runs, each error and warning is printed once
@@ -173,7 +173,7 @@ def _describe_deviation(deviation: float | None) -> str:
 def _zone_note(offset: float) -> str:
     """Note on an offset [s] that is close to a difference between time zones; empty for other offsets."""
     half_hours = round(offset / 1800.0)
-    if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DEVIATION:
+    if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DIFFERENCE:
         return ""
     return f" (about {0.5 * half_hours:+g} h: one of the two clocks shows local time)"
 

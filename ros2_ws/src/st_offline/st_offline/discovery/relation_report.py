@@ -44,10 +44,10 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
     not_excluded: Groups = [("not excluded", [f"a relation for a term that these drives do not excite enough: {terms}"]
                              )] if terms else []
     if relation is None:
-        why = search.reason
+        reason = search.reason
         for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of another
-            why = why.replace(name, quantities.spell_out(name))
-        return RelationReport([("proposal", [f"none: {why}"]), *not_excluded])
+            reason = reason.replace(name, quantities.spell_out(name))
+        return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
     without, with_it = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.find_worse_runs().items())
@@ -67,13 +67,13 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
     return RelationReport([(heading, lines) for heading, lines in groups if lines], tables, headline)
 
 
-def _effect_size(relation: Relation, discovery: Discovery, why: str) -> list[str]:
+def _effect_size(relation: Relation, discovery: Discovery, reason: str) -> list[str]:
     without, with_it = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     exceptions = f"; not smaller in {', '.join(worse)}" if worse else ""
     noise = f"; noise floor {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
     return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
-            f"it{noise}", why,
+            f"it{noise}", reason,
             f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
 
 

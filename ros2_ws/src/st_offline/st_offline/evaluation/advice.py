@@ -226,8 +226,8 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
     rows = []
     for (model, step), cost in costs.items():
         row = {"model": model, "step, s": f"{step:g}"}
-        row |= {f"{kind}, µs (x)": f"{1e6 * spent:.3g} ({spent / least[kind]:.1f})"
-                if (spent := getattr(cost, kind)) is not None else "-" for kind in least}
+        row |= {f"{kind}, µs (x)": f"{1e6 * seconds_used:.3g} ({seconds_used / least[kind]:.1f})"
+                if (seconds_used := getattr(cost, kind)) is not None else "-" for kind in least}
         accuracy = accuracies.get((model, step))
         for name, values in (("error", accuracy and accuracy.rms), ("band", accuracy and accuracy.half_widths)):
             row |= {f"{name} {second} s, m": "-" if not values else f"{values[k]:.2f}"
