@@ -256,6 +256,12 @@ def test_displaced_measuring_point_is_corrected_in_the_vehicle_file(log, leaf, a
     assert findings_by_name(wrong, replace(leaf, **finding.advice.entry)) == {}
 
 
+def test_slow_velocity_is_no_scale_of_both_axes_if_the_projection_is_spherical(log, leaf):
+    """The axes differ by 0.45 %, and by 0.0056 after division by the scale of the velocity."""
+    wrong = scaled(0.8, *VELOCITY)(scaled(0.9955, "x")(log))
+    assert "velocity_scale" in findings_by_name(wrong, leaf)
+
+
 def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
     low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
     assert low <= -2.0 <= high

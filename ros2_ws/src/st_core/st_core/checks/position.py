@@ -330,7 +330,8 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     # In satellite positions, an equal scale error of both axes is far rarer than a scale error of the velocity.
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
-        is_velocity = abs(causes["x_scale"].value - causes["y_scale"].value) < SPHERICAL_EARTH_SCALE
+        x, y = (1.0 + causes[name].value for name in AXIS_SCALES)
+        is_velocity = abs(x - y) < SPHERICAL_EARTH_SCALE * abs(y)
     else:
         _, scale, _ = problem.fit([*always, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
