@@ -127,15 +127,15 @@ def align(signals: Sequence[SharedSignal], search: tuple[float, float] | None = 
     Never raises for the content of a recording: a refused alignment states its reasons. Valid for drifts of a few
     hundred ppm and recordings of up to two days. Checked by: tests/golden/test_alignment.py, test_clock_alignment.py.
     """
-    shared = _resample_signals(signals)
-    if not shared.fine:
-        return refused_alignment(*shared.reasons)
-    result = _align_with_overlap(shared, _min_overlap(shared.fine), search)
+    series = _resample_signals(signals)
+    if not series.fine:
+        return refused_alignment(*series.reasons)
+    result = _align_with_overlap(series, _min_overlap(series.fine), search)
     best = max((s.correlation for s in result.signals), default=0.0)
     if result.verdict is Verdict.REFUSED and best < USABLE_CORRELATION:
-        short = _align_with_overlap(shared, MIN_OVERLAP, search)
-        if short.verdict is not Verdict.REFUSED:
-            return short.with_doubts(f"the recordings share only {short.overlap:.0f} s")
+        short_alignment = _align_with_overlap(series, MIN_OVERLAP, search)
+        if short_alignment.verdict is not Verdict.REFUSED:
+            return short_alignment.with_doubts(f"the recordings share only {short_alignment.overlap:.0f} s")
     return result
 
 
@@ -146,10 +146,10 @@ def _min_overlap(pairs: Sequence[Pair]) -> float:
     return max(0.4 * shorter, 10.0)
 
 
-def _align_with_overlap(shared: _ResampledSignals, minimum_overlap: float,
+def _align_with_overlap(series: _ResampledSignals, minimum_overlap: float,
                         search: tuple[float, float] | None) -> Alignment:
-    fine, reasons = shared.fine, shared.reasons
-    origin_difference = (shared.reference_ns - shared.other_ns) * 1e-9
+    fine, reasons = series.fine, series.reasons
+    origin_difference = (series.reference_ns - series.other_ns) * 1e-9
     span = (search[0] - origin_difference, search[1] - origin_difference) if search else (-np.inf, np.inf)
     peaks = find_peaks(fine, minimum_overlap, span)
     if peaks is None:
@@ -161,7 +161,7 @@ def _align_with_overlap(shared: _ResampledSignals, minimum_overlap: float,
     high = min(max(p.other.time[-1] for p in fine), max(p.reference.time[-1] for p in fine) - coarse)
     middle = (low + high) / 2
     try:
-        solution = fit(shared.coarse, coarse, middle)
+        solution = fit(series.coarse, coarse, middle)
         solution = fit(fine, solution.offset, middle, solution.drift)
     except ValueError as error:
         return refused_alignment(*reasons, str(error))
@@ -175,17 +175,17 @@ def _align_with_overlap(shared: _ResampledSignals, minimum_overlap: float,
     if (count := np.count_nonzero(weights)) > 1:
         variance = float((weights * np.array([s.difference for s in lags]) ** 2).sum() / weights.sum())
         excess = max(variance - float(count / weights.sum()), 0.0)
-    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + shared.latency_uncertainty**2
+    offset_deviation = float(np.sqrt(solution.offset_deviation**2 + excess + series.latency_uncertainty**2
                                      + STAMP_RESOLUTION**2 / 12))
     # The rounding error of the stamps changes slowly, so it does not average out.
     drift_deviation = float(np.hypot(solution.drift_deviation, STAMP_RESOLUTION / max(high - low, 1.0))) * 1e6
     peak, second_peak = (p._replace(offset=p.offset + origin_difference) for p in peaks)
     result = Alignment(
-        shared.other_ns + round(middle * 1e9),
-        shared.reference_ns - shared.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
+        series.other_ns + round(middle * 1e9),
+        series.reference_ns - series.other_ns + round(solution.offset * 1e9), solution.drift * 1e6,
         offset_deviation, drift_deviation, "shared signals", Verdict.GOOD, reasons, tuple(lags), peak,
         second_peak, max(high - low, 0.0))
-    return _add_verdict(result, solution, fine, shared.other_ns)
+    return _add_verdict(result, solution, fine, series.other_ns)
 
 
 def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_ns: int) -> Alignment:
@@ -237,20 +237,20 @@ def correlation_curve(signals: Sequence[SharedSignal]) -> tuple[np.ndarray, np.n
 
     Empty if no signal is usable. The correlation is 0 where the overlap is below 40 % of the shorter recording or 10 s.
     """
-    shared = _resample_signals(signals)
-    curve = mean_correlation(shared.fine, _min_overlap(shared.fine), (-np.inf, np.inf)) if shared.fine else None
-    return ((curve[0] + (shared.reference_ns - shared.other_ns) * 1e-9, curve[1]) if curve
+    series = _resample_signals(signals)
+    curve = mean_correlation(series.fine, _min_overlap(series.fine), (-np.inf, np.inf)) if series.fine else None
+    return ((curve[0] + (series.reference_ns - series.other_ns) * 1e-9, curve[1]) if curve
             else (np.zeros(0), np.zeros(0)))
 
 
 def residual_lags(signals: Sequence[SharedSignal], alignment: Alignment) -> list[WindowLag]:
     """Residual offsets in windows of 30 s after an alignment, searched within +/- 2 s; times since `at_ns` [s]."""
-    shared = _resample_signals(signals)
-    if not shared.fine:
+    series = _resample_signals(signals)
+    if not series.fine:
         return []
-    middle = (alignment.at_ns - shared.other_ns) * 1e-9
-    offset = (alignment.offset_ns - (shared.reference_ns - shared.other_ns)) * 1e-9
-    lags = measure_window_lags(shared.fine, offset, 2.0)
+    middle = (alignment.at_ns - series.other_ns) * 1e-9
+    offset = (alignment.offset_ns - (series.reference_ns - series.other_ns)) * 1e-9
+    lags = measure_window_lags(series.fine, offset, 2.0)
     drift = alignment.drift_ppm * 1e-6
     return [WindowLag(w.time - middle, w.lag - drift * (w.time - middle), w.deviation) for w in lags]
 
@@ -267,8 +267,8 @@ def mask_standstill(time_ns: np.ndarray, values: np.ndarray, speed_time_ns: np.n
     index = np.searchsorted(moving_ns, time_ns)
     before = time_ns - moving_ns[np.clip(index - 1, 0, len(moving_ns) - 1)]
     after = moving_ns[np.clip(index, 0, len(moving_ns) - 1)] - time_ns
-    near = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= 2.0
-    return np.where(near, values, np.nan)
+    moves_nearby = np.minimum(np.abs(before), np.abs(after)) * 1e-9 <= 2.0
+    return np.where(moves_nearby, values, np.nan)
 
 
 def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
@@ -280,9 +280,9 @@ def _fit_robust_line(time: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, 
         residual = offset - design @ solution
         scale = max(SIGMA_PER_MAD * float(np.median(np.abs(residual))), 1e-5)
         weight = (1 + (residual / (2 * scale)) ** 2) ** -0.25
-    weighted = design * weight[:, None]
+    weighted_design = design * weight[:, None]
     prior = np.diag([0.0, (scale / (DRIFT_PRIOR_PPM * 1e-6)) ** 2])
-    return solution, residual, scale, scale**2 * np.linalg.inv(weighted.T @ weighted + prior)
+    return solution, residual, scale, scale**2 * np.linalg.inv(weighted_design.T @ weighted_design + prior)
 
 
 def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray, resolution: float = 0.001,
@@ -396,7 +396,7 @@ def _fit_with_drift_prior(design: np.ndarray, value: np.ndarray, deviation: np.n
     for _ in range(10):
         rows = np.vstack([design * weight[:, None], prior])
         solution = np.linalg.lstsq(rows, np.append(value * weight, 0.0), rcond=None)[0]
-        normalised = (value - design @ solution) / deviation
-        weight = 1 / deviation / np.sqrt(1 + (normalised / OUTLIER_LIMIT) ** 2)
+        scaled_residual = (value - design @ solution) / deviation
+        weight = 1 / deviation / np.sqrt(1 + (scaled_residual / OUTLIER_LIMIT) ** 2)
     drift = solution[1] / USUAL_DRIFT
-    return float(np.minimum(normalised**2, OUTLIER_LIMIT**2).sum() + drift**2), solution
+    return float(np.minimum(scaled_residual**2, OUTLIER_LIMIT**2).sum() + drift**2), solution

@@ -144,8 +144,8 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
             break
     normal, curvature, _, details = _normal_equations(pairs, splines, parameters, middle, free_drift)
-    determined = _is_positive_definite(curvature)
-    inverse = np.linalg.inv(curvature if determined else normal)
+    is_determined = _is_positive_definite(curvature)
+    inverse = np.linalg.inv(curvature if is_determined else normal)
     # Covariance of the total score, from its sums over blocks of time; all signals share the blocks.
     start = min(float(d.time[0]) for d in details)
     count = int((max(float(d.time[-1]) for d in details) - start) / BLOCK_DURATION) + 1
@@ -153,9 +153,9 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
     for detail in details:
         block = ((detail.time - start) / BLOCK_DURATION).astype(np.int64)
         sums += np.stack([np.bincount(block, weights=row, minlength=count) for row in detail.score], axis=1)
-    used = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
-    covariance = inverse @ (sums.T @ sums * (used / max(used - 4, 1))) @ inverse
-    deviations = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse))) if determined else np.full(2, np.inf)
+    used_blocks = max(int((np.abs(sums).sum(axis=1) > 0).sum()), 1)
+    covariance = inverse @ (sums.T @ sums * (used_blocks / max(used_blocks - 4, 1))) @ inverse
+    deviations = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse))) if is_determined else np.full(2, np.inf)
     return Fit(float(parameters[0]), float(parameters[1]), float(deviations[0]), float(deviations[1]),
                tuple(d.residual for d in details), tuple(d.correlation for d in details))
 
@@ -217,12 +217,12 @@ def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[fl
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
     # Sums, because a dot product would start linear algebra threads for each of these short rows.
     total = float(weight.sum())
-    weighted = weight * x
-    mean_x, mean_y = float(weighted.sum()) / total, float((weight * y).sum()) / total
-    squares = float((weighted * x).sum()) - total * mean_x**2
+    weighted_x = weight * x
+    mean_x, mean_y = float(weighted_x.sum()) / total, float((weight * y).sum()) / total
+    squares = float((weighted_x * x).sum()) - total * mean_x**2
     if squares <= 1e-12 * max(total * mean_x**2, 1e-12):
         return 0.0, mean_y
-    gain = (float((weighted * y).sum()) - total * mean_x * mean_y) / squares
+    gain = (float((weighted_x * y).sum()) - total * mean_x * mean_y) / squares
     return gain, mean_y - gain * mean_x
 
 

@@ -68,9 +68,8 @@ def compose(base: Model, effects: tuple[type[Effect], ...]) -> Composition:
         w, state = layout.prepared[1], layout.extra[1]
         layouts.append(layout)
     signals = tuple(dict.fromkeys(name for effect in effects for name in effect.signals))
-    base_rhs = base.rhs
     only_inputs = not any(e.converts or getattr(e, hook) for e in effects for hook in EQUATION_HOOKS)
-    inputs = _make_inputs(base.inputs, effects, signals, only_inputs)
+    inputs, base_rhs = _make_inputs(base.inputs, effects, signals, only_inputs), base.rhs
     if only_inputs:
         return Composition(effects, inputs, lambda state, w, p: base_rhs(state, w, p.base), signals=signals)
     base_begin = layouts[-1].prepared[1]

@@ -74,14 +74,14 @@ def _check_change(effect: type[Effect], vehicle: VehicleParameters, base: Model,
 def _check_finite(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     for p in (p for p in effect.parameters if p.fit):
         for value in p.bounds:
-            changed = model.with_values({effect.name: {p.name: value}})
+            changed_model = model.with_values({effect.name: {p.name: value}})
             for speed in STANDSTILL_SPEEDS:
-                if not np.isfinite(_predict_floats(changed, vehicle, speed, acceleration=0.0)).all():
+                if not np.isfinite(_predict_floats(changed_model, vehicle, speed, acceleration=0.0)).all():
                     return f"{p.name} = {value:g}, {base.name}: not finite when started at {speed:g} m/s"
-            parameters = changed.parameters(vehicle)
-            w = changed.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(changed).values()))
-            rates = changed.rhs(changed.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
-            if not np.isfinite([*rates, *changed.observe(READING)]).all():
+            parameters = changed_model.parameters(vehicle)
+            w = changed_model.inputs(0.05, 0.8, parameters, *(row[0] for row in _make_signals(changed_model).values()))
+            rates = changed_model.rhs(changed_model.start_state(_make_start(SPEEDS[-1]), w, parameters), w, parameters)
+            if not np.isfinite([*rates, *changed_model.observe(READING)]).all():
                 return f"{p.name} = {value:g}, {base.name}: not finite at {SPEEDS[-1]:g} m/s"
     return ""
 
@@ -103,8 +103,8 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Mode
 def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
     if effect.kind == "surroundings":
         return ""  # surroundings depend on the map and are not symmetric
-    flipped = {p.name: -p.initial for p in effect.parameters if p.odd}
-    mirrored = model.with_values({effect.name: flipped}) if flipped else model
+    opposite_values = {p.name: -p.initial for p in effect.parameters if p.odd}
+    mirrored = model.with_values({effect.name: opposite_values}) if opposite_values else model
     paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
     readings = np.subtract(mirrored.observe(_mirror(READING)), _mirror(model.observe(READING)))
     difference = float(max(np.abs(paths).max(), np.abs(readings).max()))

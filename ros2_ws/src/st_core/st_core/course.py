@@ -303,10 +303,10 @@ class CourseTracker:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)
         self._score(ego, elapsed)
-        near = self.course.find_near(ego.x, ego.y, ego.direction)
-        candidates = [prediction for point in near if (prediction := self._predict_from_pass(point, ego))]
+        near_points = self.course.find_near(ego.x, ego.y, ego.direction)
+        candidates = [prediction for point in near_points if (prediction := self._predict_from_pass(point, ego))]
         if not candidates:
-            return CourseForecast(None, reason="course: the earlier drives end within the horizon" if near else
+            return CourseForecast(None, reason="course: the earlier drives end within the horizon" if near_points else
                                   "course: no earlier drive near the car in its direction")
         squares = np.array([candidate.squared_difference for candidate in candidates])
         if squares.min() > MAX_DIFFERENCE**2:

@@ -292,23 +292,23 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
 
     min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
     """
-    inside = (motion.time >= begin) & (motion.time <= end)
+    in_interval = (motion.time >= begin) & (motion.time <= end)
     if name == "road_wheel_angle":
-        inside &= motion.velocity_x > MIN_CURVATURE_SPEED
-    if inside.sum() < 3:
+        in_interval &= motion.velocity_x > MIN_CURVATURE_SPEED
+    if in_interval.sum() < 3:
         return False
     if name in RATES:
         rate, bias, min_change = RATES[name]
-        change = max(abs(float(rate(motion)[inside].mean())) - bias, 0.0) * (end - begin)
+        change = max(abs(float(rate(motion)[in_interval].mean())) - bias, 0.0) * (end - begin)
         return change > max(ROUNDING_STEPS * step, min_change)
     related, min_change = RELATED_QUANTITIES[name]
-    expected = related(motion)[inside]
+    expected = related(motion)[in_interval]
     change = np.ptp(np.percentile(expected, [5, 95]))
     if name == "road_wheel_angle":  # while the wheel is held, as at its stop, curvature changes with speed only
-        speed = motion.velocity_x[inside]
+        speed = motion.velocity_x[in_interval]
         curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
-        unexplained = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
-        return bool(change > min_change and np.ptp(np.percentile(unexplained, [5, 95]))
+        residual = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
+        return bool(change > min_change and np.ptp(np.percentile(residual, [5, 95]))
                     > min_curvature_change * np.median(np.abs(curvature)))
     rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
     return bool(change > max(min_change, rounding))

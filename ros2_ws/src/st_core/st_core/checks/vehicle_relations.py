@@ -123,8 +123,7 @@ def compute_response_time(vehicle: VehicleParameters, speed: float) -> float:
 def _compute_response_uncertainty(vehicle: VehicleParameters, speed: float) -> float:
     """Uncertainty of `compute_response_time` [s] due to both axle stiffnesses, as half-width of a 95 % interval.
 
-    Only the part in excess of the systematic uncertainty of a steering lag is returned; it exceeds 0 for a fast car
-    that hardly understeers.
+    Returns the part beyond the systematic uncertainty of a steering lag; > 0 for fast cars that hardly understeer.
     """
     changes = []
     for key in ("cornering_stiffness_front", "cornering_stiffness_rear"):

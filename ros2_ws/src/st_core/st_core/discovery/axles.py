@@ -85,8 +85,8 @@ class Axles:
         draws = np.array([_combination_values(model, self.vehicle) for model in self.draws] or [value])
         low, high = np.quantile(draws, (0.025, 0.975), axis=0)
         low, high = np.minimum(low, value).tolist(), np.maximum(high, value).tolist()
-        changing = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
-        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), changing[name])
+        effects = {name: tuple(e.name for e in EFFECTS.values() if name in e.combinations) for name in COMBINATIONS}
+        return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), effects[name])
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
     def reached_force_ratios(self) -> dict[str, float]:
@@ -95,9 +95,9 @@ class Axles:
         for regression in self.regressions:
             slip = np.linspace(0.0, MAX_SLIP, 61)
             force = compute_axle_force(self.model, self.vehicle, regression.axle, slip)
-            largest = float(np.quantile(np.abs(regression.samples.slip), 0.995))
-            reached = float(np.interp(largest, slip, np.maximum.accumulate(force)))
-            ratios[regression.axle] = reached / max(float(force.max()), 1.0)
+            largest_slip = float(np.quantile(np.abs(regression.samples.slip), 0.995))
+            reached_force = float(np.interp(largest_slip, slip, np.maximum.accumulate(force)))
+            ratios[regression.axle] = reached_force / max(float(force.max()), 1.0)
         return ratios
 
     def effects_on(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:

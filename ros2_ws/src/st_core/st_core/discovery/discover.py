@@ -327,8 +327,8 @@ class _Analysis:
             for axle in axles.contradicting_axles(self.space.at(self.space.null), leave_one_out):
                 worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
             for name in names:
-                alone = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
-                implausible = find_implausible_values(alone.effective_vehicle(self.vehicle), self.vehicle)
+                model = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
+                implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle)
                 violations[name] = next(iter(implausible), "")
         # Only the total delay of the steering is identifiable, not its parts.
         delays = [n for n in names if TOTAL_DELAY in get_effect(n).combinations] if axles is not None else []
@@ -496,11 +496,11 @@ def complete_delay(delay: result.Combination, effects: Sequence[result.FoundEffe
     effect of the model contributes, the interval also covers that of this effect. Other combinations are unchanged."""
     if not delay.is_time:
         return delay
-    contributing = [e for e in effects if e.name in delay.effects]
+    contributors = [e for e in effects if e.name in delay.effects]
     low, high = delay.interval
-    for p in contributing[0].parameters.values() if len(contributing) == 1 else ():
+    for p in contributors[0].parameters.values() if len(contributors) == 1 else ():
         low, high = min(low, p.interval[0]), max(high, p.interval[1])
-    names = dict.fromkeys((*delay.effects, *(other for e in contributing for other in e.alternatives)))
+    names = dict.fromkeys((*delay.effects, *(other for e in contributors for other in e.alternatives)))
     return replace(delay, interval=(low, high), effects=tuple(names))
 
 

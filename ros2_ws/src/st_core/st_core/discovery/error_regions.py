@@ -158,8 +158,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
     segments = [segment for channel, residual in residuals.items() for segment in
                  find_segments(samples, channel, residual, settings.block, settings.seed)]
     cells = [cell for channel, residual in residuals.items() for cell in find_cells(samples, channel, residual)]
-    adjusted = stats.false_discovery_control([c.p_value for c in cells], method="bh") if cells else ()
-    cells = [c for c, q in zip(cells, adjusted, strict=True)
+    adjusted_p = stats.false_discovery_control([c.p_value for c in cells], method="bh") if cells else ()
+    cells = [c for c, q in zip(cells, adjusted_p, strict=True)
              if q <= FALSE_DISCOVERY_RATE and c.ratio >= MIN_ERROR_RATIO]
     return tuple(region for channel in samples.squares
                  for region in _channel_regions(channel, bins, segments, cells, samples, expected is not None))
@@ -261,10 +261,10 @@ def _range_region(group: Sequence[BinExcess], bins: Sequence[BinExcess], overall
 def _segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> LargeErrorRegion:
     """Region of a segment of a run; its excess is the overall excess times the ratio of the segment."""
     last = float(samples.time[samples.run == segment.run].max())
-    when = (f"from {segment.start:.0f} s on" if segment.end >= last - 1.0 else
+    period = (f"from {segment.start:.0f} s on" if segment.end >= last - 1.0 else
             f"until {segment.end:.0f} s" if segment.start < 2.0 else
             f"from {segment.start:.0f} to {segment.end:.0f} s")
-    text = (f"run {samples.names[segment.run]}, {when}: {segment.ratio:.1f} times the error of the rest of the run "
+    text = (f"run {samples.names[segment.run]}, {period}: {segment.ratio:.1f} times the error of the rest of the run "
             "under similar conditions")
     low, high = overall.interval
     return LargeErrorRegion(segment.channel, text, overall.excess * segment.ratio,
@@ -273,8 +273,8 @@ def _segment_region(segment: Segment, overall: BinExcess, samples: Samples) -> L
 
 def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeErrorRegion]:
     """Regions of the two places with the largest excess; neighbouring cells form one place."""
-    near = [[max(abs(a.x - b.x), abs(a.y - b.y)) < MAX_CELL_DISTANCE for b in cells] for a in cells]
-    number = connected_components(np.array(near))[1] if cells else np.zeros(0, int)
+    adjacency = [[max(abs(a.x - b.x), abs(a.y - b.y)) < MAX_CELL_DISTANCE for b in cells] for a in cells]
+    number = connected_components(np.array(adjacency))[1] if cells else np.zeros(0, int)
     regions = []
     for k in np.unique(number):
         place = [cell for cell, n in zip(cells, number, strict=True) if n == k]
@@ -311,9 +311,9 @@ def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping
             deviation, count = math.hypot(deviations[k], expected_deviations[k]), int(blocks[k])
             excesses.append(BinExcess(channel, ranges[k], *_test_ratio(log_ratio, deviation, count), count,
                                       bool(covered[k])))
-    adjusted = stats.false_discovery_control([e.p_value for e in excesses], method="bh") if excesses else ()
+    adjusted_p = stats.false_discovery_control([e.p_value for e in excesses], method="bh") if excesses else ()
     return tuple(replace(e, significant=bool(q <= FALSE_DISCOVERY_RATE and e.excess >= MIN_EXCESS))
-                 for e, q in zip(excesses, adjusted, strict=True))
+                 for e, q in zip(excesses, adjusted_p, strict=True))
 
 
 def _test_ratio(log_ratio: float, deviation: float, blocks: int) -> tuple[float, tuple[float, float], float]:
@@ -381,8 +381,8 @@ def find_segments(samples: Samples, channel: str, residual: np.ndarray, block: f
         values = np.bincount(index, residual[rows]) / np.bincount(index)
         changes = sorted(_find_change_points(values, 0, len(values), max(1, round(block)), rng, MAX_CHANGE_POINTS))
         for first, last in itertools.pairwise([0, *changes, len(values)]) if changes else ():
-            outside = np.concatenate((values[:first], values[last:]))
-            ratio = math.exp(0.5 * float(values[first:last].mean() - outside.mean()))
+            other_values = np.concatenate((values[:first], values[last:]))
+            ratio = math.exp(0.5 * float(values[first:last].mean() - other_values.mean()))
             if ratio >= MIN_ERROR_RATIO:
                 segments.append(Segment(channel, int(run), float(time[first]), float(time[last - 1] + 1.0), ratio))
     return segments

@@ -30,8 +30,8 @@ def minimise_bounded(a: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.nda
     if ((x >= low) & (x <= high)).all():
         return x
     root = np.linalg.cholesky(a)
-    bounded = lsq_linear(root.T, np.linalg.solve(root, b), (low, high), "bvls", 1e-12, max_iter=30 * len(b) + 50)
-    return np.clip(bounded.x, low, high)
+    result = lsq_linear(root.T, np.linalg.solve(root, b), (low, high), "bvls", 1e-12, max_iter=30 * len(b) + 50)
+    return np.clip(result.x, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +157,8 @@ class Problem:
         """(a,) indices of the parameters that are free in a fit of the effects `names`."""
         if self.prior is not None:
             return np.arange(len(self.space))
-        always = (ACCELEROMETER_GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
-        return self.space.indices(*names, *always)
+        gain_name = (ACCELEROMETER_GAIN,) if "acceleration_y" in self.errors.windows.columns else ()
+        return self.space.indices(*names, *gain_name)
 
     def prior_curvature(self, names: Iterable[str], indices: np.ndarray) -> np.ndarray:
         """(a, a) curvature of the prior about the start: from the vehicle file, or from the reference drives with the
@@ -250,8 +250,8 @@ class Problem:
         effects for which the sensitivities are recomputed at each step."""
         names = tuple(names)
         indices, new = self.free_indices(names), self.space.indices(*fresh)
-        first, vector = sensitivities.vector if vector is None else vector, self.start.copy()
-        vector[indices] = first[indices]
+        initial, vector = sensitivities.vector if vector is None else vector, self.start.copy()
+        vector[indices] = initial[indices]
         sensitivities = self._sensitivities_at(sensitivities, vector, new)
         cost = self.cost(names, vector, indices)
         for _ in range(iterations if len(indices) else 0):
@@ -272,9 +272,9 @@ class Problem:
 
     def refit(self, fit: Fit, iterations: int = 2) -> Fit:
         """Continue a fit with recomputed sensitivities to the parameters of its effects and the accelerometer gain."""
-        own = np.intersect1d(self.space.indices(*fit.names, ACCELEROMETER_GAIN), fit.sensitivities.indices)
+        own_indices = np.intersect1d(self.space.indices(*fit.names, ACCELEROMETER_GAIN), fit.sensitivities.indices)
         sensitivities = replace(fit.sensitivities, vector=fit.vector)
-        sensitivities = sensitivities.with_values(own, self.loss.sensitivities(fit.vector, own))
+        sensitivities = sensitivities.with_values(own_indices, self.loss.sensitivities(fit.vector, own_indices))
         return self.fit(fit.names, sensitivities, iterations=iterations)
 
     def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, new: np.ndarray) -> Sensitivities:
@@ -310,24 +310,24 @@ class Problem:
             q, base = Quadratic(q.cost, gradient, q.hessian), np.zeros(len(indices))
         steps, held_out = {}, np.zeros(len(q.cost))
         for k in np.unique(fold):
-            out = fold == k
-            fitted_h = h - q.hessian[out].sum(axis=0)
+            in_fold = fold == k
+            fitted_h = h - q.hessian[in_fold].sum(axis=0)
             if self.prior is None:
-                fitted_g = g - (gradient + q.hessian @ optimum)[out].sum(axis=0) - prior @ distance
+                fitted_g = g - (gradient + q.hessian @ optimum)[in_fold].sum(axis=0) - prior @ distance
                 d = minimise_bounded(add_ridge(fitted_h + prior), fitted_g, *limits) - optimum
             else:
                 d = np.zeros(len(indices))
                 ridge = RIDGE * np.trace(h) / len(h) * np.eye(len(columns))
                 d[columns] = minimise_bounded(
-                    fitted_h[np.ix_(columns, columns)] + ridge, gradient[~out].sum(axis=0)[columns],
+                    fitted_h[np.ix_(columns, columns)] + ridge, gradient[~in_fold].sum(axis=0)[columns],
                     np.minimum(low, 0.0)[columns], np.maximum(high, 0.0)[columns])
             steps[int(k)] = d = base + d
-            rise = np.einsum("i,bij,j->b", d, q.hessian[out], d) - 2.0 * q.gradient[out] @ d
+            rise = np.einsum("i,bij,j->b", d, q.hessian[in_fold], d) - 2.0 * q.gradient[in_fold] @ d
             prior_cost = (distance + d) @ prior @ (distance + d) / len(q.cost)
             # The robust loss grows with the logarithm of its quadratic approximation above 1 per residual.
-            count = np.maximum(self._residual_counts[out], 1)
+            count = np.maximum(self._residual_counts[in_fold], 1)
             robust = np.where(rise > count, count * (1.0 + np.log(np.maximum(rise / count, 1.0))), rise)
-            held_out[out] = q.cost[out] + robust + prior_cost
+            held_out[in_fold] = q.cost[in_fold] + robust + prior_cost
         return steps, held_out
 
     def leave_out_groups(self, fit: Fit, groups: np.ndarray) -> tuple[dict[int, np.ndarray], np.ndarray]:
@@ -344,9 +344,9 @@ class Problem:
         prior, distance = self.prior_curvature(fit.names, fit.indices), self.distance(fit.vector)[fit.indices]
         result = np.zeros(self.blocks)
         for k, d in steps.items():
-            out, loss = groups == k, self.loss.window_losses(self.take_step(fit.vector, fit.indices, d))
+            in_group, loss = groups == k, self.loss.window_losses(self.take_step(fit.vector, fit.indices, d))
             prior_cost = (distance + d) @ prior @ (distance + d) / self.blocks
-            result[out] = np.bincount(self.block, loss, self.blocks)[out] + prior_cost
+            result[in_group] = np.bincount(self.block, loss, self.blocks)[in_group] + prior_cost
         return np.minimum(held_out, result)
 
     def held_out_gain(self, without: Fit, fit: Fit) -> float:
@@ -362,14 +362,14 @@ class Problem:
         rows = self.errors.at(fit.vector)
         result = rows.copy()
         for k, d in steps.items():
-            out = group == k
-            result[out] -= np.einsum("p,pnm->nm", d, sensitivities[:, out])
+            in_group = group == k
+            result[in_group] -= np.einsum("p,pnm->nm", d, sensitivities[:, in_group])
         before, after = self.loss.scale_residuals(rows), self.loss.scale_residuals(result)
         # Where the linear approximation is not valid, the held-out errors are simulated.
         if rho(after).sum() - rho(before).sum() > MAX_QUADRATIC_RISE * self.residual_count:
             for k, d in steps.items():
-                out = group == k
-                result[out] = self.errors.at(self.take_step(fit.vector, fit.indices, d))[out]
+                in_group = group == k
+                result[in_group] = self.errors.at(self.take_step(fit.vector, fit.indices, d))[in_group]
         return result
 
     def position_error(self, rows: np.ndarray) -> np.ndarray:

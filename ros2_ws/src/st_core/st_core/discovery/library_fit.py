@@ -71,9 +71,9 @@ def fit_healthy_car(runs: Sequence[DriveLog], vehicle: VehicleParameters, space:
     widths = np.sqrt(2.0 * design_effects)
     position = problem.position_error(problem.errors.at(vector))
     by_run = [position[windows.run == k] for k in np.unique(windows.run)]
-    largest = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
+    position_error = max((float(np.nanmean(error)) for error in by_run if np.isfinite(error).any()), default=0.0)
     return HealthyCar(vector, _predictive_prior(h, widths, prior), loss.scale_of(vector)[-len(windows.columns):],
-                      largest, _gain_between_runs(q, space, windows, widths, prior))
+                      position_error, _gain_between_runs(q, space, windows, widths, prior))
 
 
 def weak_prior(space: Space) -> np.ndarray:

@@ -50,12 +50,12 @@ def simulate_drive(manoeuvre: Manoeuvre, model: AugmentedModel, vehicle: Vehicle
     states = tuple(path.states[lead:].T)
     ideal = predict_ideal_readings(model, vehicle, states)
     a_y = np.gradient(ideal.velocity_y, PERIOD) + ideal.velocity_x * ideal.yaw_rate
-    recorded = slice(2 * lead, None, 2)
-    excess = specific_force_excess(model, vehicle, states, road_wheel_angle[recorded], forward[recorded])
+    log_samples = slice(2 * lead, None, 2)
+    excess = specific_force_excess(model, vehicle, states, road_wheel_angle[log_samples], forward[log_samples])
     readings = model.observe(ideal._replace(acceleration_x=0.0 * a_y, acceleration_y=a_y + excess))
-    time_ns = times_ns[recorded] - times_ns[2 * lead]
+    time_ns = times_ns[log_samples] - times_ns[2 * lead]
     return DriveLog(manoeuvre.name, time_ns, *readings[:6],  # x, y, yaw, velocities, yaw rate
-                    time_ns, angle[recorded].copy(), acceleration_x=readings.acceleration_x,
+                    time_ns, angle[log_samples].copy(), acceleration_x=readings.acceleration_x,
                     acceleration_y=readings.acceleration_y)
 
 
@@ -130,8 +130,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     if not pairs:
         return None
     h, weakest = problem.full_quadratic(fit.vector).hessian.sum(axis=0), {}
-    for name, added in curvatures.items():
-        strengths = {pair: separation(problem, fit, h + added, *pair, design_effect)[1] for pair in pairs}
+    for name, curvature in curvatures.items():
+        strengths = {pair: separation(problem, fit, h + curvature, *pair, design_effect)[1] for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")

@@ -18,9 +18,9 @@ Partition = tuple[np.ndarray, list[str]]
 def make_partitions(windows: Windows) -> dict[str, Partition]:
     """Partitions with at least two parts, by name."""
     site, driving = find_sites(windows), windows.driving
-    longest = np.zeros(len(windows.names))
-    np.maximum.at(longest, windows.run, windows.seconds)
-    third = np.minimum((3.0 * windows.seconds / np.maximum(longest[windows.run], 1e-9)).astype(int), 2)
+    durations = np.zeros(len(windows.names))
+    np.maximum.at(durations, windows.run, windows.seconds)
+    third = np.minimum((3.0 * windows.seconds / np.maximum(durations[windows.run], 1e-9)).astype(int), 2)
     partitions = {"run": divide_by_run(windows), "site": (site, [f"site {k + 1}" for k in range(int(site.max()) + 1)]),
                   "time": (third, list(TIMES)), "place": divide_by_place(driving["x"], driving["y"]),
                   "condition": divide_by_condition(driving["speed"], driving["lateral_acceleration"])}
@@ -48,8 +48,8 @@ def find_sites(windows: Windows) -> np.ndarray:
     """(n,) site of each window. Runs that share enough places (SAME_SITE_SHARE), directly or through other runs, are at
     one site. Distance does not count, because the maps of different sites may have different origins."""
     number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
-    visited = [set(number[windows.run == run]) for run in range(len(windows.names))]
-    same_site = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in visited] for a in visited]
+    places = [set(number[windows.run == run]) for run in range(len(windows.names))]
+    same_site = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in places] for a in places]
     return connected_components(np.array(same_site))[1][windows.run]
 
 

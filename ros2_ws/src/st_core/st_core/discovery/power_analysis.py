@@ -44,14 +44,14 @@ def find_confounding_effect(problem: Problem, fit: Fit, effect: str, scores: Sco
     of `effect` by one parameter scale would be detected with at least `limits.detection_power`; "" if there is none."""
     q = problem.full_quadratic(fit.vector).sum_groups(problem.block, problem.blocks)
     names = [n for n in fit.names if not problem.space.overlaps(effect, (n,))]
-    indices, masking, largest = problem.space.indices(effect), "", limits.detection_power
+    indices, masking_effect, largest_power = problem.space.indices(effect), "", limits.detection_power
     for other in names:
         information = efficient_score(q, problem, tuple(n for n in names if n != other), effect)[1]
         index = int(np.argmax(information))
         power = _power(problem, fit, indices[index], SIZES[-1], information[index], scores, limits)
-        if power >= largest:
-            masking, largest = other, power
-    return masking
+        if power >= largest_power:
+            masking_effect, largest_power = other, power
+    return masking_effect
 
 
 def _power(problem: Problem, fit: Fit, index: int, size: float, information: float, scores: Scores,
@@ -62,17 +62,17 @@ def _power(problem: Problem, fit: Fit, index: int, size: float, information: flo
     rows = problem.errors.at(fit.vector)
     before, after = problem.position_error(rows), problem.position_error(rows + size * sensitivities)
     reduction = float(np.nanmean(after - before)) if np.isfinite(before).any() else 0.0
-    required = _required_gain(problem, rows, reduction, limits)
-    threshold = max(threshold, 2.0 * required * problem.residual_count / scores.design_effect)
+    min_gain = _required_gain(problem, rows, reduction, limits)
+    threshold = max(threshold, 2.0 * min_gain * problem.residual_count / scores.design_effect)
     return float(stats.ncx2.sf(threshold, 1, max(2.0 * size**2 * information / scores.design_effect, 1e-9)))
 
 
 def _required_gain(problem: Problem, rows: np.ndarray, reduction: float, limits: Limits) -> float:
     """Smallest gain per residual at which an effect is named. rows: residuals of the final fit. reduction: decrease of
     the mean position error when the effect is added to the model [m]."""
-    required = limits.negligible if reduction > limits.relevant_position else limits.relevant
+    min_gain = limits.negligible if reduction > limits.relevant_position else limits.relevant
     unexplained = residual_over_noise(problem, rows) > limits.max_noise_ratio
-    return max(required, limits.unexplained_share) if unexplained else required
+    return max(min_gain, limits.unexplained_share) if unexplained else min_gain
 
 
 def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: Callable[[], None]) -> PowerAnalysis:
@@ -90,8 +90,8 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
             vector = problem.take_step(fit.vector, np.array([index]), size * problem.space.sign[[index]])
             change = rows - np.nan_to_num(problem.errors.at(vector))
             reduction = float(np.nanmean(problem.position_error(rows + change) - problem.position_error(rows)))
-            required = _required_gain(problem, rows, reduction, limits)
-            detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, required, limits, rng)
+            min_gain = _required_gain(problem, rows, reduction, limits)
+            detections = sum(effect in _detect_effects(problem, fit, rows, change, sensitivities, min_gain, limits, rng)
                              for _ in range(DRAWS))
             powers.append(Power(effect, parameter.name, parameter.unit, size * scale, detections / DRAWS, DRAWS))
         tick()
@@ -101,17 +101,17 @@ def measure_power(problem: Problem, fit: Fit, limits: Limits, seed: int, tick: C
 
 
 def _detect_effects(problem: Problem, fit: Fit, rows: np.ndarray, change: np.ndarray, sensitivities: np.ndarray,
-                    required: float, limits: Limits, rng: np.random.Generator) -> list[str]:
+                    min_gain: float, limits: Limits, rng: np.random.Generator) -> list[str]:
     """Effects that would be named on one simulated drive: the best one and those inseparable from it; none if the best
-    is not significant or gains less than `required` per residual. change: (n, m) residuals due to the effect."""
+    is not significant or gains less than `min_gain` per residual. change: (n, m) residuals due to the effect."""
     signs = rng.choice([-1.0, 1.0], problem.blocks)
-    simulated = signs[problem.block][:, None] * rows + change
-    q = problem.loss.quadratic(simulated, sensitivities).sum_groups(problem.block, problem.blocks)
+    simulated_rows = signs[problem.block][:, None] * rows + change
+    q = problem.loss.quadratic(simulated_rows, sensitivities).sum_groups(problem.block, problem.blocks)
     scores = score_effects(problem, q, fit, problem.space.hypotheses, rng, FLIPS)
     gains = {effect: gain for effect, (gain, _) in scores.gains.items()}
     best = max(gains, key=lambda e: gains[e].sum())
     p_value = library_p_value(scores.by_effect[best], gains[best], scores, len(gains))
-    if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < required:
+    if p_value > limits.false_alarm or gains[best].sum() / problem.residual_count < min_gain:
         return []
     return [e for e in gains if gains[e].sum() > (1.0 - limits.undecided_p) * gains[best].sum()
             or (e in find_confounded_effects(best) and gains[e].sum() > limits.min_rival_gain * gains[best].sum())]

@@ -113,8 +113,8 @@ class Search:
                 self.tick()
                 fit = laden_problem.refit(laden_problem.fit(names, laden_problem.all_sensitivities(vector), vector))
                 difference = fit.held_out - state.fit.held_out
-                own = p.space.indices(*(n for n in names if n in find_confounded_effects(other)))
-                nearer = own[np.abs(fit.vector - p.start)[own] < np.abs(state.fit.vector - p.start)[own]]
+                indices = p.space.indices(*(n for n in names if n in find_confounded_effects(other)))
+                nearer = indices[np.abs(fit.vector - p.start)[indices] < np.abs(state.fit.vector - p.start)[indices]]
                 deficit = float(difference.sum()) / p.residual_count
                 rivals = [Rival(other, name, 1.0, p_no_worse(difference), deficit, state.evidence[name],
                                 p.space.values(other, fit.vector), shared=True)
@@ -157,12 +157,12 @@ class Search:
             path.add(key)
             self._visited.add(key)
             scale = self.problem.loss.scale
-            added = self._step_forward(state) if len(state.fit.names) < self.limits.max_effects else None
-            if added is None:
+            extended_fit = self._step_forward(state) if len(state.fit.names) < self.limits.max_effects else None
+            if extended_fit is None:
                 self.problem.loss.scale = scale  # `_step_forward` may have changed it for effects that it refused
                 return state
-            state.fit = self._rescale(self._step_backward(added, state.scores))
-            state.order = [n for n in dict.fromkeys((*state.order, *added.names)) if n in state.fit.names]
+            state.fit = self._rescale(self._step_backward(extended_fit, state.scores))
+            state.order = [n for n in dict.fromkeys((*state.order, *extended_fit.names)) if n in state.fit.names]
             state.cached_scores = None
 
     def _rescale(self, fit: Fit) -> Fit:
@@ -257,10 +257,10 @@ class Search:
         order = sorted(fits, key=lambda e: -gain[e])
         for name in [e for e in order if get_effect(e).members]:
             tolerance = max(self.limits.negligible * self.problem.residual_count, self.limits.undecided_p * gain[name])
-            near = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < tolerance]
-            if near:
+            members = [m for m in get_effect(name).members if m in gain and gain[name] - gain[m] < tolerance]
+            if members:
                 order.remove(name)
-                order.insert(max(order.index(m) for m in near) + 1, name)
+                order.insert(max(order.index(m) for m in members) + 1, name)
         return order
 
     def _refine(self, without: Fit, fits: dict[str, Fit]) -> tuple[Fit, dict[str, Fit]]:
@@ -352,11 +352,10 @@ class Search:
             exchanged = self._exchange(state)
             if exchanged is None:
                 return state
-            next_state = self._step_from(self._rescale(exchanged), revisit=True)
-            assert next_state is not None  # because of `revisit`
-            names = next_state.fit.names
-            next_state.order = [n for n in dict.fromkeys((*state.order, *names)) if n in names]
-            state = next_state
+            result = self._step_from(self._rescale(exchanged), revisit=True)
+            assert result is not None  # because of `revisit`
+            result.order = [n for n in dict.fromkeys((*state.order, *result.fit.names)) if n in result.fit.names]
+            state = result
         return self._drop_rejected(state)
 
     def _drop_rejected(self, state: SearchState) -> SearchState:
@@ -388,7 +387,7 @@ class Search:
 
     def _exchange(self, state: SearchState) -> Fit | None:
         """Fill in `rivals`; return the best fit with one effect exchanged if significantly better, else `_merge`."""
-        p, better = self.problem, None
+        p, better_fit = self.problem, None
         sensitivities = p.all_sensitivities(state.fit.vector)
         q, to_start = p.full_quadratic(state.fit.vector), -p.distance(state.fit.vector)
         indices = np.arange(len(p.space))
@@ -416,9 +415,9 @@ class Search:
                 significant = rival.p_no_worse > 1.0 - self.limits.undecided_p
                 if (significant and frozenset(fit.names) not in self._visited
                         and self._judge(rival.evidence, self.limits).rule == ACCEPTED
-                        and (better is None or fit.held_out.sum() < better.held_out.sum())):
-                    better = fit
-        return better or self._merge(state, alternatives)
+                        and (better_fit is None or fit.held_out.sum() < better_fit.held_out.sum())):
+                    better_fit = fit
+        return better_fit or self._merge(state, alternatives)
 
     def _merge(self, state: SearchState, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
         """A fit with one effect in place of several; None if the held-out loss per residual rises by more than

@@ -159,9 +159,9 @@ def _find_changed_quantity(space: Space, vehicle: VehicleParameters, i: int) -> 
             continue
         sensitivities = {key: (value_of(after, key) - value_of(before, key)) / change
                          for key in dict.fromkeys((*DEFAULT_UNCERTAINTIES, *vehicle.provenance))}
-        changed = [_make_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
+        changes = [_make_quantity(vehicle, key, slope, value_of(vehicle, key)) for key, slope in sensitivities.items()
                    if abs(slope) > 1e-9]
-        return max(filter(None, changed), key=lambda q: abs(q.slope) / q.deviation, default=None)
+        return max(filter(None, changes), key=lambda q: abs(q.slope) / q.deviation, default=None)
     return None
 
 

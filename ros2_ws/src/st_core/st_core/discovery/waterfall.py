@@ -192,11 +192,11 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
         if not effects:
             continue
         others = tuple(n for n in final.names if n not in effects)
-        without = measure(refit(others)) if others else start
-        alone = measure(refit(effects)) if others else end
-        lines.append(make_line(part, without - end, start - alone))
-    extended = (corrected if corrected is not final else None, varying)
-    for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended, strict=False):
+        error_without = measure(refit(others)) if others else start
+        error_alone = measure(refit(effects)) if others else end
+        lines.append(make_line(part, error_without - end, start - error_alone))
+    extended_fits = (corrected if corrected is not final else None, varying)
+    for part, fit in zip(PARTS[len(EFFECT_KINDS):], extended_fits, strict=False):
         if fit is not None:
             reduction = np.maximum(end - measure(fit), 0.0)
             lines.append(make_line(part, reduction, reduction))
