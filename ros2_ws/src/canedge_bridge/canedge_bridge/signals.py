@@ -317,7 +317,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
-    """Raises TableError if the signal cannot reach half of each limit of its range, such as an unsigned angle."""
+    """Raises TableError if the signal cannot reach half of each limit of its range, as with an unsigned angle."""
     low, high = spec.minimum, spec.maximum
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor

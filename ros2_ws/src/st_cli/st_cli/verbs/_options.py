@@ -48,9 +48,9 @@ CarName = Annotated[str | None, typer.Option(
     help="The car: a name in config/car, or a folder with vehicle.yaml, can.dbc, signals.yaml and car.yaml. "
     "--vehicle, --dbc, --signals and --steering-... each replace a part of it.")]
 VehicleFile = Annotated[Path | None, typer.Option(
-    help="Vehicle file; default: that of --car, else that of the Leaf.", **FILE)]
+    help="Vehicle file; default: from --car, else from the Leaf.", **FILE)]
 VehicleOfBag = Annotated[Path | None, typer.Option(
-    help="Vehicle file; default: that of --car, else the one in the recording, else that of the Leaf.", **FILE)]
+    help="Vehicle file; default: from --car, else from the recording, else from the Leaf.", **FILE)]
 EffectsOfFile = Annotated[Path | None, typer.Option(
     help="Folder of your own effects that a model file uses.", **FOLDER)]
 EffectsOfModel = Annotated[Path | None, typer.Option(
@@ -88,15 +88,15 @@ class ReadOptions:
     ins_can_latency: Annotated[tuple[float, float] | None, typer.Option(
         help="Latency of the INS's own CAN frames and its standard deviation, s; default 0.002 0.002.")] = None
     dbc: Annotated[Path | None, typer.Option(
-        help="DBC of the CAN logs; default: that of --car, else that of the Leaf.", **FILE)] = None
+        help="DBC of the CAN logs; default: from --car, else from the Leaf.", **FILE)] = None
     signals: Annotated[Path | None, typer.Option(
-        help="Signal table for the DBC; default: that of --car, else that of the Leaf.", **FILE)] = None
+        help="Signal table for the DBC; default: from --car, else from the Leaf.", **FILE)] = None
     steering_sign: Annotated[int | None, typer.Option(
         callback=_check_sign, help="1 if the sensor, as decoded with DBC and signal table, is positive to the left, "
-        "-1 if to the right. Default: that of --car, else 1; live: else that of config/nodes.yaml.")] = None
+        "-1 if to the right. Default: from --car, else 1; live: else from config/nodes.yaml.")] = None
     steering_latency: Annotated[float | None, typer.Option(
         callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
-        "Default: that of --car, else 0; live: else that of config/nodes.yaml.")] = None
+        "Default: from --car, else 0; live: else from config/nodes.yaml.")] = None
     steering_topic: Annotated[str | None, typer.Option(
         help="Bags of other recorders: the topic with the steering angle, of any type defined in the bag. Default: the "
         "one of type st_msgs/Steering.")] = None

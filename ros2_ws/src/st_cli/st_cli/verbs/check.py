@@ -42,7 +42,7 @@ def car(
     """Write the folder of a new car for you to fill in, or check the folder of a car.
 
     new: vehicle.yaml, signals.yaml, can.dbc, rt.dbc (of an OxTS RT on the same bus, to append to can.dbc) and car.yaml.
-    check: one line for each mistake and each missing entry; if there are none, what is unusual for a road car, and the
+    check: one line for each mistake and each missing entry; if there are none, values unusual for a road car, and the
     uncertainty used for each quantity. Exit status: 0 written, or no mistake; 1 mistakes were found; 2 the folder to
     check does not exist, or the folder to write does.
     """

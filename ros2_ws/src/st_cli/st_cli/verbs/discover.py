@@ -97,7 +97,7 @@ def identify(
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
-    """Identify parameters: value, uncertainty, verdict; a figure, a report, and a vehicle file with provenance.
+    """Identify parameters; write values, uncertainties, verdicts, figure, report, and a vehicle file with provenance.
 
     The given vehicle file is not changed; the new one is vehicle.yaml in the output folder. Exit status: 0 at least one
     parameter is identified or doubtful, 1 none, 2 the data cannot be used.

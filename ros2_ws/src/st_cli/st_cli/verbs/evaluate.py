@@ -59,7 +59,7 @@ def evaluate(
     runs: shared.Runs,
     prediction_options: PredictionOptions = PredictionOptions(),
     output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Starts of the predictions drawn in detail, s: 1,10,19,28; default: four."),
+    at: str = typer.Option("", help="Start times of predictions to draw in detail, s, such as 1,10,19; default: four."),
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Error statistics: of the means over each horizon, as in the paper, or of all samples."),
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -119,7 +119,7 @@ def calibrate(
 ) -> None:
     """Calibrate bands around the predicted path that contain the measured path of a new drive with a given probability.
 
-    For every model, with measured inputs (hindsight) and with held inputs (forecast). Test them on other drives with
+    Each model gets bands for measured inputs (hindsight) and held inputs (forecast). Test them on other drives with
     `st evaluate --bands`. Exit status: 0 all runs used, 1 some not, 2 no bands could be calibrated.
     """
     from st_offline.bands.calibration_command import run_command

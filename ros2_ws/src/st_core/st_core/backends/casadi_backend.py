@@ -79,7 +79,7 @@ class SymbolicModel:
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, free: Iterable[str] = ()) -> SymbolicModel:
     """The functions of a model with the parameters of a car, named after the model.
 
-    substeps: RK4 steps within h. free: parameters that remain an argument, such as "road_bank.angle"; only effects that
+    substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle"; only effects that
     change inputs or equations have them. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
     """
     model = get_model(model)

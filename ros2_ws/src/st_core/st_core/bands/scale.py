@@ -129,8 +129,8 @@ ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller erro
 RIDGE = 1.0e-2  # weight of the penalty above; the constant term is not penalised
 MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
 MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # of the fit; of one step, until the loss decreases
-TOLERANCE = 1.0e-3  # largest derivative at convergence; a relative error of the mean squares below their uncertainty
-MAX_FIT_STARTS = 100  # largest number of starts of a run in the fit; neighbouring starts are redundant
+TOLERANCE = 1.0e-3  # maximum derivative at convergence; a relative error of the mean squares below their uncertainty
+MAX_FIT_STARTS = 100  # maximum number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 SPLINE_KNOT_SPACING = 1.5  # m/s^2
 
@@ -151,14 +151,14 @@ def compute_features(conditions: np.ndarray) -> np.ndarray:
 
 
 def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable[[Any], Any] = math.log,
-                            largest: Callable[[Any, Any], Any] = max) -> list[Any]:
+                            maximum: Callable[[Any, Any], Any] = max) -> list[Any]:
     """The 20 `compute_features` of four conditions as a list; for floats in half the time (a third with cold caches).
 
-    log, largest: functions for another type of the conditions, such as CasADi's symbols or arrays.
+    log, maximum: functions for another type of the conditions, such as CasADi's symbols or arrays.
     """
-    logs = [log((largest(value, floor) + offset) / divisor)
+    logs = [log((maximum(value, floor) + offset) / divisor)
             for value, floor, offset, divisor in zip(condition, _FLOORS, _OFFSETS, _DIVISORS, strict=True)]
-    splines = [largest(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOT_SPACING) for knot in SPLINE_KNOTS]
+    splines = [maximum(0.0, 1.0 - abs(condition[1] - knot) / SPLINE_KNOT_SPACING) for knot in SPLINE_KNOTS]
     return [1.0, *logs, *(logs[k] * logs[m] for k, m in _PAIRS), *splines]
 
 
