@@ -37,6 +37,9 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     if reconstructed:
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
+    if drive.conversions:
+        raise RunError(bag, f"cannot be played as recorded: {drive.conversions[0]}",
+                       "st check, st evaluate and st discover read it converted")
     for line in describe_omissions(bag, drive.unknown_topics):
         console.out(line, style="yellow", highlight=False)
     car, recorded, _ = find_configuration(drive.records, vehicle)

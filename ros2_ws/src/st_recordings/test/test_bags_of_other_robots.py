@@ -18,7 +18,7 @@ from st_core.log import DriveLog
 from st_core.types import body_to_map
 from st_recordings.runs import ReadSettings, RunSource, find_runs, read
 from st_recordings.runs.axes import rotate_to_body_axes
-from st_recordings.runs.bag import ODOMETRY
+from st_recordings.runs.bag import ODOMETRY, read_bag
 from st_recordings.runs.errors import RunError
 from st_recordings.runs.run_types import SteeringField
 
@@ -207,6 +207,7 @@ def test_odometry_in_north_east_down(tmp_path: Path, drive_log: DriveLog, z_down
     run = read(find_runs([folder])[0], CAR, STEER)
     assert_same(run.log, drive_log, max_lost=0)
     assert_warned(run.warnings, "frame_id is 'odom_ned': x, y and yaw were converted")
+    assert read_bag(folder, steering=STEER.steering).conversions  # `st replay` would play the recorded values
 
 
 def test_odometry_without_a_yaw_rate(tmp_path: Path, drive_log: DriveLog) -> None:

@@ -44,6 +44,12 @@ def save_milliseconds(file: Path, columns: Columns) -> None:
     savemat(file, {"time_ms": 1e3 * columns["t"], **{name: columns[name] for name in columns if name != "t"}})
 
 
+def save_seconds_and_milliseconds(file: Path, columns: Columns) -> None:
+    """The whole time twice, in two units."""
+    savemat(file, {"time_s": columns["t"], "time_ms": 1e3 * columns["t"],
+                   **{name: columns[name] for name in columns if name != "t"}})
+
+
 def save_simulink(file: Path, columns: Columns) -> None:
     """Structure with time of the block To Workspace."""
     signals = make_struct_array(["values", "dimensions", "label"], [
@@ -120,7 +126,8 @@ def load(file: Path) -> DriveLog:
 
 
 @pytest.mark.parametrize(("save", "extension"), [
-    (save_flat, ".mat"), (save_nested, ".mat"), (save_milliseconds, ".mat"), (save_simulink, ".mat"),
+    (save_flat, ".mat"), (save_nested, ".mat"), (save_milliseconds, ".mat"),
+    (save_seconds_and_milliseconds, ".mat"), (save_simulink, ".mat"),
     (save_control_desk, ".mat"), (save_signal_structs, ".mat"), (save_two_rates, ".mat"),
     (save_ros_stamps, ".mat"), (save_control_desk_rasters, ".mat"), (save_time_series_structs, ".mat"),
     (save_parquet_with_date_index, ".parquet"),

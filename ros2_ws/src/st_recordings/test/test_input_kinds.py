@@ -256,6 +256,10 @@ TABLES = [
     Table("date_time.txt", lambda log: with_times(log, lambda s: f"2026-05-04 {clock(NOON + s)}").replace(
         "t,", "Date Time,", 1)),
     Table("hemispheres.csv", with_hemispheres),
+    Table("mode_after_the_longitude.csv", lambda log: csv(  # W is no side of the latitude, S none of the longitude
+        [[*row[:2], "W", row[2], "S", *row[3:]] for row in (line.split(",") for line in geographic(log).splitlines()[1:])],
+        header(x="latitude", y="longitude", yaw="phi").replace("latitude", "latitude,wheel").replace(
+            "longitude", "longitude,mode"))),
     Table("names_above_an_ascii_log.csv", lambda log: csv(
         [["#INSPVAXA", "COM1", "4e77;INS_SOLUTION_GOOD", *row] for row in rows(log)],
         ",".join(("log", "port", "status", *NAMES)))),
@@ -291,7 +295,8 @@ TABLES = [
 ]
 # Days since 1970; 0 where the date is not used.
 DAYS = {"day_first.csv": 20568, "month_first.csv": 20568, "ambiguous_date.csv": 0}
-IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "positions_at_20_hz.csv", "unwrapped_heading.csv"}
+IN_ANOTHER_MAP = {"geographic.csv", "hemispheres.csv", "mode_after_the_longitude.csv",
+                  "positions_at_20_hz.csv", "unwrapped_heading.csv"}
 
 
 @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])

@@ -41,6 +41,7 @@ class BagDrive(LoadedRun):
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     frame: str  # frame_id of the first odometry message, or of reconstructed odometry
     unknown_topics: tuple[str, ...]  # "topic (type)" of topics neither read nor published by the suite or ROS
+    conversions: tuple[str, ...]  # notes on odometry that differs from the recorded messages
 
 
 def is_bag(path: Path) -> bool:
@@ -128,7 +129,8 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
         topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns, bool(steering))]
     frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
-    log, missing, row_notes = _build_drive_log(path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
+    log, missing, row_notes, conversions = _build_drive_log(
+        path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
     recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
@@ -138,8 +140,10 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     if (origin := reconstruction.read_origin()) is not None:
         latitude, longitude, altitude = origin
         provenance["origin"] = [math.radians(latitude), math.radians(longitude), altitude]
-    return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)),
-                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown_topics=unknown_topics)
+    notes += [*row_notes, *conversions]
+    return BagDrive(log=log, provenance=provenance, warnings=tuple(f"{path}: {note}" for note in notes),
+                    auxiliary=auxiliary, topics=topics, records=records, frame=frame, unknown_topics=unknown_topics,
+                    conversions=tuple(conversions))
 
 
 def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> InsLog:
@@ -149,8 +153,9 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
     topic = _find_topic(storage, ODOMETRY, odometry)
     columns = storage.read_fields(topic, _ODOMETRY_FIELDS)
     notes = _replace_meaningless_stamps(storage, {ODOMETRY: topic.name}, {ODOMETRY: columns})
-    ins_ns, values, _, row_notes = _select_odometry(columns, _read_frame_id(storage, topic.name))
-    return InsLog(path, ins_ns, values, ins_ns, warnings=tuple(f"{path}: {note}" for note in (*notes, *row_notes)))
+    ins_ns, values, _, row_notes, conversions = _select_odometry(columns, _read_frame_id(storage, topic.name))
+    notes += [*row_notes, *conversions]
+    return InsLog(path, ins_ns, values, ins_ns, warnings=tuple(f"{path}: {note}" for note in notes))
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
@@ -242,8 +247,9 @@ def _read_frame_id(storage: Storage, topic: str) -> str:
 
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[
-        np.ndarray, dict[str, np.ndarray], dict[str, int], list[str]]:
-    """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes)."""
+        np.ndarray, dict[str, np.ndarray], dict[str, int], list[str], list[str]]:
+    """(times [ns] and INS channels of the usable messages, channel -> number of messages without a value, notes, notes
+    on conversions)."""
     x, y, *quaternion, velocity_x, velocity_y, yaw_rate = (odometry[field] for field in _ODOMETRY_FIELDS[1:])
     values = {"x": x, "y": y, "yaw": yaw_from_quaternion(*quaternion), "velocity_x": velocity_x,
               "velocity_y": velocity_y, "yaw_rate": yaw_rate}
@@ -252,16 +258,17 @@ def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple
     time_ns, rows, notes = _select_usable_messages(odometry["header.stamp"], is_usable, "odometry messages", missing)
     values = {name: value[rows] for name, value in values.items()}
     values["yaw"] = np.unwrap(values["yaw"])
+    conversions = []
     if len(rows) > 2 and np.ptp(values["yaw"]) > 0 and not values["yaw_rate"].any():
         values["yaw_rate"] = derive_yaw_rate(time_ns, values["yaw"])
-        notes.append("yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
-    return time_ns, values, missing, [*notes, *convert_odometry(values, frame_id)]
+        conversions.append("yaw_rate is 0 in all odometry messages; the derivative of yaw is used")
+    return time_ns, values, missing, notes, [*conversions, *convert_odometry(values, frame_id)]
 
 
 def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], steering: Mapping[str, np.ndarray],
-                     frame_id: str) -> tuple[DriveLog, dict[str, int], list[str]]:
-    """(log, channel -> number of messages without a usable value, notes)."""
-    ins_ns, values, missing, notes = _select_odometry(odometry, frame_id)
+                     frame_id: str) -> tuple[DriveLog, dict[str, int], list[str], list[str]]:
+    """(log, channel -> number of messages without a usable value, notes, notes on conversions of the odometry)."""
+    ins_ns, values, missing, notes, conversions = _select_odometry(odometry, frame_id)
     is_usable = np.isfinite(steering["road_wheel_angle"]) & steering["valid"].astype(bool)
     missing["road_wheel_angle"] = int((~is_usable).sum())
     steering_ns, steering_rows, steering_notes = _select_usable_messages(
@@ -270,7 +277,7 @@ def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], 
     log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
                          road_wheel_angle=steering["road_wheel_angle"][steering_rows],
                          steering_wheel_angle=wheel if np.isfinite(wheel).all() else None)
-    return log, missing, [*notes, *steering_notes]
+    return log, missing, [*notes, *steering_notes], conversions
 
 
 def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: str,

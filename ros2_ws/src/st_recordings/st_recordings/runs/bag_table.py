@@ -23,7 +23,8 @@ STAMP_FIELDS = ("header.stamp", "stamp")
 STEERING = (ROAD_WHEEL, STEERING_WHEEL)
 UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
 FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
-"""Types whose status.status is negative without a fix; position and velocity are then old or arbitrary."""
+NO_FIX = -1
+"""status.status of these types without a fix; position and velocity are then old or arbitrary."""
 
 
 def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: SteeringField | None,
@@ -86,7 +87,7 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
         layout = CdrLayout(storage.store, topic.type_name, example)
     except Exception:  # any, from rosbags
         return "", {}, ""
-    has_orientation = getattr(example, "orientation_covariance", [0.0])[0] != UNKNOWN_COVARIANCE
+    has_orientation = UNKNOWN_COVARIANCE not in getattr(example, "orientation_covariance", ())[:1]
     paths = [path for path, field in layout.fields.items()
              if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
@@ -108,7 +109,7 @@ def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str,
     columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in found.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
     if status:
-        lacks_fix = columns[status[0]] < 0
+        lacks_fix = columns[status[0]] == NO_FIX
         columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in found.values()}
     empty_channels = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
     empty_channels -= {*STEERING, *(() if empty_channels.issuperset(QUATERNION_CHANNELS) else QUATERNION_CHANNELS)}

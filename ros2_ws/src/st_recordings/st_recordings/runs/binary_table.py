@@ -128,7 +128,8 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         own = [(vectors[source.column], value[vectors[source.column]])] if source else []
         if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
             seconds, fraction = (value[vectors[column]] for column in stamp[:2])
-            own = [("t [s]", seconds + stamp[2] * fraction)] if len(seconds) == len(fraction) else []
+            if len(seconds) == len(fraction) and not np.any(seconds % 1.0) and np.all(stamp[2] * fraction < 1.0):
+                own = [("t [s]", seconds + stamp[2] * fraction)]
         axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
         axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
                 if isinstance(axis, dict) and _is_vector(axis.get("Data"))]

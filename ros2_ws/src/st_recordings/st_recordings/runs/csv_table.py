@@ -18,7 +18,7 @@ from .errors import RunError, check_readable, format_share, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
-HEMISPHERES = {"N", "S", "E", "W"}
+HEMISPHERES = {"latitude": {"N", "S"}, "longitude": {"E", "W"}}
 MAX_UNIT_ROWS = 5  # largest number of rows without numbers (units, sources, types) below the header
 MAX_HEADER_LINES = 60  # lines at the start of the file searched for the header; loggers write metadata before it
 MISSING_MARKS = {"", "-", "--", "nan", "na", "n/a", "#n/a", "#na", "null", "none", "inf", "-inf", "+inf", "nil"}
@@ -232,7 +232,8 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
 
     pair = find_stamp_columns(names)
     has_fraction = pair is not None and all(
-        not _parse_number(row[pair[1]]) * pair[2] >= 1.0 for row in rows if pair[1] < len(row))
+        not _parse_number(row[pair[1]]) * pair[2] >= 1.0 for line in body.split("\n")
+        if pair[1] < len(row := line.split(delimiter)))
     if "t" in sources and "t" not in {*layout.columns, *layout.units} and not has_fraction:
         finest = max(column_names.find_times(names), key=count_times, default=sources["t"])
         if 2 * count_times(sources["t"]) < count_times(finest):  # whole seconds, and fractions in another column
@@ -366,15 +367,17 @@ def _sign_by_hemisphere(sources: Mapping[str, ColumnSource], body: str, delimite
         return row[column + 1].strip(' \r"\'').upper() if column + 1 < len(row) else ""
 
     rows = [line.split(delimiter) for line in body.split("\n", MAX_TIME_ROWS)[:MAX_TIME_ROWS]]
-    columns = [sources[channel].column for channel in ("latitude", "longitude") if channel in sources]
-    columns = [column for column in columns if any(read_hemisphere(row, column) in HEMISPHERES for row in rows)]
+    columns = []
+    for channel in HEMISPHERES.keys() & sources.keys():
+        letters = {read_hemisphere(row, sources[channel].column) for row in rows} - {""}
+        columns += [sources[channel].column] if letters and letters <= HEMISPHERES[channel] else []
     if not columns:
         return body
     rows = [line.split(delimiter) for line in body.split("\n")]
     for row in rows:
         for column in columns:
             if read_hemisphere(row, column) in ("S", "W"):
-                row[column] = "-" + row[column].strip(' "\'-')
+                row[column] = "-" + row[column].strip(' "\'+-')
     return "\n".join(map(delimiter.join, rows))
 
 

@@ -1,6 +1,5 @@
 """Types for a run before and after it is read, and for the settings with which it is read."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ from st_core.clock_types import Alignment
 from st_core.errors import StCoreError
 from st_core.log import DriveLog
 
-from .columns import find_stated_unit
+from .columns import UNITS, find_stated_unit
 from .errors import RunError
 
 
@@ -28,8 +27,7 @@ class SteeringField:
     @property
     def scale(self) -> float:
         """Factor that converts the recorded number to rad, left positive."""
-        is_in_degrees = self.unit == "deg" or (self.unit is None and find_stated_unit(self.field, "angle") == "deg")
-        return self.sign * (math.pi / 180.0 if is_in_degrees else 1.0)
+        return self.sign * UNITS["angle"][self.unit or find_stated_unit(self.field, "angle") or "rad"][0]
 
     def matches(self, topic: str) -> bool:
         """Whether `topic` is the name of its topic, with or without a leading slash."""
