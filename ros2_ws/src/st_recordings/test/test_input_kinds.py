@@ -257,7 +257,8 @@ TABLES = [
         "t,", "Date Time,", 1)),
     Table("hemispheres.csv", with_hemispheres),
     Table("mode_after_the_longitude.csv", lambda log: csv(  # W is no side of the latitude, S none of the longitude
-        [[*row[:2], "W", row[2], "S", *row[3:]] for row in (line.split(",") for line in geographic(log).splitlines()[1:])],
+        [[*row[:2], "W", row[2], "S", *row[3:]] for row in (
+            line.split(",") for line in geographic(log).splitlines()[1:])],
         header(x="latitude", y="longitude", yaw="phi").replace("latitude", "latitude,wheel").replace(
             "longitude", "longitude,mode"))),
     Table("names_above_an_ascii_log.csv", lambda log: csv(
