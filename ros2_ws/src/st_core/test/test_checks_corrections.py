@@ -25,6 +25,7 @@ from exact_faults import (
     time_unit_misread,
     yaw_from_north,
 )
+from scipy.signal import lfilter
 from st_core.checks import AuxiliaryData, Series, Severity, check
 from st_core.handling import stability_factor
 from st_core.log import DriveLog
@@ -267,6 +268,17 @@ def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
     assert low <= -2.0 <= high
 
 
+@pytest.mark.parametrize("ahead", [-0.4, -1.52])
+@pytest.mark.parametrize("drift", [0.05, 0.1, 0.3])  # m/s, root mean square, with a time constant of 5 s
+def test_drift_of_the_lateral_velocity_is_no_scale(leaf, ahead: float, drift: float):
+    """Noise in a regressor biases its coefficient, here towards a velocity_y that is several times too large."""
+    car = replace(leaf, cg_to_ins_x=ahead)
+    log, random = exact_drive(car, 120.0), np.random.default_rng(1)
+    decay = np.exp(-0.01 / 5.0)
+    noise = lfilter([drift * np.sqrt(1.0 - decay**2)], [1.0, -decay], random.normal(size=len(log.velocity_y)))
+    assert findings_by_name(replace(log, velocity_y=log.velocity_y + noise), car) == {}
+
+
 def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf):
     """The rear wheels, steered against the front ones at low speed and with them at high speed, turn the heading."""
     log = exact_drive(leaf, 120.0)
@@ -277,7 +289,7 @@ def test_measuring_point_gets_no_correction_if_rear_wheels_steer_with_speed(leaf
     steered = replace(log, yaw=log.yaw - angle, velocity_x=velocity.real, velocity_y=velocity.imag,
                       yaw_rate=log.yaw_rate - np.gradient(angle, time * 1e-9))
     finding = findings_by_name(steered, leaf)["measuring_point"]
-    assert finding.advice.kind == "look" and "at other speeds velocity_y is that of another point" in finding.text
+    assert finding.advice.kind == "look" and "does not fit the rear slip of the vehicle file" in finding.text
 
 
 @pytest.mark.parametrize(("first", "second"), [

@@ -229,16 +229,16 @@ def make_lateral_sign_finding() -> Finding:
 
 def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
                        estimates: dict[str, Estimate]) -> list[Finding]:
-    """All findings, with only one if both sign and scale of velocity_y are wrong.
+    """All findings, with only one if both sign and scale of velocity_y are certainly wrong.
 
     sign: of `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
     sign of the recorded velocity_y.
     """
     name = "velocity_y_scale"
-    if not sign:
-        return findings
+    if not sign or name not in estimates:
+        return [*sign, *findings]
     scale = estimates[name] = estimates[name].scaled(-1.0)
-    if name not in {finding.name for finding in findings}:
+    if not any(finding.name == name and finding.advice and finding.advice.kind != "look" for finding in findings):
         return [*sign, *findings]
     text = f"velocity_y is {scale} times its value from positions, yaw and velocity_x: it has the opposite sign"
     advice = Advice.correct("velocity_y", scale=float(f"{1.0 / scale.value:.5g}"))
@@ -304,11 +304,25 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
             others = [name for name in candidates if name not in {*confounded, *RARE_CAUSES} - {rare}]
             alternative = _find_causes(problem, others, min_values, tuple(causes))
             loss_of_alternative = problem.compute_loss((*causes, *alternative), scale)
-            if rare in alternative and MIN_LOSS_RATIO * loss_of_alternative < loss:
+            if (rare in alternative and MIN_LOSS_RATIO * loss_of_alternative < loss
+                    and (rare in CONFOUNDED or _is_scaled(problem, (*causes, *alternative)))):
                 further, loss = alternative, loss_of_alternative
     estimates = problem.estimate((*causes, *further))
     return {name: _add_refinement(name, causes[name].value, estimate) if name in causes else estimate
             for name, estimate in estimates.items()}
+
+
+def _is_scaled(problem: Regression, causes: tuple[str, ...]) -> bool:
+    """Whether the error of velocity_y is a scale, rather than noise or drift.
+
+    Errors in variables: noise in velocity_y biases the regression of the displacements from positions on those from
+    velocity_y, but not the reverse regression, whose slope is the scale and must differ from 1 as well.
+    """
+    name = "velocity_y_scale"
+    columns = {other: problem.columns[other] for other in (*AXIS_SCALES, *causes) if other != name}
+    columns["derived"] = problem.y + problem.columns[name]
+    error = Regression(problem.time, problem.columns[name], columns).estimate(tuple(columns))["derived"].shifted(-1.0)
+    return is_relevant(error, MIN_LATERAL_SCALE_ERROR) and error.value * problem.fit(causes)[0][name] < 0.0
 
 
 def _add_refinement(name: str, found: float, refinement: Estimate) -> Estimate:

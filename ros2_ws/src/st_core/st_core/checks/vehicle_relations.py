@@ -290,7 +290,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
     text = (f"the measuring point lies {abs(point)} m {'ahead of' if point.value > 0 else 'behind'} the "
             f"INS point of the vehicle file (cg_to_ins_x {vehicle.cg_to_ins_x:.2f} m)")
     if point.covers(-vehicle.cg_to_ins_x - vehicle.cg_to_rear_axle):
-        text += ": at the rear axle?"
+        text += ", which may be the rear axle"
     value = vehicle.cg_to_ins_x + point.value
     advice = Advice("vehicle", f"cg_to_ins_x: {{value: {value:.2f}, unit: m, source: \"st check\"}}  # measure it: "
                     "rear-wheel steering has the same effect", {"cg_to_ins_x": round(value, 2)})
@@ -299,7 +299,7 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
         text += f", {abs(value):.2f} m from the CG and thus outside the car"
         advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")
     elif slip.interval[1] < low or slip.interval[0] > high:
-        text += ", but at other speeds velocity_y is that of another point"
+        text += ", but velocity_y does not fit the rear slip of the vehicle file"
         advice = Advice("look", "measure the INS position: rear wheels that steer differently with speed, or another "
                         "cornering_stiffness_rear, have the same effect")
     else:
