@@ -310,7 +310,7 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
     if unit not in possible:
         missing = f", and {dbc_path} gives no unit" if not dbc.unit and not unit else ""
         raise entry.error("unit", f"{text!r} cannot be converted to {si_unit!r} ({name}){missing}; "
-                          f"write {' or '.join(possible)!r}, the unit of the sensor")
+                          f"write {' or '.join(map(repr, possible))}, the unit of the sensor")
     if dbc_unit and dbc_unit != unit:
         raise entry.error("unit", f"{text!r}, but {dbc_path} gives {dbc.unit!r}")
     return unit
@@ -318,9 +318,10 @@ def _read_unit(entry: Entry, name: str, dbc: DbcSignal, dbc_path: Path) -> str:
 
 def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
     """Raises TableError if the signal cannot reach half of each limit of its range, as with an unsigned angle."""
-    low, high = spec.minimum, spec.maximum
+    low, high, expectation = spec.minimum, spec.maximum, f"{entry.origin} ({entry.path}.range) expects"
     if not math.isfinite(high) and spec.name == "steering_wheel_angle":
         low, high = -DEFAULT_STEERING_RANGE / spec.factor, DEFAULT_STEERING_RANGE / spec.factor
+        expectation = f"a steering wheel angle without a {entry.path}.range in {entry.origin} has"
     if not math.isfinite(high) or spec.dbc.is_float:
         return
     physical = [raw * spec.dbc.scale + spec.dbc.offset for raw in raw_range(spec.dbc)]
@@ -332,7 +333,7 @@ def _check_span(spec: SignalSpec, entry: Entry, dbc_path: Path) -> None:
         order = "low byte first" if spec.dbc.byte_order == "little_endian" else "high byte first"
         raise TableError(
             f"{dbc_path}: {spec.dbc.name} can only decode to {min(ends):g} .. {max(ends):g} {spec.unit}, but "
-            f"{entry.origin} ({entry.path}.range) expects {low:g} .. {high:g}: its layout "
+            f"{expectation} {low:g} .. {high:g}: its layout "
             f"({spec.dbc.length} bits, {order}, {'signed' if spec.dbc.is_signed else 'unsigned'}, "
             f"factor {spec.dbc.scale:g}) decodes it incorrectly; if another signal contains the sign, name it as "
             "sign_signal")

@@ -72,7 +72,7 @@ class LoopbackMulticastBus(can.BusABC):
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
-        """channel: IPv4 "group" or "group:port". Raises ValueError for another channel, OSError if it cannot open."""
+        """channel: IPv4 "group" or "group:port". Raises ValueError for any other text, OSError if it cannot open."""
         group, port = parse_channel(channel)
         self.channel_info = f"udp_multicast {group}:{port} on loopback"
         self._destination = (group, port)
@@ -145,7 +145,7 @@ class LoopbackMulticastBus(can.BusABC):
         try:
             fields = msgpack.unpackb(data, raw=False)
             if any(type(fields.get(name, type_())) is not type_ for name, type_ in _FIELD_TYPES.items()):
-                raise TypeError("a field has another type than python-can sends")
+                raise TypeError("a field differs in type from those of python-can")
             if (self._accepted_ids is not None and not fields["is_error_frame"]
                     and (fields["arbitration_id"], fields["is_extended_id"]) not in self._accepted_ids):
                 return None

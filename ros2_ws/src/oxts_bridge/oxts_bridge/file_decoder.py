@@ -21,7 +21,7 @@ KINDS = ("empty", "regular", "status", "trigger")
 EMPTY, REGULAR, STATUS, TRIGGER = range(4)
 UNKNOWN_TIME = np.iinfo(np.int64).min
 
-# Packets decoded at once: few after a fault, then four times as many at each step.
+# Packets searched and verified at once: few after a fault, then four times as many at each step.
 _FIRST_ROWS, _MAX_ROWS = 64, 1 << 16
 # After a fault, this many packets are timed one by one before times are computed in columns again.
 _SINGLE_STEPS = 16

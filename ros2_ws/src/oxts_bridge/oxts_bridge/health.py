@@ -25,7 +25,7 @@ class Health:
     """Builds diagnostic checks from the counts of the parser, the status and the source.
 
     live: packets come from a unit, so their stamps can be compared with the host's clock. ellipsoidal: the unit sends
-    ellipsoidal altitude. silence_after: time without a packet that is an error [s].
+    ellipsoidal altitude. silence_after: time without packets after which an error is reported [s].
 
     The node updates the public attributes. navigation_status: newest defined status of a packet that is not a trigger.
     last_packet_at: time of receipt on the monotonic clock [s]. failures: number of packets that could not be

@@ -55,7 +55,7 @@ def test_predictions_below_minimum_speed_are_excluded(logs, leaf, fit):
     fast_only = fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=9.0))
     assert [fast_only.windows[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
     assert fast_only.prediction_count < fit.prediction_count
-    with pytest.raises(IdentificationError, match=r"too little driving: 0 of \d+ predictions are faster than 40 m/s"):
+    with pytest.raises(IdentificationError, match=r"driving: 0 of \d+ windows of [0-9.]+ s are faster than 40 m/s"):
         fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=40.0))
 
 

@@ -1,4 +1,4 @@
-"""Loads the templates of the self-contained report pages; all inserted text is escaped."""
+"""Loads the templates of the self-contained report pages; all inserted text except drawings is escaped."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

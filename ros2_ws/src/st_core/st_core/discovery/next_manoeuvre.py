@@ -124,8 +124,8 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
 def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separability], curvatures: Curvatures,
                      design_effect: float) -> NextManoeuvre | None:
     """The manoeuvre with the largest minimum separation over all pairs that these drives separate by less than
-    MIN_SEPARATION. None if no manoeuvre reaches MIN_SEPARATION, or without such a pair: alternatives then remain due to
-    model errors, which more driving does not reduce."""
+    MIN_SEPARATION. None if there is no such pair, as alternatives then remain due to model errors, which more driving
+    does not reduce, or if no manoeuvre reaches MIN_SEPARATION."""
     pairs = [(s.first, s.second) for s in separabilities if s.strength < MIN_SEPARATION]
     if not pairs:
         return None
@@ -140,7 +140,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
-                         manoeuvre.speed, f"separates {pair[0]} and {pair[1]} best of all manoeuvres in the catalogue")
+                         manoeuvre.speed, "largest separation in the catalogue of the pair that it separates least: "
+                         f"{pair[0]} and {pair[1]}")
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:

@@ -72,7 +72,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     """Values of an effect with 95 % intervals.
 
     The half-width is the largest of three estimates: (1) from blocks taken as independent; (2) from the scatter between
-    at least three parts of a partition, such as runs or sites, but not places; (3) from the deviation and shift in
+    at least three parts of a partition, such as runs or sites, but not map cells; (3) from the deviation and shift in
     `joint_fit`, in quadrature, with all other parameters free, multiplied by `noise_ratio`, the ratio of residual to
     noise (Birge, Phys. Rev. 40, 1932), plus the model error in quadrature. To allow for errors of the model equations,
     the interval is extended by the distance to the values in `near_sets`, sets of effects that fit nearly as well.

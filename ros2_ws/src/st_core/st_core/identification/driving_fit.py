@@ -170,9 +170,9 @@ def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Seq
     total = sum(used for used, _ in counts.values())
     if total < settings.min_windows:
         raise IdentificationError(
-            f"too little driving: {total} of {len(windows)} predictions are faster than "
-            f"{settings.minimum_speed:.3g} m/s and below {settings.maximum_acceleration:g} m/s^2 for "
-            f"{settings.horizon:g} s, {settings.min_windows} are needed")
+            f"too little driving: {total} of {len(windows)} windows of {settings.horizon:g} s are faster than "
+            f"{settings.minimum_speed:.3g} m/s and below a lateral acceleration of {settings.maximum_acceleration:g} "
+            f"m/s^2; {settings.min_windows} are needed")
     space = Space(model, windows.settings, library=library)
     loss = Loss(Errors(windows, space), space.null)
     problem = Problem(loss, space.null, windows.block)

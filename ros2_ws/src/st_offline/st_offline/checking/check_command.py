@@ -56,8 +56,8 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     if job.correction_file is not None:
         check_file_name(job.correction_file)
         if len(sources) != 1:
-            raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, but a run.yaml describes "
-                                     "one: give one run")
+            raise ConfigurationError(f"--propose-correction: {len(sources)} runs were given, but corrections "
+                                     "are proposed for one run: give one")
     folder = new_folder(job.output, "check", create=False)
     checked_runs: list[CheckedRun] = []
     unreadable: dict[str, str] = {}

@@ -135,9 +135,9 @@ def axis_label(c: Candidate) -> str:
     """Label of the vertical axis, with the reference of relative values and the positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", + reads too far to the left" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
+    sign = (", positive: biased to the left" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
             else f"{divisor}, left +")
-    return f"{TERM_NAMES[c.term]}{sign}{f', for each unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
+    return f"{TERM_NAMES[c.term]}{sign}{f', per unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 
 
 def explain_unit(c: Candidate, vehicle: VehicleParameters) -> str:

@@ -13,7 +13,8 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""The clock was set back at a frame that is earlier than each of the MAX_EARLY_FRAMES + 1 frames before it."""
+"""Number of frames in succession that may be early by jitter; a step back relative to all of one frame more is a change
+of the clock."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
 _FRAME_ID_AT = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins

@@ -124,7 +124,7 @@ def _parse_each(path: Path, content: Mapping[str, Any]) -> list[RunSource]:
 
 
 def _read_own_run_file(path: Path, file: Path) -> RunSource | None:
-    """Reads another run.yaml, of the stem or folder of `file`, that lists it, or is invalid and may be about it."""
+    """Reads NAME.run.yaml or run.yaml next to `file`, if it lists `file`, or is invalid and may describe it."""
     own_files = (file.with_name(file.stem + RUN_SUFFIX), file.with_name(RUN_FILE))
     for own in (own for own in own_files if own.exists() and own != path):
         try:

@@ -106,7 +106,7 @@ def parse_stamp(text: str) -> tuple[float, float] | None:
 def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warnings: list[str]
                        ) -> tuple[np.ndarray, ColumnSource]:
     """(times [s] without rollovers, their source). Times are in the stated unit, or HHMMSS, days, or ms, us, ns since
-    1970. A column declared as HHMMSS that contains other times is read as seconds, a unit that is not stated."""
+    1970. A column declared as HHMMSS that contains other times is read as seconds, with the unit not stated."""
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
@@ -166,7 +166,7 @@ def _is_hhmmss(times: np.ndarray) -> bool:
 
 def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, first_time: str | None,
                          warnings: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(whether each row has a time, the times [ns], whether each is usable). Raises RunError if most are unusable."""
+    """(whether each row has a time, the times [ns], whether each is usable). Raises RunError without usable times."""
     has_time = np.abs(seconds) <= LATEST_TIME
     if first_time is not None and len(seconds) and not np.isfinite(seconds).any():
         raise RunError(file, f"no time in column {source.name} can be read; the first is {first_time!r}",
