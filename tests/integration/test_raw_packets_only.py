@@ -14,7 +14,10 @@ pytest.importorskip("st_msgs", reason="needs the built workspace")
 from st_live.verification import verify
 from st_recordings.runs.bag import read_bag
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.ros, pytest.mark.slow,
+    pytest.mark.timing("nodes run in real time; one that waits for its turn skips ticks"),
+]
 RAW = ("/ins/ncom", "/ins/origin", "/can/frames")
 RESULTS = ("/predictor/", "/evaluator/")
 

@@ -14,12 +14,16 @@ from typer.testing import CliRunner
 
 pytest.importorskip("st_msgs", reason="needs the built workspace")
 
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from st_cli.verbs import live, raw_logs
 from st_live import configuration, report, session
-from st_live.node import Status, SuiteState, render_progress
+from st_live.node import Monitor, Status, SuiteState, render_progress
 from st_live.suite import Processes, SuiteError, claim_domain, merge_parameters, read_domain_id
 from st_msgs.msg import ErrorStatistics, ErrorSummary, Prediction, PredictorStatus
+from st_ros.diagnostics import Diagnostics
 
 from tools import develop
 
@@ -48,6 +52,21 @@ def test_demo_refuses_wrong_arguments_in_one_line_and_makes_no_folder(tmp_path: 
     for fragment in fragments:
         assert fragment in result.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_a_node_is_ready_when_it_publishes_diagnostics() -> None:
+    """The predictor is in the graph while it compiles its models; a demo started then had no predictions for 15 s."""
+    with claim_domain(None) as domain, Monitor(domain) as monitor:
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node("predictor", context=context)
+        while "predictor" not in monitor.find_node_names():
+            time.sleep(0.05)
+        assert monitor.wait_for_nodes({"predictor"}, 0.5) == {"predictor"}
+        Diagnostics(node, "", list)
+        assert monitor.wait_for_nodes({"predictor"}, 30.0) == set()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
 
 
 def test_too_short_run_is_refused_with_the_unit() -> None:

@@ -88,9 +88,15 @@ class Monitor:
         return [name for name in self._node.get_node_names() if name != self._node.get_name()]
 
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
-        """Wait until all nodes are in the graph, at most `timeout` [s]; returns the missing ones."""
+        """Wait until all nodes publish diagnostics, at most `timeout` [s]; returns the missing ones.
+
+        The predictor is in the graph seconds before: it compiles its models first.
+        """
         end = time.monotonic() + timeout
-        while (missing := names - set(self.find_node_names())) and time.monotonic() < end:
+        while time.monotonic() < end:
+            ready = {info.node_name for info in self._node.get_publishers_info_by_topic("/diagnostics")}
+            if not (missing := names - ready):
+                break
             time.sleep(0.05)
         return missing
 

@@ -33,7 +33,7 @@ NODES = (  # package, executable; subscribers start first, so that they miss no 
 # Except in a replay, the predictor ends while data still arrive, so that its last tick has inputs.
 STOP_ORDER = ("player", "predictor", "evaluator", "virtual_leaf", "oxts_bridge", "canedge_bridge", "recorder")
 END_MARGIN = 0.5  # s between the end of the run and the end of the source
-START_TIMEOUT = 60.0  # s until all nodes are in the graph
+START_TIMEOUT = 60.0  # s until all nodes publish diagnostics
 DISCOVERY_TIME = 1.5  # s until nodes of another suite are in the graph; nodes announce their presence every second
 UPDATE_PERIOD = 0.25  # s between checks of the nodes and updates of the terminal
 LOG_PERIOD = 10.0  # s between lines if the output is not a terminal
@@ -149,8 +149,9 @@ def run(folder: Path, parameters: Parameters, title: str, console: Console, view
             time.sleep(DISCOVERY_TIME)
             _check_no_other_suite(monitor, domain, allowed=0)
         with Suite(folder, parameters, domain, realtime) as suite:
-            if not _start_nodes(suite, monitor, nodes, stop_requested):
-                return Outcome({}, interrupted=True)
+            with console.status(f"starting {len(nodes)} nodes; the first start compiles the models"):
+                if not _start_nodes(suite, monitor, nodes, stop_requested):
+                    return Outcome({}, interrupted=True)
             _check_no_other_suite(monitor, domain, allowed=1)
             console.out(f"{len(nodes)} nodes up in ROS domain {domain}; output in {folder}", highlight=False)
             if suite.realtime_denied:
@@ -190,14 +191,14 @@ def make_timer(*durations: float | None) -> Progress:
 
 def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]],
                  stop_requested: Callable[[], bool]) -> bool:
-    """Start nodes and wait until they are in the graph; False after a stop request. Raises SuiteError if one fails."""
+    """Start nodes and wait until they are ready; False after a stop request. Raises SuiteError if one fails."""
     for package, executable in nodes:
         suite.start_node(package, executable)
     end = time.monotonic() + START_TIMEOUT
     while not stop_requested() and (missing := monitor.wait_for_nodes({executable for _, executable in nodes}, 0.5)):
         suite.check()
         if time.monotonic() > end:
-            raise SuiteError(f"not in the ROS graph after {START_TIMEOUT:.0f} s: {', '.join(sorted(missing))}; see the "
+            raise SuiteError(f"no diagnostics after {START_TIMEOUT:.0f} s from {', '.join(sorted(missing))}; see the "
                              f"logs in {suite.folder / 'logs'}")
     return not stop_requested()
 
