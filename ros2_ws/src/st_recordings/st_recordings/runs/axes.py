@@ -3,7 +3,7 @@
 import re
 
 import numpy as np
-from st_core.types import wrap_angle
+from st_core.types import map_to_body, wrap_angle
 
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
 """Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure no other."""
@@ -63,8 +63,8 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     if is_map:
         is_north_first = map_errors[1] < map_errors[0] - MAX_AGREEING_ANGLE
         axes = "the north and east" if is_north_first else "the east and north"
-        velocity = (1j * velocity.conj() if is_north_first else velocity) * np.exp(-1j * columns["yaw"])
-        columns["velocity_x"], columns["velocity_y"] = velocity.real, velocity.imag
+        velocity = 1j * velocity.conj() if is_north_first else velocity
+        columns["velocity_x"], columns["velocity_y"] = map_to_body(velocity.real, velocity.imag, columns["yaw"])
     frame = f" (frame_id is {frame_id!r})" if frame_id else ""
     return "" if is_map == names_map else (
         f"velocity_x and velocity_y agree with yaw only as velocities {'to ' if is_map else 'in '}{axes}{frame}"

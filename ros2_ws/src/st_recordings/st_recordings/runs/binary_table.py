@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..paths import cached_by_version
-from .columns import Layout, find_ambiguous_steering, find_columns, find_stamp_columns
+from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_stamp_columns
 from .errors import RunError, shorten
 from .mf4 import MDF_OPTIONS, open_mdf
 
@@ -128,8 +128,8 @@ def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
         own = [(vectors[source.column], value[vectors[source.column]])] if source else []
         if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
             seconds, fraction = (value[vectors[column]] for column in stamp[:2])
-            if len(seconds) == len(fraction) and not np.any(seconds % 1.0) and np.all(stamp[2] * fraction < 1.0):
-                own = [("t [s]", seconds + stamp[2] * fraction)]
+            if len(seconds) == len(fraction):
+                own = [("t [s]", add_fraction(seconds, stamp[2] * fraction))]
         axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
         axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
                 if isinstance(axis, dict) and _is_vector(axis.get("Data"))]

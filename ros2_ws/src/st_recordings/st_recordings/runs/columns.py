@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from .errors import RunError
 
 # Kind of quantity -> unit -> (factor to SI, other spellings). The first unit is the default.
@@ -294,6 +296,12 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
             if stem + seconds in plain:
                 return plain.index(stem + seconds), number, _FRACTION_FACTORS[unit]
     return None
+
+
+def add_fraction(seconds: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Times in two parts [s]; `seconds` unless these are whole and all fractions are below 1 s."""
+    is_pair = not np.nan_to_num(seconds % 1.0).any() and np.nanmax(fraction, initial=0.0) < 1.0
+    return seconds + fraction if is_pair else seconds
 
 
 def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) -> dict[str, ColumnSource]:

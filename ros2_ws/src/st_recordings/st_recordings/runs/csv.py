@@ -9,7 +9,7 @@ import numpy as np
 from oxts_bridge.geometry import LocalFrame
 from st_core.checks import AuxiliaryData
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
-from st_core.types import wrap_angle
+from st_core.types import map_to_body, wrap_angle
 from st_core.vehicle import VehicleParameters
 
 from .axes import MAX_AGREEING_ANGLE, MIN_COMPARED_SAMPLES, MIN_COURSE_SPEED, rotate_to_body_axes
@@ -228,8 +228,7 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
     if "velocity_y" not in columns and columns.keys() >= {"yaw", "velocity_east", "velocity_north"}:
         east, north = columns["velocity_east"], columns["velocity_north"]
         _check_yaw(table, np.arctan2(north, east), np.hypot(east, north))
-        c, s = np.cos(columns["yaw"]), np.sin(columns["yaw"])
-        columns["velocity_x"], columns["velocity_y"] = c * east + s * north, c * north - s * east
+        columns["velocity_x"], columns["velocity_y"] = map_to_body(east, north, columns["yaw"])
     elif columns.keys() >= {"velocity_x", "velocity_y", "yaw"}:
         note = rotate_to_body_axes(columns, frame_id)
         notes += [f"{table.file}: {note}"] if note else []

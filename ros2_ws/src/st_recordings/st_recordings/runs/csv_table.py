@@ -207,10 +207,9 @@ def _join_groups(rows: np.ndarray, names: list[str], time: int) -> np.ndarray:
 def _add_fraction(rows: np.ndarray, names: list[str], column: int) -> np.ndarray:
     """Times in a column; if they are whole seconds of a stamp, its fractions are added (unless 1 s or more)."""
     stamps, pair = rows[:, column], find_stamp_columns(names)
-    if pair is None or pair[0] != column or np.nan_to_num(stamps % 1.0).any():
+    if pair is None or pair[0] != column:
         return stamps
-    fraction = pair[2] * rows[:, pair[1]]
-    return stamps + fraction if np.nanmax(fraction, initial=0.0) < 1.0 else stamps
+    return column_names.add_fraction(stamps, pair[2] * rows[:, pair[1]])
 
 
 def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layout: Layout,
