@@ -108,8 +108,11 @@ class Monitor:
     def _publish_aggregate(self) -> None:
         """Publish the worst level of the suite, stale if no status has arrived, followed by every status."""
         now, statuses = time.monotonic(), self.state.health
-        lines = [DiagnosticStatus(name=s.name, message=s.message, level=bytes([STALE if s.is_silent(now) else s.level]))
-                 for s in sorted(statuses.values(), key=lambda s: s.name)]
+        lines = []
+        for s in sorted(statuses.values(), key=lambda s: s.name):
+            silence = f"silent for {now - s.received_at:.0f} s" if s.is_silent(now) else ""
+            lines.append(DiagnosticStatus(name=s.name, message=silence or s.message,
+                                          level=bytes([STALE if silence else s.level])))
         worst = max((line.level[0] for line in lines), default=STALE)
         failed = [line.name for line in lines if line.level[0]]
         text = (f"{len(failed)} of {len(lines)} checks are not OK: {', '.join(failed)}" if failed

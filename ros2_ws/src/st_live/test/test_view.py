@@ -26,7 +26,7 @@ from st_live.node import Monitor, Status, SuiteState
 from st_live.nodes.passenger import PassengerFrames
 from st_live.page import PAGE, RERUN_POLICY, LiveView, PageServer, check_new_rerun_file
 from st_live.recorded_view import draw_recording, format_errors, make_grid_lines, to_screen
-from st_live.suite import SuiteError
+from st_live.suite import SuiteError, claim_domain
 from st_msgs.msg import Band, ErrorStatistics, InsStatus, PlannedPrediction, Prediction, PredictionError, Steering
 from st_predictor.map_drawing import GHOST_AGES, GHOST_TOLERANCE, History, Pose, make_car_outline, make_ribbon
 from st_predictor.map_drawing import Path as PredictedPath
@@ -259,11 +259,12 @@ def test_displayed_error_is_that_at_the_end_of_the_horizon(passenger: PassengerF
 ])
 def test_light_shows_the_most_severe_check(passenger: PassengerFrames, levels, light, text) -> None:
     status = [DiagnosticStatus(name=n, level=bytes([k]), message="text") for n, k in zip("ab", levels, strict=False)]
-    passenger.take("/diagnostics", DiagnosticArray(status=status), 53.0)
+    summary = DiagnosticStatus(name="suite", level=bytes([max(levels, default=3)]), message="summary")
+    passenger.take("/diagnostics_agg", DiagnosticArray(status=[summary, *status]), 53.0)
     frame = passenger.make_frame(53.1)
     assert (frame["light"], frame["text"]) == (light, text)
     silent = passenger.make_frame(57.0)
-    assert (silent["light"], "silent for 4 s" in silent["text"]) == (("error", True) if levels else ("none", False))
+    assert (silent["light"], silent["text"]) == (("error", "no diagnostics for 4 s") if levels else (light, text))
 
 
 def test_status_is_silent_after_five_seconds_or_three_reporting_intervals() -> None:
@@ -283,13 +284,18 @@ def test_extra_report_in_a_slow_replay_does_not_make_a_status_silent(monkeypatch
     assert not status.is_silent(80.0) and status.is_silent(82.0)
 
 
-def test_node_is_silent_after_three_of_its_report_intervals(passenger: PassengerFrames) -> None:
-    report = DiagnosticArray(status=[DiagnosticStatus(name="lidar: heat", level=bytes([0]), message="fine")])
-    for now in (30.0, 40.0, 50.0):
-        passenger.take("/diagnostics", report, now)
-    assert (passenger.make_frame(75.0)["light"], passenger.make_frame(81.0)["light"]) == ("ok", "error")
-    passenger.take("/diagnostics", report, 51.0)  # in addition, after a change
-    assert (passenger.make_frame(80.0)["light"], passenger.make_frame(82.0)["light"]) == ("ok", "error")
+def test_silent_check_is_stale_in_the_aggregate() -> None:
+    with claim_domain(None) as domain, Monitor(domain) as monitor:
+        received: list[DiagnosticArray] = []
+        monitor._node.create_subscription(DiagnosticArray, "/diagnostics_agg", received.append, 10)
+        now = time.monotonic()
+        monitor.add_statuses([Status("a", 0, "fine", now + 60.0), Status("b", 0, "fine", now - 60.0)])
+        end = now + 10.0
+        while not received and time.monotonic() < end:
+            time.sleep(0.05)
+    suite, a, b = received[0].status
+    assert [status.level[0] for status in (suite, a, b)] == [3, 0, 3] and suite.name == "suite"
+    assert a.message == "fine" and b.message.startswith("silent for 6")
 
 
 def test_prediction_with_unequal_lengths_is_ignored(passenger: PassengerFrames) -> None:

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -34,31 +34,17 @@ from ..page import PageServer
 TRACK_SPAN, TRACK_STEP = 20.0, 0.2  # s, duration of the measured track shown, and time between its points
 PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
-DIAGNOSTICS_TIMEOUT = 3.0  # s until a node counts as silent; nodes of the suite publish diagnostics once a second
-MISSED_REPORTS = 3  # reporting intervals until a node counts as silent, if longer than DIAGNOSTICS_TIMEOUT
-COMPARED_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
+DIAGNOSTICS_TIMEOUT = 3.0  # s without a message on /diagnostics_agg, which `st_live.node.Monitor` sends once a second
 BAND_LEVEL = 0.9
-LEVELS, ERROR = ("ok", "warning", "error", "error"), 2  # of diagnostic_msgs; stale counts as an error
+LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
 TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of one instant arrive together
     "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
     "ins/odometry": ("odometry", Odometry, 3), "vehicle/steering": ("steering", Steering, 3),
     **{topic: (mode, kind, 3) for (mode, _), (topic, kind) in convert.list_prediction_topics(MODEL_COLOUR).items()},
-    "evaluator/errors": ("error", PredictionError, 200), "/diagnostics": ("diagnostics", DiagnosticArray, 50),
+    "evaluator/errors": ("error", PredictionError, 200), "/diagnostics_agg": ("diagnostics", DiagnosticArray, 3),
 }
 FRAME_PERIOD = 0.1  # s
-
-
-class NodeHealth(NamedTuple):
-    """Newest status of a node. received_at [s]. intervals: between its last reports [s]. checks: (level, text)."""
-
-    received_at: float
-    intervals: tuple[float, ...]
-    checks: dict[str, tuple[int, str]]
-
-    def is_silent(self, now: float) -> bool:
-        timeout = max(DIAGNOSTICS_TIMEOUT, MISSED_REPORTS * max(self.intervals, default=0.0))
-        return now - self.received_at >= timeout
 
 
 class PassengerFrames:
@@ -78,7 +64,7 @@ class PassengerFrames:
         # By mode and model: time of arrival [s], and the message, or the errors [m] with the horizon [s].
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS_OF_MODE}
-        self._health: dict[str, NodeHealth] = {}
+        self._checks: tuple[list[tuple[int, str]], float] = [], 0.0  # (level, text) of each check; received [s]
 
     def take(self, topic: str, message: Any, now: float) -> None:
         """Process a message of one of TOPICS, received at `now`."""
@@ -93,7 +79,8 @@ class PassengerFrames:
         elif kind == "status":
             self._reason = message.reason
         elif kind == "diagnostics":
-            self._take_diagnostics(message, now)
+            checks = message.status[1:]  # the first is the summary of all
+            self._checks = [(check.level[0], f"{check.name}: {check.message}") for check in checks], now
         elif kind == "error" and message.complete and message.mode in INPUTS_OF_MODE:
             self._errors[message.mode][message.model] = now, {  # at the end of the horizon
                 "longitudinal": round(message.longitudinal[-1], 2), "lateral": round(message.lateral[-1], 2),
@@ -144,12 +131,12 @@ class PassengerFrames:
         return path
 
     def _find_worst_check(self, now: float) -> tuple[str, str]:
-        """(level, text) of the worst check; a silent node is an error, and without checks the level is "none"."""
-        checks = [(level, f"{node}: {text}") for node, health in self._health.items()
-                  for level, text in ([(ERROR, f"silent for {now - health.received_at:.0f} s")] if health.is_silent(now)
-                                      else health.checks.values())]
+        """(level, text) of the worst check; without checks the level is "none"."""
+        checks, received = self._checks
         if not checks:
             return "none", "no diagnostics"
+        if now - received > DIAGNOSTICS_TIMEOUT:
+            return "error", f"no diagnostics for {now - received:.0f} s"
         level, text = max(checks)
         if level == 0:
             return "ok", "all checks OK"
@@ -170,16 +157,6 @@ class PassengerFrames:
             self._track.append((measured_at, *self._find_cg(sample)))
             while measured_at - self._track[0][0] > TRACK_SPAN:
                 self._track.popleft()
-
-    def _take_diagnostics(self, message: Any, now: float) -> None:
-        for node in {status.name.partition(": ")[0] for status in message.status}:
-            earlier = self._health.get(node)
-            intervals = (*earlier.intervals, now - earlier.received_at)[-COMPARED_INTERVALS:] if earlier else ()
-            self._health[node] = NodeHealth(now, intervals, {})
-        for status in message.status:
-            node, _, check = status.name.partition(": ")
-            text = f"{check}: {status.message}" if check else status.message
-            self._health[node].checks[check] = int.from_bytes(status.level, "little"), text
 
 
 def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: Pose) -> list[list[float]]:
