@@ -87,7 +87,7 @@ def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
     """The vehicle of the parameter `vehicle_file`. Raises ConfigurationError naming the file and the key."""
     vehicle = read_file(values, "vehicle_file", VehicleParameters.from_yaml)
     if vehicle is None:
-        raise ConfigurationError(f"{values.where}vehicle_file: not set; give a file of config/vehicle/")
+        raise ConfigurationError(f"{values.message_prefix}vehicle_file: not set; give a file of config/vehicle/")
     return vehicle
 
 
@@ -116,9 +116,9 @@ def read_file(values: SimpleNamespace, parameter: str, parse: Callable[[str, str
     try:
         text = Path(name).read_text()
     except OSError as error:
-        raise ConfigurationError(f"{values.where}{prefix}{name}: {error.strerror}") from None
+        raise ConfigurationError(f"{values.message_prefix}{prefix}{name}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ConfigurationError(f"{values.where}{prefix}{name} is not a text file") from None
+        raise ConfigurationError(f"{values.message_prefix}{prefix}{name} is not a text file") from None
     return translate_errors(values, lambda: parse(text, name), prefix)
 
 
@@ -136,4 +136,4 @@ def translate_errors(values: SimpleNamespace, make: Callable[[], T], prefix: str
     try:
         return make()
     except core_errors.ConfigurationError as error:
-        raise ConfigurationError(f"{values.where}{prefix}{error}") from None
+        raise ConfigurationError(f"{values.message_prefix}{prefix}{error}") from None

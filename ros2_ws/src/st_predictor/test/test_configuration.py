@@ -156,7 +156,7 @@ def test_configuration_files_of_equal_names_are_stored_separately(tmp_path: Path
     for file in files:
         file.parent.mkdir(exist_ok=True)
         file.write_text(f"content of {file.parent.name}")
-    values = SimpleNamespace(where="", configuration_files=[str(f) for f in files], metadata_json="")
+    values = SimpleNamespace(message_prefix="", configuration_files=[str(f) for f in files], metadata_json="")
     configuration = make_metadata(values)["configuration"]
     assert set(configuration) == {"car/leaf.yaml", "can/leaf.yaml", "nodes.yaml", "hash"}
     assert configuration["can/leaf.yaml"] == "content of can"

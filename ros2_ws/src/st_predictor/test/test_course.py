@@ -142,5 +142,6 @@ def test_invalid_course_file_is_refused_with_file_and_reason(course: Course, tmp
         whole = course.to_yaml()
         file.write_text({"empty": Course(()).to_yaml(), "cut": whole[:len(whole) // 2]}.get(text, text))
     with pytest.raises(ConfigurationError) as caught:
-        params.read_file(SimpleNamespace(course_file=str(file), where="predictor."), "course_file", Course.from_yaml)
+        values = SimpleNamespace(course_file=str(file), message_prefix="predictor.")
+        params.read_file(values, "course_file", Course.from_yaml)
     assert str(file) in str(caught.value) and reason in str(caught.value) and "\n" not in str(caught.value)

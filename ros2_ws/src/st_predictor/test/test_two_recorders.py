@@ -43,7 +43,7 @@ def test_restarted_recorder_writes_a_numbered_directory(tmp_path: Path) -> None:
     from st_predictor.nodes._bag import open_bag
     from st_ros.parameters import ConfigurationError
 
-    values = SimpleNamespace(output_directory=str(tmp_path / "bag"), number_if_exists=True, where="recorder.")
+    values = SimpleNamespace(output_directory=str(tmp_path / "bag"), number_if_exists=True, message_prefix="recorder.")
     for number in range(3):
         record(open_bag(values, {}), number)
     found = {path.name: read_numbers(path) for path in tmp_path.iterdir()}

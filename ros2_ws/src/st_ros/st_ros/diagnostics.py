@@ -15,7 +15,7 @@ PUBLISH_PERIOD = 1.0  # s
 
 @dataclass(frozen=True)
 class Check:
-    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: key-value pairs, in order."""
+    """One line of /diagnostics. level: OK, WARN, ERROR or STALE; values: key-value pairs, in the order shown."""
 
     name: str
     level: int

@@ -22,8 +22,8 @@ class ConfigurationError(ValueError):
 class Parameter:
     """One node parameter.
 
-    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: of the value, "" without
-    one. minimum, maximum: inclusive. choices: permitted values; empty: any.
+    name: as in the YAML file. default: also defines the type; a float accepts integers. unit: of the value, or "" if it
+    has none. minimum, maximum: inclusive. choices: permitted values; empty: any.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Parameter:
         return f"{self.minimum:g} to {self.maximum:g}" + (f" {self.unit}" if self.unit else "")
 
     def check(self, value: Any) -> Any:
-        """The value in the declared type; NaN only if that is the default. Raises ConfigurationError with the limit."""
+        """The value in the declared type; NaN only if the default is NaN. Raises ConfigurationError with the limit."""
         expected = type(self.default)
         if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -64,19 +64,19 @@ class Parameter:
 def declare(node: Node, parameters: Sequence[Parameter]) -> SimpleNamespace:
     """Declare parameters on a node; returns their checked values as attributes.
 
-    The additional attribute `where` names the parameter file, if one was given, and the node, as a prefix of messages.
+    Their additional attribute `message_prefix` names the parameter file, if one was given, and the node.
     Raises ConfigurationError with this prefix, key and limit, also for a parameter that is given but not declared.
     """
-    overrides = dict(node._parameter_overrides)  # rclpy gives no public access before the declaration
+    overrides = dict(node._parameter_overrides)  # rclpy has no public access to them before the declaration
     arguments = list(getattr(node.context, "_cli_args", None) or sys.argv)
     files = [arguments[i + 1] for i, option in enumerate(arguments[:-1]) if option == "--params-file"]
     origin = f"{files[-1]}: " if files else ""
-    known = {p.name for p in parameters}
+    declared = {p.name for p in parameters}
     for name in overrides:
-        if name not in known and name not in BUILT_IN and not name.startswith("qos_overrides."):
+        if name not in declared and name not in BUILT_IN and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{origin}{node.get_name()}: unknown parameter {name}; known: {', '.join(sorted(known))}")
-    values = SimpleNamespace(where=f"{origin}{node.get_name()}.")
+                f"{origin}{node.get_name()}: unknown parameter {name}; known: {', '.join(sorted(declared))}")
+    values = SimpleNamespace(message_prefix=f"{origin}{node.get_name()}.")
     for parameter in parameters:
         try:
             raw_value = overrides[parameter.name].value if parameter.name in overrides else parameter.default

@@ -31,8 +31,8 @@ def create_steady_timer(node: Node, period: float, callback: Callable[[], object
     node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-class _NeverReady(CallbackGroup):
-    """Keeps its subscription out of the executor's wait set."""
+class _PolledGroup(CallbackGroup):
+    """Callback group that keeps its subscription out of the executor's wait set."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -50,7 +50,7 @@ class PolledSubscription:
     def __init__(self, node: Node, message_type: type, topic: str, qos: QoSProfile, raw: bool = False):
         self._node = node
         self.subscription = node.create_subscription(
-            message_type, topic, lambda message: None, qos, callback_group=_NeverReady(), raw=raw)
+            message_type, topic, lambda message: None, qos, callback_group=_PolledGroup(), raw=raw)
         self._take = self.subscription.handle.take_message
         self._arguments = (message_type, raw)
 
@@ -59,7 +59,7 @@ class PolledSubscription:
         return self.subscription.topic_name
 
     def take(self, limit: int = 1000, entry: str = "source_timestamp") -> Iterator[tuple[Any, int, Any]]:
-        """Yields at most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
+        """Yield at most `limit` waiting messages, oldest first, as (message, received_ns, entry of rmw_message_info).
 
         received_ns: host UTC of receipt. entry: source_timestamp (host UTC of publication [ns], 0 if unknown) or
         publication_sequence_number (counted by the publisher from 1, None if unknown).
@@ -102,7 +102,7 @@ class OnDemandPublisher:
         self._has_subscribers = False
 
     def has_subscribers(self) -> bool:
-        """Whether it has subscribers, counted at most every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
+        """Whether the topic has subscribers, counted at most every SUBSCRIBER_COUNT_PERIOD; False if disabled."""
         if self._publisher is not None and (now := time.monotonic()) - self._count_time > SUBSCRIBER_COUNT_PERIOD:
             self._count_time = now
             self._has_subscribers = self._publisher.get_subscription_count() > 0

@@ -24,7 +24,7 @@ FLUSH_TIMEOUT = 4.0
 
 
 def run(make_node: Callable[[], Node], arguments: list[str] | None = None, nice: int = 0) -> int:
-    """Make a node and spin it until a stop signal; returns the exit status. nice: nice value once it is made.
+    """Make a node and spin it until a stop signal; returns the exit status. nice: nice value after it is made.
 
     A node may have `finished: bool` (ends the spinning), `exit_status: int` (read at the end) and `close()` (called
     once before the node is destroyed, while it can still publish).

@@ -31,14 +31,14 @@ RUN_IN_TIME = 4.0  # s simulated before time 0, so that the drive begins in stea
 class Driver:
     """Driver of one car. Call advance() before every step of the plant: it updates the two inputs of the plant.
 
-    steering_wheel_angle: true [rad, left +]. drive_force: of all wheels [N], braking < 0. distance: along the road [m].
+    steering_wheel_angle: true [rad], positive to the left. drive_force: of all wheels [N]. distance: on the road [m].
     """
 
     def __init__(self, car: VehicleParameters, settings: Settings, plan: Plan, seed: int = 0):
         self.car, self.plan = car, plan
         self.steering_wheel_angle = self.drive_force = 0.0
         self.distance = plan.start
-        self._tremor_deviation = settings["driver_tremor"]
+        self._tremor_sigma = settings["driver_tremor"]
         self._draw = make_normal_source(np.random.default_rng([seed, 2]))
         self._tremor = self._offset_integral = self._speed_integral = 0.0
         self._pedal_acceleration = self._target_angle = 0.0
@@ -79,9 +79,9 @@ class Driver:
         else:
             self._is_holding = True
         self._control_speed(plant, demand.speed, demand.acceleration)
-        if self._tremor_deviation:
+        if self._tremor_sigma:
             memory = math.exp(-SAMPLING_TIME / TREMOR_TIME)
-            self._tremor = memory * self._tremor + self._tremor_deviation * math.sqrt(1 - memory**2) * self._draw()
+            self._tremor = memory * self._tremor + self._tremor_sigma * math.sqrt(1 - memory**2) * self._draw()
 
     def _update_distance(self, x: float, y: float, speed: float) -> None:
         """Set `distance` to that of the road point nearest to the car at x, y [m]."""
@@ -144,7 +144,7 @@ class SimulatedCar:
         return self._step_count * self._step
 
     def advance(self, time: float) -> None:
-        """Simulate up to the last step not after `time` [s]."""
+        """Simulate up to the last step at or before `time` [s]."""
         last = int(time / self._step + 1e-6)
         plant, driver, step = self.plant, self.driver, self._step
         while self._step_count < last:

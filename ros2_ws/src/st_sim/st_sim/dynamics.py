@@ -15,12 +15,12 @@ from .settings import Settings
 GRAVITY = 9.81  # m/s^2, as in st_core
 TRACK_WIDTH = 1.54  # m, both axles, for every vehicle file; Leaf ZE0 by its manufacturer: 1.540 m front, 1.535 m rear
 AIR_DENSITY = 1.2  # kg/m^3
-SIDE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's side area (4.7 m^2)
-WIND_ARM = 0.25  # m, distance of the side force of the wind ahead of the CG
-BRAKE_SHARE_FRONT = 0.65  # fraction of the brake force at the front axle
-ROLL_SHARE_FRONT = 0.55  # fraction of the lateral load transfer at the front axle
+SIDE_FORCE_AREA = 2.5  # m^2, side force coefficient (0.53) times the Leaf's side area (4.7 m^2)
+WIND_ARM = 0.25  # m from the CG forward to the point of attack of the wind's side force
+FRONT_BRAKE_FRACTION = 0.65  # fraction of the brake force at the front axle
+FRONT_TRANSFER_FRACTION = 0.55  # fraction of the lateral load transfer at the front axle
 MINIMUM_LOAD = 50.0  # N, lower limit of a wheel load: a lifted wheel must not cause a division by zero
-MAX_PEAK_SHARE = 0.98  # largest longitudinal force of a tyre as a fraction of its peak force D
+MAX_PEAK_FRACTION = 0.98  # largest longitudinal force of a tyre as a fraction of its peak force D
 MIN_SLIP_SPEED = 0.5  # m/s, lower limit of the denominator of slip, as low as the step allows (paper's models: 3 m/s)
 CREEP_SPEED = 2.5  # m/s; below it a tyre with relaxation has little damping, so CREEP_DAMPING is added
 CREEP_DAMPING = 0.17  # s/m, slip per lateral sliding speed
@@ -126,7 +126,7 @@ def tyre_force(tyre: TyreCoefficients, slip_angle: float, load: float, friction_
     return peak * sin(shape * atan(b_alpha - curvature * (b_alpha - atan(b_alpha)))), peak
 
 
-def lateral_share(longitudinal: float, peak: float) -> float:
+def lateral_fraction(longitudinal: float, peak: float) -> float:
     """sqrt(1 - (F_x / D)^2), the fraction of the lateral force that remains with F_x; 0 if |F_x| >= D, the peak."""
     ratio = longitudinal / peak
     return sqrt(1.0 - ratio * ratio) if -1.0 < ratio < 1.0 else 0.0
@@ -138,7 +138,7 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
 
     contact: relaxation length [m], weight of combined slip, largest relaxation rate [1/s]. friction: factor on the
     peak. slip: transient slip (state). across, along: velocity of the contact patch perpendicular to and in the wheel
-    plane [m/s]. drive: requested F_x [N], which is limited to MAX_PEAK_SHARE of the peak.
+    plane [m/s]. drive: requested F_x [N], which is limited to MAX_PEAK_FRACTION of the peak.
     """
     relaxation, combined, max_rate = contact
     speed = abs(along)
@@ -152,10 +152,10 @@ def wheel_forces(contact: tuple[float, float, float], tyre: TyreCoefficients, fr
     else:
         rate, slip = 0.0, steady
     lateral, peak = tyre_force(tyre, atan(slip), load, friction)
-    if abs(drive) > MAX_PEAK_SHARE * peak:
-        drive = MAX_PEAK_SHARE * peak if drive > 0 else -MAX_PEAK_SHARE * peak
+    if abs(drive) > MAX_PEAK_FRACTION * peak:
+        drive = MAX_PEAK_FRACTION * peak if drive > 0 else -MAX_PEAK_FRACTION * peak
     if combined:
-        lateral *= 1.0 - combined + combined * lateral_share(drive, peak)
+        lateral *= 1.0 - combined + combined * lateral_fraction(drive, peak)
     return lateral, drive, rate
 
 
@@ -168,7 +168,7 @@ def air_force(still_air: bool, drag_area: float, yaw: float, vx: float, vy: floa
     cosine, sine = cos(yaw), sin(yaw)
     along, across = along + wind_x * cosine + wind_y * sine, across + wind_y * cosine - wind_x * sine
     airspeed = hypot(along, across)
-    side = 0.5 * AIR_DENSITY * SIDE_AREA * (airspeed * across + speed * vy)
+    side = 0.5 * AIR_DENSITY * SIDE_FORCE_AREA * (airspeed * across + speed * vy)
     return 0.5 * AIR_DENSITY * airspeed * drag_area * along, side
 
 
@@ -182,13 +182,13 @@ def bring_to_rest(s: Sequence[float], step: float) -> tuple[float, ...]:
     return tuple(values)
 
 
-# long: the equations share two dozen symbols, and a call per equation would slow down every time step.
+# Long, because the equations share two dozen symbols, and a call per equation would slow down every time step.
 def derivative(s: Sequence[float], rack_target: float, drive_force: float, conditions: tuple,  # noqa: PLR0915
                c: Constants) -> tuple[tuple, tuple]:
     """(time derivative of the state; mean front road-wheel angle [rad], and for FL, FR, RL, RR: lateral forces,
     longitudinal forces, loads [N], velocities across and along the wheel plane [m/s]).
 
-    rack_target: [rad]. drive_force: sum [N], braking < 0. conditions: fields of `plant.Conditions`.
+    rack_target: [rad]. drive_force: of all wheels [N], < 0: braking. conditions: fields of `plant.Conditions`.
     """
     (mass, yaw_inertia, to_front, to_rear, lag, steering_offset, compliance, roll_steer, rear_roll_steer, roll_gradient,
      camber, ackermann, max_rate, relaxation, combined, rolling, drag_area, drive_offset, transfer_x, transfer_y,
@@ -209,7 +209,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, condi
     normal = cos(bank) * cos(grade)
     pitch_load = transfer_x * a_x
     transfer = transfer_y * a_y
-    transfer_front, transfer_rear = ROLL_SHARE_FRONT * transfer, (1.0 - ROLL_SHARE_FRONT) * transfer
+    transfer_front, transfer_rear = FRONT_TRANSFER_FRACTION * transfer, (1.0 - FRONT_TRANSFER_FRACTION) * transfer
     load_front, load_rear = static_front * normal - pitch_load, static_rear * normal + pitch_load
     load_fl, load_fr = max(load_front - transfer_front, MINIMUM_LOAD), max(load_front + transfer_front, MINIMUM_LOAD)
     load_rl, load_rr = max(load_rear - transfer_rear, MINIMUM_LOAD), max(load_rear + transfer_rear, MINIMUM_LOAD)
@@ -223,7 +223,7 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, condi
     if drive_force >= 0.0:
         drive_front, drive_rear = drive_force / 2, 0.0
     else:
-        drive_front, drive_rear = drive_force * BRAKE_SHARE_FRONT / 2, drive_force * (1.0 - BRAKE_SHARE_FRONT) / 2
+        drive_front, drive_rear = drive_force * FRONT_BRAKE_FRACTION / 2, drive_force * (1.0 - FRONT_BRAKE_FRACTION) / 2
     contact = relaxation, combined, max_rate
     y_fl, x_fl, rate_fl = wheel_forces(contact, front, friction, load_fl, s_fl, across_fl, along_fl, drive_front)
     y_fr, x_fr, rate_fr = wheel_forces(contact, front, friction, load_fr, s_fr, across_fr, along_fr, drive_front)
@@ -253,10 +253,9 @@ def derivative(s: Sequence[float], rack_target: float, drive_force: float, condi
     vy_dot = specific_y - GRAVITY * sin(bank) - r * vx
     r_dot = moment / yaw_inertia
     cos_yaw, sin_yaw = cos(yaw), sin(yaw)
-    climb = vx * sin(grade) + vy * sin(bank)
-    flat = cos(grade)
+    climb, level_vx = vx * sin(grade) + vy * sin(bank), vx * cos(grade)
     rates = (
-        vx * flat * cos_yaw - vy * sin_yaw, vx * flat * sin_yaw + vy * cos_yaw, climb, r, vx_dot, vy_dot, r_dot,
+        level_vx * cos_yaw - vy * sin_yaw, level_vx * sin_yaw + vy * cos_yaw, climb, r, vx_dot, vy_dot, r_dot,
         (rack_target - rack) / lag if lag else 0.0,
         (compliance * axle_front - compliance_angle) / COMPLIANCE_TIME if compliance else 0.0,
         rate_fl, rate_fr, rate_rl, rate_rr,

@@ -78,7 +78,7 @@ class NcomEncoder:
         self._status = StatusChannels(origin, rate)
 
     def encode_packet(self, reading: InsReading, status: int = LOCKED) -> bytes:
-        """The 72-byte packet of one epoch; values that the status does not provide are invalid, time and position 0."""
+        """The 72-byte packet of one epoch; in a status without valid data, fields are invalid, time and position 0."""
         total_ms = round((self._start_gps_ns + round(reading.stamp * 1e9)) / 1_000_000)
         minutes, milliseconds = divmod(total_ms, 60_000)
         channel, batch_s = self._status.encode_next(minutes if status >= INITIALISING else None, reading)
@@ -146,7 +146,7 @@ _CHANGING_CHANNELS = (MINUTES, INNOVATIONS, RECEIVER, IMU_COUNTERS, TIMES)
 
 
 def make_schedule() -> list[int]:
-    """Channel number of each packet of a cycle; slots that no period fills contain channel 0."""
+    """Channel number of each packet of a cycle; slots without a periodic channel contain channel 0."""
     slots: list[int | None] = [None] * CYCLE_LENGTH
 
     def assign(channels: tuple[int, ...], period: int) -> None:
@@ -236,7 +236,7 @@ class CanEncoder:
         self._counters: dict[str, int] = {}
 
     def encode_steering(self, angle: float, rate: float) -> list[Frame]:
-        """The frame with the measured steering-wheel angle [rad, left +] and its rate [rad/s].
+        """The frame with the measured steering-wheel angle [rad, positive to the left] and its rate [rad/s].
 
         The rate is sent unsigned, as by the car. Its scale on the car is unknown; 4 deg/s per bit is assumed.
         """
@@ -301,5 +301,5 @@ class BackgroundTraffic:
             self._frames.append((period, index % period, Frame(message, VEHICLE_BUS)))
 
     def select_frames(self, millisecond: int) -> list[Frame]:
-        """The frames sent in a millisecond of the drive."""
+        """The frames sent in the given millisecond of the drive."""
         return [frame for period, phase, frame in self._frames if millisecond % period == phase]

@@ -17,7 +17,7 @@ from .plant import Truth
 from .settings import Settings, SimulationError
 
 TRUTH_TOPIC = "/truth"
-CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states; this much is lost if the process is killed
+CHUNK_SIZE = 64 * 1024  # bytes, about 1 s of true states; at most this much is lost if the process is killed
 
 _HISTORY = "<FHcomment><TX>created</TX><tool_id>virtual_leaf</tool_id><tool_vendor>st_sim</tool_vendor></FHcomment>"
 

@@ -28,7 +28,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """Part of a road with constant target speed [m/s] and a curvature [1/m, left +] that is linear in distance [m]."""
+    """Part of a road: constant target speed [m/s]; curvature [1/m], positive to the left, linear in distance [m]."""
 
     length: float
     curvature_start: float
@@ -41,7 +41,7 @@ def straight(length: float, speed: float) -> list[Piece]:
 
 
 def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> list[Piece]:
-    """A turn by an angle [deg, left +]; its curvature rises to 1 / radius and falls linearly, each over `blend` [m].
+    """A left turn by an angle [deg]; its curvature rises to 1 / radius and falls linearly, each over `blend` [m].
 
     Raises ValueError if the blends alone turn by more than the angle.
     """
@@ -55,7 +55,7 @@ def turn(radius: float, angle_deg: float, speed: float, blend: float = 0.0) -> l
 
 
 def lane_shift(offset: float, length: float, speed: float) -> list[Piece]:
-    """Lateral shift by an offset [m, left +] within a length [m], which ends in the initial heading.
+    """Lateral shift by an offset [m, positive to the left] within a length [m], which ends in the initial heading.
 
     The curvature is piecewise linear with extremes k and -k, and offset = 2 k (length / 4)^2 for small angles.
     """
@@ -103,7 +103,7 @@ class Path:
         return self._find_lap_start(int(lap)).compose(local)
 
     def curvature(self, distance: float) -> float:
-        """Curvature at a distance [1/m, left +]."""
+        """Curvature at a distance [1/m], > 0 in a left turn."""
         piece, along = self._find(distance % self.length)
         return piece.curvature_start + (piece.curvature_end - piece.curvature_start) * along / piece.length
 

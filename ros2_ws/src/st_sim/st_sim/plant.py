@@ -1,7 +1,7 @@
 """The virtual car on its road: a double-track vehicle with its own equations, independent of the models in st_core.
 
-Axes are ISO 8855 (x forward, y left, z up), the state is at the true CG, yaw is counter-clockwise from east. The order
-of wheels is front left, front right, rear left, rear right. A slip angle is positive when the wheel slides to its left;
+Axes are ISO 8855 (x forward, y left, z up), the state is at the true CG, yaw is counter-clockwise from east. Order of
+the wheels: front left, front right, rear left, rear right. A slip angle is positive when the wheel slides to its left;
 the lateral force is then negative.
 
     m (dv_x/dt - r v_y) = sum F_x - drag - rolling resistance - m g sin(grade)
@@ -39,9 +39,9 @@ GUST_TIME = 1.5  # s, correlation time of gusts
 class Truth:
     """True motion at the CG in a simulated or recorded drive [SI]; time since the start of the drive.
 
-    Map axes x east, y north, z up; body axes x forward, y left. roll: right side down +, pitch: nose up +, each the
-    sum of body and road. velocity_z: up +. steering_wheel_angle: left +, without the offset of the sensor.
-    acceleration_x, _y: of the motion, not the specific force. wheel_speed and, in wheel axes and only of a simulated
+    Map axes x east, y north, z up; body axes x forward, y left. roll > 0: right side down, pitch > 0: nose up, each
+    the sum of body and road. velocity_z > 0: up. steering_wheel_angle > 0: left, without sensor offset.
+    acceleration_x, _y: kinematic, not the specific force. wheel_speed and, in wheel axes and only of a simulated
     car, lateral_force, longitudinal_force, load [N] and slip_angle [rad]: FL, FR, RL, RR.
     """
 
@@ -84,8 +84,8 @@ class Truth:
 
 
 class Conditions(NamedTuple):
-    """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle: + rises to the left,
-    grade_angle: + rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
+    """Road and air at the car. friction: factor on the peak force of the tyres. bank_angle > 0: rises to the left,
+    grade_angle > 0: rises ahead [rad]. wind_x, wind_y: velocity of the air in map axes [m/s]."""
 
     friction: float
     bank_angle: float
@@ -178,7 +178,7 @@ class Plant:
         self._wheel_slip_compliance = settings["wheel_slip_compliance"]
 
     def place(self, x: float, y: float, yaw: float, speed: float, curvature: float = 0.0) -> None:
-        """Set position [m], yaw [rad], speed [m/s] and path curvature [1/m, left +], without tyre slip."""
+        """Set position [m], yaw [rad], speed [m/s] and path curvature [1/m], positive to the left; no tyre slip."""
         values = [0.0] * STATES
         values[X], values[Y], values[YAW], values[VX], values[YAW_RATE] = x, y, yaw, speed, speed * curvature
         values[VY] = speed * curvature * self.to_rear
@@ -196,7 +196,7 @@ class Plant:
     def step(self, steering_wheel_angle: float, drive_force: float) -> None:
         """Advance by one time step.
 
-        steering_wheel_angle: true, left + [rad]; drive_force: sum of all wheels, braking < 0 [N].
+        steering_wheel_angle: true [rad], positive to the left; drive_force: sum of all wheels, < 0: braking [N].
         """
         s, dt = self.state, self.time_step
         self.conditions = conditions = self.environment.advance(s[X], s[YAW])

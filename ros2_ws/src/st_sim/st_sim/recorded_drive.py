@@ -1,8 +1,8 @@
 """Provides a recorded drive from a CSV file as the source of sensor data instead of the simulation.
 
-Columns, all at the CG and SI: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay, and
-delta, the road-wheel angle (left +). Values are interpolated linearly but neither smoothed nor adjusted. The yaw
-acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate. Wheel speeds equal vx.
+Columns, at the CG and in SI units: t, x (east), y (north), yaw (from east), vx (forward), vy (left), yaw_rate, ax, ay,
+and delta, the road-wheel angle, positive to the left. Values are interpolated linearly, without smoothing. The
+yaw acceleration, which matters only for an INS away from the CG, is the slope of the yaw rate. Wheel speeds equal vx.
 """
 
 import csv

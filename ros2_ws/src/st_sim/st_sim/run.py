@@ -67,7 +67,7 @@ def _watch_signals() -> Callable[[], bool]:
     """Install handlers of SIGINT and SIGTERM; returns a function that checks whether one has arrived."""
     received: list[int] = []  # not an Event: a second signal during its `set` would cause a deadlock
     for number in (signal.SIGINT, signal.SIGTERM):
-        # ValueError: only the main thread can install handlers; tests may call from another one.
+        # ValueError: only the main thread can install handlers; tests may call from a different one.
         with contextlib.suppress(ValueError):
             signal.signal(number, lambda number, _: received.append(number))
             # The interpreter removes the handlers before it exits; a signal after that would change the exit status.
@@ -109,7 +109,7 @@ class _Run:
 
 
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
-    """DBC and signal table of the Leaf; the virtual car sends the Leaf's messages with every vehicle file.
+    """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
 
     They are searched for in the folder of the vehicle file (with --config, only if that contains it), then in --config;
     without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the current
@@ -166,7 +166,7 @@ def _run_live(options: argparse.Namespace, stop_requested: Callable[[], bool]) -
             truth = TruthFile(path, start_ns, run.settings, run.metadata)
             resources.callback(truth.close)
         outputs = run.generate_outputs(start_ns)
-        # A higher priority, if permitted, helps to keep the deadlines.
+        # A higher priority, if permitted, helps to meet the deadlines.
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, -10)
         time.sleep(max(0.0, start_time - time.monotonic()))

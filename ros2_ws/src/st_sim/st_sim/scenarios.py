@@ -15,7 +15,7 @@ from st_core.manoeuvres import CATALOGUE, Manoeuvre, PiecewiseLinear
 from .path import Path, Piece, SpeedProfile, lane_shift, straight, turn
 from .settings import SimulationError, read_document
 
-OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad, left +]
+OpenLoopSteering = Callable[[float], float]  # wheelbase of the car [m] -> road-wheel angle [rad], positive to the left
 
 LONGEST_ROAD = 20_000.0  # m, longest lap of a road from a file
 MAX_SPEED = 100.0  # m/s
@@ -65,7 +65,7 @@ class Phase:
 
 
 class PhasePlan:
-    """A circle driven in repeated phases. radius: [m]; side: 1 left, -1 right; speed: highest target speed [m/s]."""
+    """A circle driven in phases, which repeat. radius: [m]; side: 1 left, -1 right; speed: highest target [m/s]."""
 
     def __init__(self, radius: float, side: int, speed: float, phases: Sequence[Phase]):
         self.path = Path([Piece(2 * math.pi * radius, side / radius, side / radius, speed)])

@@ -12,7 +12,7 @@ from .plant import Truth, make_normal_source
 from .settings import Settings
 
 OUTAGE_LENGTH = 1.0  # s
-# Vibration noise has its full level above a speed [m/s], and a fraction of it at rest.
+# Vibration noise: speed above which it has its full level [m/s], and fraction of this level at rest.
 FULL_VIBRATION_SPEED, REST_VIBRATION = 5.0, 0.1
 # m/s; lower wheel speeds and vehicle speeds are sent as 0, as in recordings of this family of cars.
 MIN_WHEEL_SPEED, MIN_VEHICLE_SPEED = 1.1 / 3.6, 2.8 / 3.6
@@ -23,8 +23,8 @@ class InsReading:
     """One epoch of the INS in map axes (ENU) and body axes (FLU) [SI].
 
     stamp: reported time since the start [s]. velocity_x: along the road, also sent as the horizontal speed (0.5 % too
-    much on a grade of 0.1 rad). velocity_z: up +. roll: right side down +, pitch: nose up +. rates: about x, y, z.
-    specific_force: along x, y, z; at rest on level ground +9.81 along z.
+    high on a grade of 0.1 rad). velocity_z > 0: up. roll > 0: right side down. pitch > 0: nose up. rates: about x, y,
+    z. specific_force: along x, y, z; at rest on level ground +9.81 along z.
     """
 
     stamp: float
@@ -56,7 +56,7 @@ ACCURACY = {"position": 0.01, "velocity": 0.008, "heading": 0.001, "level": 0.00
 
 class _Noise:
     """White noise plus a slow first-order Gauss-Markov process. white, slow: standard deviations. time: correlation
-    time of the slow noise [s]. interval: between values [s]. draw: source of standard normal numbers."""
+    time of the slow noise [s]. interval: time between values [s]. draw: source of standard normal numbers."""
 
     def __init__(self, white: float, slow: float, time: float, interval: float, draw: Callable[[], float]):
         self._white, self._draw = white, draw
@@ -71,7 +71,7 @@ class _Noise:
 
 
 class Ins:
-    """The INS and its errors. interval: between epochs [s]."""
+    """The INS and its errors. interval: time between epochs [s]."""
 
     def __init__(self, car: VehicleParameters, settings: Settings, interval: float, seed: int):
         self._settings = settings
@@ -144,7 +144,7 @@ def _compute_specific_force(ax: float, ay: float, roll: float, pitch: float) -> 
 
 
 class SteeringSensor:
-    """Steering-wheel angle sensor: true angle plus the offset of the vehicle file and noise, left + [rad]."""
+    """Steering-wheel angle sensor: true angle plus the offset of the vehicle file and noise [rad]."""
 
     def __init__(self, car: VehicleParameters, settings: Settings, seed: int):
         self._offset, self._noise = car.steering_wheel_offset, settings["steering_sensor_noise"]
@@ -166,7 +166,7 @@ def _cut_off_low_speed(speed: float, minimum: float) -> float:
 
 
 class TransmissionLoss:
-    """Loss of datagrams or frames: a random fraction, and all of them for 1 s at multiples of `outage_every` [s]."""
+    """Random loss of a fraction of datagrams or frames, and loss of all for 1 s at multiples of `outage_every` [s]."""
 
     def __init__(self, fraction: float, outage_every: float, seed: tuple[int, int]):
         self._fraction, self._outage_every = fraction, outage_every

@@ -1,4 +1,4 @@
-"""Settings of the virtual car by name, each with a null value that disables its effect, and its vehicle file.
+"""Settings of the virtual car, each with a null value that disables its effect, and the reader of its vehicle file.
 
 In the preset `ideal` all settings are null; `realistic` is a typical car. A file or `--effect name=value` changes them.
 """
@@ -53,15 +53,15 @@ class Setting:
 
 
 _TABLE = (
-    # From steering-wheel angle to mean road-wheel angle, left positive.
+    # From steering-wheel angle to mean road-wheel angle, both positive to the left.
     ("steering_ratio_factor", "steering", 1.0, 0.5, 2.0, "1", "true steering ratio relative to the vehicle file"),
     ("steering_offset", "steering", 0.0, -0.1, 0.1, "rad", "road-wheel angle with a straight steering wheel"),
     ("steering_delay", "steering", 0.0, 0.0, 0.5, "s", "dead time from steering wheel to rack"),
     ("steering_lag", "steering", 0.0, 0.0, 0.5, "s", "first-order lag from steering wheel to rack"),
     ("steering_backlash", "steering", 0.0, 0.0, 0.3, "rad", "total play, at the steering wheel"),
     ("steering_compliance", "steering", 0.0, 0.0, 1e-5, "rad/N", "loss of road-wheel angle per front lateral force"),
-    ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer (left +) per roll (right +); < 0: understeer"),
-    ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer (left +) per roll (right +); > 0: understeer"),
+    ("roll_steer", "steering", 0.0, -0.5, 0.5, "1", "front steer to the left per right roll; < 0: understeer"),
+    ("rear_roll_steer", "steering", 0.0, -0.5, 0.5, "1", "rear steer to the left per right roll; > 0: understeer"),
     ("ackermann", "steering", 1.0, -0.5, 1.5, "1", "fraction of the full Ackermann angle; 0: parallel wheels"),
     # Tyres.
     ("front_stiffness_factor", "tyre", 1.0, 0.2, 4.0, "1", "factor on the cornering stiffness of the front tyres"),
@@ -69,7 +69,7 @@ _TABLE = (
     ("friction_factor", "tyre", 1.0, 0.05, 2.0, "1", "factor on the peak force of all tyres"),
     ("relaxation_length", "tyre", 0.0, 0.0, 2.0, "m", "rolled distance until the force reaches 63 % of a step"),
     ("combined_slip", "tyre", 0.0, 0.0, 1.0, "1", "reduction of F_y by F_x; 1: friction ellipse, 0: none"),
-    ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, in the wheel speeds"),
+    ("wheel_slip_compliance", "tyre", 0.0, 0.0, 0.2, "1", "longitudinal slip per F_x / F_z, in wheel speeds only"),
     ("camber_thrust", "tyre", 0.0, -2.0, 2.0, "1/rad", "outward lateral force per load and body roll"),
     # Body.
     ("lateral_load_transfer", "body", 0.0, 0.0, 2.0, "1", "fraction of m a_y h / track"),
@@ -78,7 +78,7 @@ _TABLE = (
     ("pitch_gradient", "body", 0.0, 0.0, 0.03, "rad s^2/m", "body pitch per longitudinal acceleration"),
     ("mass_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the mass"),
     ("yaw_inertia_factor", "body", 1.0, 0.5, 2.0, "1", "factor on the yaw inertia"),
-    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG ahead of that in the vehicle file; the INS does not move"),
+    ("cg_shift", "body", 0.0, -0.5, 0.5, "m", "true CG this far ahead of that in the file; the INS does not move"),
     ("drive_offset", "body", 0.0, -0.5, 0.5, "m", "drive and brake force act this far to the right of the CG"),
     ("drag_area", "body", 0.0, 0.0, 2.0, "m^2", "drag coefficient times frontal area"),
     ("rolling_resistance", "body", 0.0, 0.0, 0.1, "1", "rolling resistance per wheel load"),
@@ -86,19 +86,19 @@ _TABLE = (
     ("bank_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant bank of the road, rising to the left of the car"),
     ("grade_angle", "environment", 0.0, -0.3, 0.3, "rad", "constant grade of the road, rising ahead of the car"),
     ("hillside_slope", "environment", 0.0, -0.3, 0.3, "rad", "slope of the ground, a plane that rises to the north"),
-    ("terrain_wave", "environment", 0.0, 0.0, 0.2, "rad", "steepest slope of 80 m long waves, west to east"),
+    ("terrain_wave", "environment", 0.0, 0.0, 0.2, "rad", "maximum slope of waves of 80 m along x (east)"),
     ("friction_patch", "environment", 1.0, 0.1, 2.0, "1", "friction factor on the first 10 m of every 40 m of x"),
     ("wind_speed", "environment", 0.0, -40.0, 40.0, "m/s", "steady wind, towards north"),
     ("gust_speed", "environment", 0.0, 0.0, 20.0, "m/s", "standard deviation of gusts, correlated over 1.5 s"),
     # Driver.
     ("driver_tremor", "driver", 0.0, 0.0, 0.2, "rad", "standard deviation of random steering, at the steering wheel"),
     # INS. ins_noise 1: RT3000 with RTK on a normal road.
-    ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "factor on the normal noise of the unit"),
+    ("ins_noise", "ins", 0.0, 0.0, 10.0, "1", "factor on the noise of the unit"),
     ("ins_latency", "ins", 0.0, 0.0, 0.5, "s", "delay from measurement to datagram; the stamp is not affected"),
     ("ins_time_error", "ins", 0.0, -0.5, 0.5, "s", "error added to the time stamp"),
-    ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, left +"),
-    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "true position of the unit ahead of that in the vehicle file"),
-    ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured rates"),
+    ("ins_misalignment", "ins", 0.0, -0.1, 0.1, "rad", "heading error of the unit, positive to the left"),
+    ("ins_lever_error", "ins", 0.0, -1.0, 1.0, "m", "distance of the unit ahead of its position in the file"),
+    ("yaw_rate_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured angular rates"),
     ("velocity_scale", "ins", 1.0, 0.8, 1.2, "1", "factor on the measured velocity"),
     ("lateral_acceleration_bias", "ins", 0.0, -2.0, 2.0, "m/s^2", "error added to the measured lateral acceleration"),
     ("ins_packet_loss", "ins", 0.0, 0.0, 0.9, "1", "fraction of datagrams lost"),
@@ -109,8 +109,8 @@ _TABLE = (
     ("wheel_speed_scale", "can", 1.0, 0.8, 1.2, "1", "factor on the four wheel speeds"),
     ("can_frame_loss", "can", 0.0, 0.0, 0.9, "1", "fraction of frames lost; counters continue"),
     ("can_outage_every", "can", 0.0, 0.0, 3600.0, "s", "period of outages of 1 s; 0: none"),
-    ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "clock of the logger ahead of UTC, in files only"),
-    ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "rate error of the clock of the logger, in files only"),
+    ("logger_clock_offset", "can", 0.0, -10.0, 10.0, "s", "lead of the logger clock over UTC, in files only"),
+    ("logger_clock_drift", "can", 0.0, -1e-3, 1e-3, "1", "rate error of the logger clock, in files only"),
 )
 
 SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for row in _TABLE})

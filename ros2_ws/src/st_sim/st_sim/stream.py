@@ -20,10 +20,10 @@ from .settings import Settings, SimulationError
 
 Source = SimulatedCar | RecordedDrive
 TICK_MS = 2
-# Period and phase [ms]; the phases differ, as without a common clock.
+# Period and phase [ms]; the phases differ, because the sensors of a car share no clock.
 TRUTH_SCHEDULE, STEERING_SCHEDULE, WHEEL_SCHEDULE, GEAR_SCHEDULE = (10, 0), (10, 2), (20, 6), (60, 8)
 INS_CAN_DELAY = 0.0015  # s from the datagram to the first CAN frame of the same epoch
-EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has the same jitter
+EARLY_TOLERANCE = 0.0003  # s; a frame due within this time is sent at once; a real bus has similar jitter
 LATE_THRESHOLD = 0.005  # s after the deadline; an output sent later counts as late
 # s after power-up of an INS: ends of the phases without data and with raw data, then start and end of initialising.
 NO_DATA_END, RAW_IMU_END, INITIALISING_START, INITIALISING_END = 0.5, 2.0, 3.0, 7.0
@@ -39,7 +39,7 @@ class Output(NamedTuple):
 
 
 def find_start_up_status(time: float) -> tuple[int, float] | None:
-    """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if it is not sent.
+    """Navigation status and delay [s] of the epoch at `time` [s] after power-up; None if no packet is sent.
 
     The phases: no data and raw IMU data, at 10 Hz; pause; initialising, delay 1 s; locking, delay falling to 0; locked.
     """
@@ -76,7 +76,7 @@ class Stream:
         self._output_count = 0
 
     def generate_outputs(self, duration: float) -> Iterator[Output]:
-        """Yield the outputs measured in [0, duration) in the order of `due`."""
+        """Yield the outputs of the measurements in [0, duration) in the order of `due`."""
         for now_ms in range(0, round(duration * 1000), TICK_MS):
             time = now_ms / 1000
             self._source.advance(time)
@@ -130,7 +130,7 @@ class Stream:
 
 @dataclass
 class Report:
-    """Counts. can_errors: frames not sent. late: outputs over LATE_THRESHOLD after their deadline. worst_delay: [s]."""
+    """Sent outputs. can_errors: frames not sent. late: outputs later than LATE_THRESHOLD. worst_delay: [s]."""
 
     ncom_packets: int = 0
     can_frames: int = 0

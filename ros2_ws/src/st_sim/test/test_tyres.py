@@ -4,7 +4,7 @@ import math
 from functools import partial
 
 import pytest
-from st_sim.dynamics import GRAVITY, lateral_share, make_tyre_coefficients, tyre_force
+from st_sim.dynamics import GRAVITY, lateral_fraction, make_tyre_coefficients, tyre_force
 from st_sim.settings import read_vehicle
 from support import LEAF
 
@@ -53,6 +53,6 @@ def test_stiffness_factor_scales_the_cornering_stiffness():
 
 
 def test_lateral_force_is_limited_by_the_friction_ellipse():
-    assert lateral_share(0.0, 4000.0) == 1.0
-    assert lateral_share(2400.0, 4000.0) == pytest.approx(0.8)
-    assert lateral_share(-4000.0, 4000.0) == lateral_share(5000.0, 4000.0) == 0.0
+    assert lateral_fraction(0.0, 4000.0) == 1.0
+    assert lateral_fraction(2400.0, 4000.0) == pytest.approx(0.8)
+    assert lateral_fraction(-4000.0, 4000.0) == lateral_fraction(5000.0, 4000.0) == 0.0

@@ -31,7 +31,7 @@ def open_bag(values: SimpleNamespace, records: Mapping[str, Mapping[str, str]]) 
                 name = next(names)
     except OSError as error:
         file = f"{error.filename or values.output_directory}: " if error.strerror else ""
-        raise ConfigurationError(f"{values.where}output_directory: {file}{error.strerror or error}") from None
+        raise ConfigurationError(f"{values.message_prefix}output_directory: {file}{error.strerror or error}") from None
 
 
 def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: bool = False) -> Check:

@@ -78,7 +78,8 @@ class RecorderNode(Node):
         super().__init__("recorder")
         values = parameters.declare(self, params.RECORDER)
         if not values.output_directory:
-            raise ConfigurationError(f"{values.where}output_directory: not set; set it to a new directory for the bag")
+            raise ConfigurationError(
+                f"{values.message_prefix}output_directory: not set; set it to a new directory for the bag")
         namespace = self.get_namespace().rstrip("/")
         self._patterns = [topic if topic.startswith("/") else f"{namespace}/{topic}" for topic in values.topics]
         self._values, self._records = values, make_metadata(values)
@@ -196,7 +197,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
             texts[key] = Path(name).read_text()
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not a text file"
-            raise ConfigurationError(f"{values.where}configuration_files: {name}: {reason}") from None
+            raise ConfigurationError(f"{values.message_prefix}configuration_files: {name}: {reason}") from None
     if texts:
         joined = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
         records["configuration"] = {**texts, "hash": hashlib.sha256(joined.encode()).hexdigest()}
@@ -204,9 +205,9 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
         try:
             metadata = json.loads(values.metadata_json)
         except ValueError as error:
-            raise ConfigurationError(f"{values.where}metadata_json: {error}") from None
+            raise ConfigurationError(f"{values.message_prefix}metadata_json: {error}") from None
         if not isinstance(metadata, dict) or not all(isinstance(entries, dict) for entries in metadata.values()):
-            raise ConfigurationError(f'{values.where}metadata_json: expected {{"record": {{"key": "text"}}}}')
+            raise ConfigurationError(f'{values.message_prefix}metadata_json: expected {{"record": {{"key": "text"}}}}')
         for name, entries in metadata.items():
             record = records.setdefault(name, {})
             record.update({k: v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()})
