@@ -88,16 +88,17 @@ def position_errors(logs: list[DriveLog], car: VehicleParameters, misalignment: 
             good = np.isfinite(errors).all(axis=1)
             columns.append(np.column_stack((np.full(good.sum(), number), (starts[good] - log.start_ns) * 1e-9,
                                             errors[good])))
-        run_of, time, along, across = np.concatenate(columns).T
-        result[base] = {"position": _rms(np.hypot(along, across), run_of, time), "lateral": _rms(across, run_of, time),
-                        **{log.name: float(np.sqrt(np.mean((along**2 + across**2)[run_of == number])))
+        run_index, time, along, across = np.concatenate(columns).T
+        result[base] = {"position": _rms(np.hypot(along, across), run_index, time),
+                        "lateral": _rms(across, run_index, time),
+                        **{log.name: float(np.sqrt(np.mean((along**2 + across**2)[run_index == number])))
                            for number, log in enumerate(logs)}}
     return result
 
 
-def _rms(values: np.ndarray, run_of: np.ndarray, time: np.ndarray) -> str:
+def _rms(values: np.ndarray, run_index: np.ndarray, time: np.ndarray) -> str:
     """Root mean square and its 95 % interval, from a bootstrap of blocks of the runs."""
-    group = make_blocks(run_of, time)
+    group = make_blocks(run_index, time)
     totals = group.sum_by_block(np.stack([np.ones_like(values), values**2], axis=1))
     weights = np.random.default_rng(0).multinomial(len(group), np.full(len(group), 1.0 / len(group)), size=500)
     drawn = np.sqrt((weights @ totals[:, 1]) / (weights @ totals[:, 0]))

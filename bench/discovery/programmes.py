@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 from st_core import manoeuvres as standard
-from st_core.manoeuvres import CATALOGUE, UNDERSTEER, Manoeuvre
+from st_core.manoeuvres import CATALOGUE, UNDERSTEER_GRADIENT, Manoeuvre
 from st_core.vehicle import VehicleParameters
 
 from .compiled import Programme
@@ -39,7 +39,7 @@ class Builder:
         """Adds a part. angle: road wheel angle [rad]; speed [m/s], by default the present one; closed: keep the
         heading."""
         speeds = np.broadcast_to(self.speed if speed is None else speed, angle.shape)
-        curvature = angle / (self.car.wheelbase + UNDERSTEER * speeds**2)
+        curvature = angle / (self.car.wheelbase + UNDERSTEER_GRADIENT * speeds**2)
         turned = self.heading + np.cumsum(curvature * speeds) * DT
         gain = np.full(len(angle), HEADING_GAIN if closed else 0.0)
         slope = np.gradient(speeds, DT) if len(speeds) > 1 else np.zeros(len(speeds))
@@ -73,7 +73,7 @@ class Builder:
 
     def angle_for(self, lateral: float) -> float:
         """Road-wheel angle [rad] for a steady lateral acceleration [m/s^2]."""
-        return lateral / self.speed**2 * (self.car.wheelbase + UNDERSTEER * self.speed**2)
+        return lateral / self.speed**2 * (self.car.wheelbase + UNDERSTEER_GRADIENT * self.speed**2)
 
 
 def _time(duration: float) -> np.ndarray:

@@ -151,7 +151,7 @@ def test_effect_file_that_fails_to_load_is_reported_in_one_line(drive, tmp_path)
 def test_model_file_of_another_car_is_refused(drive, tmp_path):
     model = tmp_path / "model.yaml"
     lag = augment("nonlinear", {"steering_lag": {"time_constant": 0.1}})
-    model.write_text(ModelFile.of(lag, load_vehicle(GENESIS), ModelProvenance()).to_yaml())
+    model.write_text(ModelFile.from_model(lag, load_vehicle(GENESIS), ModelProvenance()).to_yaml())
     result = discover(drive, "--base", model, "--output", tmp_path / "o")
     assert result.exit_code == 2 and "the values are valid for 'Hyundai Genesis'" in result.output
     with pytest.raises(ConfigurationError, match="the values are valid for 'Hyundai Genesis'"):

@@ -35,7 +35,7 @@ def vehicle(name="leaf"):
 @pytest.fixture
 def augmented(tmp_path):
     path = tmp_path / "model.yaml"
-    path.write_text(ModelFile.of(augment("nonlinear", EFFECTS), vehicle(), ModelProvenance()).to_yaml())
+    path.write_text(ModelFile.from_model(augment("nonlinear", EFFECTS), vehicle(), ModelProvenance()).to_yaml())
     return path
 
 
@@ -144,7 +144,7 @@ def test_wrong_arguments_are_refused_in_one_line(tmp_path, arguments, message):
 @pytest.mark.parametrize("embed", [False, True])
 def test_model_file_requires_its_car(tmp_path, embed):
     path = tmp_path / "model.yaml"
-    file = ModelFile.of(augment("linear", ["mass"]), vehicle(), ModelProvenance())
+    file = ModelFile.from_model(augment("linear", ["mass"]), vehicle(), ModelProvenance())
     path.write_text((file if embed else replace(file, vehicle=None)).to_yaml())
     wrong = export(path, "--vehicle", ROOT / "config/vehicle/hyundai_genesis.yaml", "--output", tmp_path / "out")
     assert wrong.exit_code == 2 and "the values are valid for" in wrong.output

@@ -22,7 +22,7 @@ from .backends import get_backend
 from .errors import ConfigurationError
 from .log import DriveLog, LogSignals, share_memory
 from .models import Model, get_model
-from .planned_inputs import SLIP_FREE
+from .planned_inputs import SLIP_FREE_ANGLE
 from .prediction import step_count
 from .readings import correct_log, has_steering_dynamics, predict_wheel_angles, reading_errors
 from .timeseries import NANOSECOND, half_step_grid
@@ -198,7 +198,7 @@ class LogBatch:
         self._unique_starts, first, self._inverse = np.unique(self.starts_ns, return_index=True, return_inverse=True)
         if not isinstance(inputs, str):
             expected = len(self.starts_ns), 2 * self.steps + 1
-            for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE), inputs, strict=False):
+            for name, values in zip(("road_wheel_angle", "velocity_x_dot", SLIP_FREE_ANGLE), inputs, strict=False):
                 if values.shape != expected:
                     raise ConfigurationError(f"planned {name}: shape {values.shape}, not {expected}")
             if substeps != 1:

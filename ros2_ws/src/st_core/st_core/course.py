@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from .errors import ConfigurationError, StCoreError
 from .log import DriveLog, LogSignals
-from .planned_inputs import SLIP_FREE, path_inputs
+from .planned_inputs import SLIP_FREE_ANGLE, path_inputs
 from .timeseries import NANOSECOND
 from .types import InputSequence, wrap_angle
 from .vehicle import VehicleParameters
@@ -45,7 +45,7 @@ class Pass:
     """Continuous path of a recording.
 
     points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
-    from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], left +, v_x [m/s].
+    from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], positive to the left, v_x [m/s].
     """
 
     recording: str  # name of the recording
@@ -229,7 +229,7 @@ class EgoMotion(NamedTuple):
 
     @property
     def curvature(self) -> float:
-        """Curvature of the path [1/m], left +."""
+        """Curvature of the path [1/m], positive to the left."""
         return self.yaw_rate / max(self.velocity_x, PAUSE_SPEED)
 
 
@@ -416,7 +416,7 @@ def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameter
         inputs = np.full((3, len(starts_ns), round(2.0 * horizon / step) + 1), np.nan)
         for k, (time_ns, *values) in enumerate(zip(starts_ns.tolist(), *(c.tolist() for c in columns), strict=True)):
             if (future := tracker.update(EgoMotion(time_ns, *values)).inputs) is not None:
-                inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE]
+                inputs[:, k] = future.road_wheel_angle, future.velocity_x_dot, future.signals[SLIP_FREE_ANGLE]
         return tuple(inputs)
 
     return predict_inputs

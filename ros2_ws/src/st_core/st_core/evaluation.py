@@ -93,7 +93,7 @@ class Evaluator:
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], left +; False if it was refused."""
+        """Add a road wheel angle [rad], positive to the left; False if it was refused."""
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def view(self, model: str) -> ModelView:

@@ -82,7 +82,7 @@ PLAUSIBLE = (
 def find_implausible_values(car: VehicleParameters, original: VehicleParameters | None = None) -> tuple[str, ...]:
     """A sentence for each quantity of the car that is outside its range.
 
-    original: car of the vehicle file, which may be unusual: quantities outside their range there as well are omitted.
+    original: car of the vehicle file, which may be unusual: quantities outside their range for it too are omitted.
     """
     unusual = {quantity.name for quantity in PLAUSIBLE if original and quantity.describe_violation(original)}
     texts = (quantity.describe_violation(car) for quantity in PLAUSIBLE if quantity.name not in unusual)

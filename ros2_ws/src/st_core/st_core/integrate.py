@@ -1,5 +1,5 @@
 """Classical Runge-Kutta integration with a fixed step, for states as tuples of floats or of arrays of equal shape, and
-its stability: whether a step is stable at a speed, and the settings with which it is.
+its stability: whether a step is stable at a speed, and the settings that make it stable.
 
 `derivative(state, w, p)` returns the time derivative of the state for the inputs w at one instant and constants p.
 

@@ -36,8 +36,8 @@ class DriveLog:
     velocity_y: np.ndarray  # m/s, left
     yaw_rate: np.ndarray  # rad/s, left turn +
     steering_time_ns: np.ndarray  # as ins_time_ns, on the clock of the INS
-    road_wheel_angle: np.ndarray  # mean of the front axle [rad], left +
-    steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], left +
+    road_wheel_angle: np.ndarray  # mean of the front axle [rad], positive to the left
+    steering_wheel_angle: np.ndarray | None = None  # as measured, with its offset [rad], positive to the left
     acceleration_x: np.ndarray | None = None  # as the source defines it [m/s^2], NaN at samples without a value
     acceleration_y: np.ndarray | None = None  # as acceleration_x
     sideslip_measured: bool = True  # False: velocity_y and yaw are computed with the vehicle file (`sideslip`)
@@ -112,7 +112,7 @@ class DriveLog:
         return replace(self, **{name: getattr(self, name)[rows] for name in names if getattr(self, name) is not None})
 
     def slice(self, start_ns: int, end_ns: int, name: str | None = None) -> "DriveLog":
-        """The measurements with start_ns <= time <= end_ns, of both time bases. name: new name, or None."""
+        """The measurements with start_ns <= time <= end_ns, of both time bases. name: None leaves it unchanged."""
         span = (start_ns, end_ns + 1)
         ins, steering = (slice(*np.searchsorted(t, span).tolist()) for t in (self.ins_time_ns, self.steering_time_ns))
         parts: dict[str, Any] = {}
@@ -125,7 +125,7 @@ class DriveLog:
     def with_steering(self, vehicle: VehicleParameters) -> "DriveLog":
         """The same drive with the road wheel angle from the steering ratio and offset of `vehicle`.
 
-            road_wheel_angle = (steering_wheel_angle - steering_wheel_offset) / steering_ratio      [rad, left +]
+            road_wheel_angle = (steering_wheel_angle - steering_wheel_offset) / steering_ratio      [rad]
 
         Raises StCoreError for a log without steering_wheel_angle.
         """
@@ -170,7 +170,7 @@ class LogSignals:
         return self._at(self.log.ins_time_ns, columns, times_ns)
 
     def road_wheel_angle_at(self, times_ns: np.ndarray) -> np.ndarray:
-        """Road wheel angle [rad], left +, at instants of any shape [ns]."""
+        """Road wheel angle [rad], positive to the left, at instants of any shape [ns]."""
         return self.sample(self.log.steering_time_ns, self.log.road_wheel_angle, times_ns)
 
     def sample(self, time_ns: np.ndarray, values: np.ndarray, at_ns: np.ndarray) -> np.ndarray:

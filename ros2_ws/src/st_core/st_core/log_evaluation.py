@@ -43,8 +43,8 @@ Progress = Callable[[int, int], None]  # (starts evaluated, all starts)
 BlockCallback = Callable[[np.ndarray, "Block"], None]
 FutureInputs = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 """Function of all starts of an evaluation (n,) [ns], increasing, called once. It returns road wheel angle [rad],
-velocity_x_dot [m/s^2] and, for a path, `SLIP_FREE` [rad] over the horizon, each (n, 2 * steps + 1) on the half-step
-grid; NaN where unknown."""
+velocity_x_dot [m/s^2] and, for a path, `SLIP_FREE_ANGLE` [rad] over the horizon, each (n, 2 * steps + 1) on the
+half-step grid; NaN where unknown."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class LogEvaluation:
 
     conditions: (n,) each, measured over the horizon, NaN if it is incomplete: mean speed [m/s], mean
     lateral_acceleration v_x r [m/s^2], mean velocity_x_dot [m/s^2], RMS steering_rate of the road wheels [rad/s],
-    heading_change [rad]; left +.
+    heading_change [rad]; positive to the left.
     """
 
     name: str
@@ -189,7 +189,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     Checked by: test_log_evaluation.py.
     """
     settings = settings or EvaluationSettings()
-    chosen = [get_model(model) for model in models]
+    model_list = [get_model(model) for model in models]
     signals = log if isinstance(log, LogSignals) else settings.signals(log)
     log = signals.log
     origin = int(log.ins_time_ns[0]) if len(log.ins_time_ns) else 0
@@ -197,10 +197,10 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
     starts, skipped = usable_starts(signals, vehicle, requested, settings.prediction.minimum_speed)
     horizon = settings.prediction.step * np.arange(settings.prediction.steps + 1)
     modes = (*MODES, *(future_inputs or {}))
-    results = {(model.name, mode): ModelErrors.empty(len(starts), horizon) for model in chosen for mode in modes}
+    results = {(model.name, mode): ModelErrors.empty(len(starts), horizon) for model in model_list for mode in modes}
     conditions = {name: np.full(len(starts), np.nan) for name in CONDITIONS}
     reasons: dict[str, int] = {}
-    for rows, block in evaluate_blocks(chosen, vehicle, signals, starts, settings, future_inputs):
+    for rows, block in evaluate_blocks(model_list, vehicle, signals, starts, settings, future_inputs):
         for name, values in block.conditions.items():
             conditions[name][rows] = values
         for key, errors in block.errors.items():
@@ -215,7 +215,7 @@ def evaluate_log(models: Sequence[str | Model], vehicle: VehicleParameters, log:
 
 
 def regular_starts(log: DriveLog, interval: float) -> np.ndarray:
-    """Instants [ns], `interval` [s] apart from the first INS sample on, while INS and steering are both recorded."""
+    """Instants [ns] every `interval` [s] from the first INS sample on at which both INS and steering are recorded."""
     if not log.overlap:
         return np.empty(0, np.int64)
     first = int(log.ins_time_ns[0])
@@ -267,13 +267,13 @@ def evaluate_blocks(models: Sequence[Model], vehicle: VehicleParameters, signals
         return _evaluate_block(models, vehicle, signals, starts_ns[rows], settings, planned)
 
     with ThreadPoolExecutor(PREFETCHED_BLOCKS) as pool:
-        waiting: deque[tuple[slice, Future[Block]]] = deque()
+        pending: deque[tuple[slice, Future[Block]]] = deque()
         for rows in blocks:
-            waiting.append((rows, pool.submit(evaluate, rows)))
-            if len(waiting) > PREFETCHED_BLOCKS:
-                first, block = waiting.popleft()
+            pending.append((rows, pool.submit(evaluate, rows)))
+            if len(pending) > PREFETCHED_BLOCKS:
+                first, block = pending.popleft()
                 yield first, block.result()
-        for rows, block in waiting:
+        for rows, block in pending:
             yield rows, block.result()
 
 
@@ -322,7 +322,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
 
 
 def _share_instants(starts_ns: np.ndarray, after_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlaps share instants."""
+    """(instants [ns], index): instants[index[k, i]] is start i plus after_ns[k]; overlapping starts share instants."""
     half, span = int(after_ns[1]), int(starts_ns[-1] - starts_ns[0] + after_ns[-1])
     from_first = starts_ns - starts_ns[0]
     grid = np.array_equal(after_ns, half * np.arange(len(after_ns))) and not np.any(from_first % half)
@@ -361,7 +361,7 @@ class Bin:
 
 
 def bin_starts(evaluation: LogEvaluation) -> list[Bin]:
-    """The non-empty bins. Starts with unknown conditions (NaN) are in none, starts in reverse in no speed bin."""
+    """The non-empty bins. Starts with unknown conditions (NaN) are in no bin, starts in reverse in no speed bin."""
     conditions, turn = evaluation.conditions, evaluation.conditions["heading_change"]
     lateral_acceleration = np.abs(conditions["lateral_acceleration"])
     bins = [

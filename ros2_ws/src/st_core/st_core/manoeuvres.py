@@ -5,7 +5,7 @@ A manoeuvre is defined by its speed and its target lateral acceleration, so that
     curvature(t) = lateral profile(t) / speed^2            profile: -1 to 1
     road wheel angle(t) = (L + K speed^2) curvature(t)     L: wheelbase, K: understeer gradient
 
-Left is positive everywhere; a negative `lateral` is the mirrored manoeuvre. Checked by: test_manoeuvres.py,
+Left is positive everywhere; a negative `lateral` mirrors the manoeuvre. Checked by: test_manoeuvres.py,
 tests/bench/test_discovery_manoeuvres.py.
 """
 
@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-UNDERSTEER = 0.004  # rad s^2/m, understeer gradient K assumed for an unknown car
+UNDERSTEER_GRADIENT = 0.004  # rad s^2/m, understeer gradient K assumed for an unknown car
 Shape = Callable[[np.ndarray], np.ndarray]  # lateral acceleration divided by its target, -1 to 1, at times [s]
 
 
@@ -66,7 +66,7 @@ class Manoeuvre:
     name: str  # also the scenario name
     speed: float  # at the start [m/s]
     lateral: float  # peak target lateral acceleration at the initial speed [m/s^2]
-    profile: Shape  # lateral acceleration divided by `lateral`, over the time in a period
+    profile: Shape  # lateral acceleration divided by `lateral`, over one period
     period: float  # time after which the manoeuvre repeats [s]
     repetitions: int = 1  # periods in one drive
     pedals: tuple[tuple[float, float], ...] = ()  # (duration [s], acceleration [m/s^2]), in order; capped at `speed`
@@ -82,7 +82,8 @@ class Manoeuvre:
         """Curvature of the path at the initial speed [1/m]; time [s] >= 0."""
         return self.lateral / self.speed**2 * self.profile(np.asarray(time) % self.period)
 
-    def steering(self, time: np.ndarray | float, wheelbase: float, understeer: float = UNDERSTEER) -> np.ndarray:
+    def steering(self, time: np.ndarray | float, wheelbase: float,
+                 understeer: float = UNDERSTEER_GRADIENT) -> np.ndarray:
         """Road wheel angle [rad] for a wheelbase [m] and an understeer gradient K [rad s^2/m]; time [s] >= 0."""
         return (wheelbase + understeer * self.speed**2) * self.curvature(time)
 
@@ -188,7 +189,7 @@ def there_and_back(speed: float, lateral: float) -> Manoeuvre:
 
 
 def figure_eight() -> Manoeuvre:
-    """S1 of the paper: 240 deg loops to both sides, transitions of 6 m, and straights that close the course."""
+    """Scenario S1 of the paper: 240 deg loops to both sides, transitions of 6 m, straights that close the course."""
     speed, radius, ramp, straight = 4.0, 11.5, 6.0, 34.3015  # m/s, then m
     arc = math.radians(240.0) * radius - ramp
     half = ((straight / 2, 0.0, 0.0), (ramp, 0.0, 1.0), (arc, 1.0, 1.0), (ramp, 1.0, 0.0), (straight / 2, 0.0, 0.0))

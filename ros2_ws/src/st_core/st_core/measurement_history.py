@@ -25,8 +25,8 @@ from .types import ControlInput, InsSample
 from .vehicle import VehicleParameters
 
 POSITION_TOLERANCE = 0.3  # m, unexplained displacement allowed at any distance; RTK positions have 2 cm of noise
-DISTANCE_TOLERANCE = 0.1  # of the distance driven, allowed in addition for errors of velocity scale and heading
-MAX_ACCELERATION = 10.0  # m/s^2 on tyres; it limits the error of the trapezoidal rule over longer steps
+DISTANCE_TOLERANCE = 0.1  # fraction of the distance driven, added for errors of velocity scale and heading
+MAX_ACCELERATION = 10.0  # m/s^2, limit of the tyres, which bounds the error of the trapezoidal rule over longer steps
 MAX_EXAMINED_GAP = 10.0  # s; the motion within longer gaps is unknown
 # Positions may be noisier than RTK positions: |d| of a jump must also exceed MAX_NOISE [m], or NOISE_FACTOR times the
 # median |d| of the previous NOISE_STEPS steps, of which there must be at least MIN_NOISE_STEPS.
@@ -77,8 +77,8 @@ class MeasurementHistory:
     Samples out of order are sorted in; samples that are late by over half a second, repeated or not finite are
     rejected. Within half a second, the order of arrival does not affect the content or the filtered acceleration.
     When the INS time jumps back (a replay that restarts), both signals restart, and `generation` increases. A signal is
-    unknown between samples further apart than maximum_gap, that of the INS also across a position jump. jump_count:
-    position jumps since the start. last_jump: the most recent one; None after a restart.
+    unknown between samples further apart than maximum_gap, a signal of the INS also across a position jump. jump_count:
+    number of position jumps since the start. last_jump: the most recent one; None after a restart.
 
     span, maximum_gap [s]; filter_cutoff [Hz], see timeseries.py for the definition and delay of velocity_x_dot.
     """
@@ -94,7 +94,7 @@ class MeasurementHistory:
         self._corrected_histories: list[tuple[MeasurementHistory, Callable[[InsSample], InsSample]]] = []
 
     def make_corrected(self, correct: Callable[[InsSample], InsSample]) -> "MeasurementHistory":
-        """An empty history that receives all later samples of this one, those of the INS as changed by `correct`.
+        """An empty history that receives all later samples of this one, those of the INS corrected by `correct`.
 
         It shares the position jumps found in this history.
         """
@@ -130,7 +130,7 @@ class MeasurementHistory:
         return True
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], left +, measured at time_ns; False if it was rejected."""
+        """Add a road wheel angle [rad], positive to the left, measured at time_ns; False if it was rejected."""
         for history, _ in self._corrected_histories:
             history.add_steering(time_ns, road_wheel_angle)
         index, _ = self.steering.add(time_ns, (road_wheel_angle,))
@@ -186,7 +186,7 @@ class FrozenSteeringDetector:
         self._low, self._high = math.inf, -math.inf
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> None:
-        """Add a road wheel angle [rad], left +, measured at time_ns."""
+        """Add a road wheel angle [rad], positive to the left, measured at time_ns."""
         self._newest_ns = time_ns
         # NaN, the first angle and a time step backward also restart the detection.
         if abs(road_wheel_angle - self._angle) <= ANGLE_RESOLUTION and time_ns >= self._since_ns:

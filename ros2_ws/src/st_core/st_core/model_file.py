@@ -61,7 +61,7 @@ class ModelFile:
     provenance: ModelProvenance = field(default_factory=ModelProvenance)
 
     @classmethod
-    def of(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
+    def from_model(cls, model: AugmentedModel, vehicle: VehicleParameters, provenance: ModelProvenance,
            intervals: Mapping[tuple[str, str], Interval] | None = None, source: str = "not stated") -> "ModelFile":
         """The content for a model and its vehicle. intervals: by (effect, parameter). source: of the fitted values."""
         effects = {effect.name: {p.name: EffectValue(model.values[effect.name][p.name],
@@ -155,21 +155,21 @@ def _read_effect(name: str, entry: Any) -> dict[str, EffectValue]:
     check_keys(f"effects.{name}.", entry, list(parameters), required=[k for k, p in parameters.items() if p.fit])
     estimates = {}
     for key in entry:
-        where = f"effects.{name}.{key}"
+        path = f"effects.{name}.{key}"
         unit = parameters[key].unit
-        fields = _check_mapping(where, entry[key], f"value: ..., unit: {quote(unit)}")
-        check_keys(f"{where}.", fields, ["value", "unit", "interval", "source", "effective"],
+        fields = _check_mapping(path, entry[key], f"value: ..., unit: {quote(unit)}")
+        check_keys(f"{path}.", fields, ["value", "unit", "interval", "source", "effective"],
                    required=["value", "unit"])
         if str(fields["unit"]) != unit:
-            raise ConfigurationError(f"{where}: unit {str(fields['unit'])!r} is not {unit}; convert the value")
-        value = parameters[key].check(fields["value"], where)
-        source = _check_text(f"{where}.source", fields.get("source", "not stated"))
+            raise ConfigurationError(f"{path}: unit {str(fields['unit'])!r} is not {unit}; convert the value")
+        value = parameters[key].check(fields["value"], path)
+        source = _check_text(f"{path}.source", fields.get("source", "not stated"))
         effective, ends = fields.get("effective", False), fields.get("interval")
         if not isinstance(effective, bool):
-            raise ConfigurationError(f"{where}.effective: {effective!r} is not true or false")
+            raise ConfigurationError(f"{path}.effective: {effective!r} is not true or false")
         is_pair = isinstance(ends, list) and len(ends) == 2 and all(type(end) in (int, float) for end in ends)
         if ends is not None and not (is_pair and ends[0] <= value <= ends[1]):
-            raise ConfigurationError(f"{where}.interval: {ends!r} is not [low, high] around the value {value:g}")
+            raise ConfigurationError(f"{path}.interval: {ends!r} is not [low, high] around the value {value:g}")
         interval = None if ends is None else (float(ends[0]), float(ends[1]))
         estimates[key] = EffectValue(value, interval, source, effective)
     return estimates
@@ -194,23 +194,23 @@ def _read_vehicle(section: Any) -> tuple[VehicleParameters | None, str, str]:
     return vehicle, name, digest
 
 
-def _check_mapping(where: str, value: Any, form: str = "key: value, ...") -> dict[str, Any]:
+def _check_mapping(path: str, value: Any, form: str = "key: value, ...") -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise ConfigurationError(f"{where}: expected a mapping, {{{form}}}; see docs/manual/effects.md")
+        raise ConfigurationError(f"{path}: expected a mapping, {{{form}}}; see docs/manual/effects.md")
     return value
 
 
-def _check_text(where: str, value: Any) -> str:
+def _check_text(path: str, value: Any) -> str:
     # YAML parses an unquoted date as a date object, which is accepted.
     if isinstance(value, bool | int | float | list | dict) or value is None:
-        raise ConfigurationError(f"{where}: {value!r} is not a string; put it in quotes")
+        raise ConfigurationError(f"{path}: {value!r} is not a string; put it in quotes")
     return str(value)
 
 
 def _describe_differences(first: VehicleParameters, second: VehicleParameters) -> str:
-    """Differences between two cars except tyres, such as "mass: 1590, 1700 kg", and number of others; "" if none."""
+    """Differences between two cars except tyres, such as "mass: 1590, 1700 kg", and the number omitted; "" if none."""
     values = {key: (getattr(first, key), getattr(second, key)) for key in VEHICLE_QUANTITIES}
     differences = [f"{key}: {a:g}, {b:g} {VEHICLE_QUANTITIES[key].si_unit}".removesuffix(" 1")
                    for key, (a, b) in values.items() if a != b]
-    more = len(differences) - MAX_LISTED_DIFFERENCES
-    return "; ".join(differences[:MAX_LISTED_DIFFERENCES]) + (f"; {more} more" if more > 0 else "")
+    omitted = len(differences) - MAX_LISTED_DIFFERENCES
+    return "; ".join(differences[:MAX_LISTED_DIFFERENCES]) + (f"; {omitted} more" if omitted > 0 else "")

@@ -89,7 +89,7 @@ def sign(x):
 
 
 def absolute(x):
-    """Magnitude."""
+    """Absolute value."""
     if type(x) is float:
         return -x if x < 0.0 else x
     return _call_registered("absolute", x)

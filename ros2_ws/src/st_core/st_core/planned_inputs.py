@@ -27,7 +27,7 @@ MAX_ACCELERATION = 12.0  # m/s^2, longitudinal and lateral combined: friction co
 ANGLE_TOLERANCE = 0.05  # rad between planned and measured road wheel angle at the start: 45 deg at the steering wheel
 ACCELERATION_TOLERANCE = 3.0  # m/s^2 between plan and measurement at the start: braking takes 0.3 s to build up
 SPEED_TOLERANCE = 2.0  # m/s between planned and measured speed at the start
-SLIP_FREE = "slip_free_angle"  # Ackermann angle: road wheel angle on a path without tyre slip, for models without tyres
+SLIP_FREE_ANGLE = "slip_free_angle"  # Ackermann angle: road wheel angle without tyre slip, for models without tyres
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,14 @@ class PlannedInputs:
 
     issued_ns: int  # time of issue on the measurement clock
     time_ns: np.ndarray  # (n,) instants of the points on the measurement clock
-    road_wheel_angle: np.ndarray  # (n,) [rad], left +, as the steering sensor will measure it
+    road_wheel_angle: np.ndarray  # (n,) [rad], positive to the left, as the steering sensor will measure it
     velocity_x_dot: np.ndarray  # (n,) [m/s^2]
-    speed: np.ndarray | None = None  # (n,) [m/s], of a plan `from_path`
-    slip_free_angle: np.ndarray | None = None  # (n,) [rad], of a plan `from_path`
+    speed: np.ndarray | None = None  # (n,) [m/s], only in a plan `from_path`
+    slip_free_angle: np.ndarray | None = None  # (n,) [rad], only in a plan `from_path`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_ns", np.asarray(self.time_ns, np.int64))
-        for name in ("road_wheel_angle", "velocity_x_dot", "speed", SLIP_FREE):
+        for name in ("road_wheel_angle", "velocity_x_dot", "speed", SLIP_FREE_ANGLE):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, np.asarray(values, float))
                 if getattr(self, name).shape != self.time_ns.shape or self.time_ns.ndim != 1:
@@ -52,7 +52,7 @@ class PlannedInputs:
     @classmethod
     def from_path(cls, issued_ns: int, time_ns: np.ndarray, speed: np.ndarray, curvature: np.ndarray,
                   vehicle: VehicleParameters) -> "PlannedInputs":
-        """A plan of speed v [m/s] and path curvature k [1/m], left +, of the CG.
+        """The plan for a speed v [m/s] and path curvature k [1/m], positive to the left, of the CG.
 
             delta = L (1 + K v^2) k,    velocity_x_dot = dv/dt
 
@@ -62,15 +62,16 @@ class PlannedInputs:
         speed, curvature = np.asarray(speed, float), np.asarray(curvature, float)
         seconds = (np.asarray(time_ns, np.int64) - np.int64(issued_ns)) * NANOSECOND
         if len(seconds) < 2 or not (np.diff(seconds) > 0.0).all() or {speed.shape, curvature.shape} != {seconds.shape}:
-            # Not differentiable: wrong shapes are refused here, too few or unordered points by `find_plan_problem`.
+            # No derivative exists: wrong shapes are refused here, too few or unordered points by `find_plan_problem`.
             return cls(issued_ns, time_ns, curvature, np.zeros_like(speed), speed)
         path = path_inputs(speed, curvature, seconds, vehicle)
-        return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE])
+        return cls(issued_ns, time_ns, path.road_wheel_angle, path.velocity_x_dot, speed, path.signals[SLIP_FREE_ANGLE])
 
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
         """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
         grid = half_step_grid(start_ns, steps, step)
-        signals = {} if self.slip_free_angle is None else {SLIP_FREE: self._interpolate(self.slip_free_angle, grid)}
+        slip_free = self.slip_free_angle
+        signals = {} if slip_free is None else {SLIP_FREE_ANGLE: self._interpolate(slip_free, grid)}
         return InputSequence(self._interpolate(self.road_wheel_angle, grid),
                              self._interpolate(self.velocity_x_dot, grid), signals)
 
@@ -79,7 +80,7 @@ class PlannedInputs:
 
 
 def steady_state_steering(speed: np.ndarray, curvature: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """Road wheel angle [rad] of the linear car in a steady turn of curvature k [1/m], left +, at speed v [m/s].
+    """Road wheel angle [rad] of the linear single-track car in a steady turn of curvature k [1/m] at speed v [m/s].
 
         delta = L (1 + K v^2) k,   L: wheelbase, K: `handling.stability_factor`
 
@@ -92,12 +93,12 @@ def path_inputs(speed: np.ndarray, curvature: np.ndarray, seconds: np.ndarray,
                 vehicle: VehicleParameters) -> InputSequence:
     """Inputs that follow a speed [m/s] and a curvature [1/m] over time [s]; see `PlannedInputs.from_path`."""
     return InputSequence(steady_state_steering(speed, curvature, vehicle), np.gradient(speed, seconds),
-                         {SLIP_FREE: np.arctan(vehicle.wheelbase * curvature)})
+                         {SLIP_FREE_ANGLE: np.arctan(vehicle.wheelbase * curvature)})
 
 
 def recorded_plan(time_ns: np.ndarray, columns: Sequence[np.ndarray], steps: int, step: float,
                   maximum_gap: float) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """A plan recorded along a drive, as inputs of `log_evaluation.evaluate_log`.
+    """Function that interpolates a recorded plan, for `future_inputs` of `log_evaluation.evaluate_log`.
 
     time_ns: increasing [ns]. columns: planned road wheel angle, velocity_x_dot and, for a path, slip-free angle at
     these instants. NaN, and gaps longer than maximum_gap [s], mean that nothing was planned.
@@ -171,9 +172,9 @@ def _check_demand(plan: PlannedInputs, start_ns: int, state: VehicleState, input
 
 
 def select_inputs(model: Model, planned: InputSequence) -> InputSequence:
-    """Planned inputs for a model: the slip-free angle of a path if it has no tyres, else the road wheel angle."""
-    if not model.has_tyres and SLIP_FREE in planned.signals:
-        return InputSequence(planned.signals[SLIP_FREE], planned.velocity_x_dot)
+    """Planned inputs for a model: without tyres the slip-free angle of a path, else the road wheel angle."""
+    if not model.has_tyres and SLIP_FREE_ANGLE in planned.signals:
+        return InputSequence(planned.signals[SLIP_FREE_ANGLE], planned.velocity_x_dot)
     return planned
 
 

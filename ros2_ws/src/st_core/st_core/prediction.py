@@ -22,7 +22,7 @@ from .yaml_text import hash_content
 
 
 def step_count(horizon: float, step: float) -> int:
-    """Number of steps in a horizon, both in s. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
+    """Number of steps [s] in a horizon [s]. Raises ConfigurationError unless it is whole, above 0 and below 1e6."""
     if not (step > 0.0 and 0.0 < horizon < 1.0e6 * step):
         raise ConfigurationError(f"horizon: {horizon:g} s with steps of {step:g} s; both must be above 0, and the "
                                  "horizon below 1e6 steps")
@@ -71,7 +71,7 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
             horizon: float = 5.0, step: float = 0.05, substeps: int = 1) -> Trajectory:
     """Trajectory of one model from one state, by RK4 with a fixed step; the first of its steps + 1 states is the start.
 
-    inputs: held over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
+    inputs: constant over the horizon (ControlInput), or on the half-step grid (InputSequence of 2 * steps + 1 values).
     horizon, step [s]: the horizon must be a whole number of steps. substeps: number >= 1 of integration steps per step,
     with inputs interpolated linearly; see `integrate.required_substeps`. NaN in the state or an input makes all
     states that depend on it NaN. Raises StCoreError for inputs of the wrong length and for a missing signal.
@@ -96,9 +96,9 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
         if substeps > 1:
             fine_grid = np.arange(2 * steps * substeps + 1) / substeps
             columns = [np.interp(fine_grid, np.arange(2 * steps + 1), values) for values in columns]
-        angle, acceleration, *others = columns
+        angle, acceleration, *extra = columns
         with np.errstate(all="ignore"):
-            fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *others)]
+            fields = [np.broadcast_to(w, angle.shape).tolist() for w in model.inputs(angle, acceleration, p, *extra)]
         grid = list(zip(*fields, strict=True))
     start = model.start_state(state.as_tuple(), grid[0], p)
     states = rk4(model.rhs, start, grid, p, step / substeps)[::substeps]
@@ -117,7 +117,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """No prediction at this time."""
+    """Reason for making no prediction."""
 
     kind: Literal["stale", "slow"]  # stale: a measurement is missing, old, in the future, in a gap or before a jump
     reason: str
@@ -172,7 +172,7 @@ class Predictor:
         return self.history.add_ins(sample)
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], left +; False if it was rejected."""
+        """Add a road wheel angle [rad], positive to the left; False if it was rejected."""
         self.frozen_steering.add_steering(time_ns, road_wheel_angle)
         return self.history.add_steering(time_ns, road_wheel_angle)
 
@@ -232,7 +232,7 @@ class Predictor:
     def run(self, start: Start, model: str, future_inputs: InputSequence | None = None) -> Trajectory:
         """The trajectory of one model from a start, at the CG of the model (`car`).
 
-        future_inputs: on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: held inputs.
+        future_inputs: on the half-step grid of the horizon, from a plan (`plan_inputs`) or a course; None: constant.
         """
         if model not in self._views:
             raise ConfigurationError(f"model {model!r} is not configured; the models are {', '.join(self._views)}")
@@ -256,7 +256,7 @@ _SAMPLES = ((1.0, 0.0, 0.05, 0.1, 0.3), (8.0, 0.1, -0.25, -0.08, 0.0), (15.0, -0
 
 
 class CompiledModel:
-    """Compiled prediction of one model, car and horizon, with the results of `predict`, but six times faster.
+    """Compiled `predict` for one model, car and horizon: the same results, six times faster.
 
     Three models over 5 s take 0.2 ms instead of 1.3 ms; with an additional model of three effects 0.6 ms instead of
     4.1 ms. The compiled code advances several predictions (lanes) in parallel; only the first is used here. Created
@@ -283,7 +283,7 @@ class CompiledModel:
         """
         model, p, lanes = self._model, self._parameters, self._lanes.LANES
         angle, acceleration = inputs.road_wheel_angle, inputs.velocity_x_dot
-        # Only the first column is used; the others only have to be finite.
+        # Only the first column is used; the others need only be finite.
         if isinstance(inputs, ControlInput):
             first = model.inputs(float(angle), float(acceleration), p)
             table, offsets = np.repeat(np.array(first, float)[:, None], lanes, axis=1), self._constant_rows

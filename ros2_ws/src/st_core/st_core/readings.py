@@ -1,6 +1,6 @@
 """Corrects logs and samples for the sensor and steering effects of a model, and predicts INS readings from states.
 
-For a model without these effects, logs and samples do not change. `ModelView`: recent measurements as used by one
+A model without these effects leaves logs and samples unchanged. `ModelView`: recent measurements as used by one
 model, since sensor effects, a moved INS point and delayed steering change its start state and its inputs.
 """
 
@@ -29,17 +29,17 @@ def correct_sample(model: Model, sample: InsSample) -> InsSample:
     """The sample as measured by an ideal INS; NaN where a correction needs an acceleration (`find_missing_reading`)."""
     if not isinstance(model, AugmentedModel) or not model.has_sensor_effects:
         return sample
-    true = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
-    return InsSample(sample.time_ns, *true[:6])
+    ideal = model.correct(Measured(*sample[1:], acceleration_x=np.nan, acceleration_y=np.nan))
+    return InsSample(sample.time_ns, *ideal[:6])
 
 
-def find_missing_reading(model: Model, unknown: Sequence[str]) -> tuple[str, str] | None:
-    """(effect, reading) of the first sensor effect that needs one of these unknown accelerations to correct pose,
-    velocity or yaw rate; None without such an effect."""
+def find_missing_reading(model: Model, missing: Sequence[str]) -> tuple[str, str] | None:
+    """(effect, reading) of the first sensor effect that needs one of the missing accelerations to correct pose,
+    velocity or yaw rate; None if no effect does."""
     if not isinstance(model, AugmentedModel):
         return None
     for effect in model.active_effects:
-        for reading in unknown if effect.correct else ():
+        for reading in missing if effect.correct else ():
             example = Measured(1.0, 2.0, 0.1, 10.0, 0.2, 0.3, 0.4, 3.0)._replace(**{reading: np.nan})
             reduced = model.select_effects(e for e in model.effects if e.converts or e is effect)
             if np.isnan(reduced.correct(example)[:6]).any():
@@ -56,10 +56,10 @@ def correct_steering(model: Model, time_ns: np.ndarray, angle: np.ndarray,
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics or not len(time_ns):
         return time_ns, angle
     seconds = (time_ns - time_ns[0]) * NANOSECOND
-    begins = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
-    begins[0] = True
-    wheel_seconds, angle = model.steering(seconds, angle, begins)
-    # Only the time shift is rounded, so that the times stay exact without a delay.
+    restarts = np.diff(time_ns, prepend=time_ns[0]) > round(maximum_gap / NANOSECOND)
+    restarts[0] = True
+    wheel_seconds, angle = model.steering(seconds, angle, restarts)
+    # Only the time shift is rounded, so that without a delay the times stay exact.
     return time_ns + np.round((wheel_seconds - seconds) / NANOSECOND).astype(np.int64), angle
 
 
@@ -68,32 +68,32 @@ def has_steering_dynamics(model: Model) -> bool:
     return isinstance(model, AugmentedModel) and model.has_steering_dynamics
 
 
-def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, future: np.ndarray,
+def predict_wheel_angles(model: Model, time_ns: np.ndarray, angle: np.ndarray, grid_ns: np.ndarray, planned: np.ndarray,
                          maximum_gap: float) -> np.ndarray:
-    """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for the future steering `future` (m,) [rad].
+    """Angle of the wheels [rad] at increasing instants grid_ns (m,) [ns] for a planned road wheel angle (m,) [rad].
 
     time_ns [ns], angle [rad]: recorded steering; its last MEMORY_TIME [s] before the first instant are used, because
     delay, play and lag depend on earlier steering. After the last instant the last angle is held. maximum_gap [s].
     """
     if not has_steering_dynamics(model):
-        return future
+        return planned
     before = slice(*np.searchsorted(time_ns, (grid_ns[0] - MEMORY_NS, grid_ns[0])).tolist())
     gap_ns, spacing = round(maximum_gap / NANOSECOND), int(grid_ns[1] - grid_ns[0])
     # The samples are at most half of maximum_gap apart, because the effects restart after a gap.
-    parts = max(1, -(-2 * spacing // gap_ns))
-    fine_grid, coarse_grid = np.arange(parts * (len(future) - 1) + 1) / parts, np.arange(len(future))
+    substeps = max(1, -(-2 * spacing // gap_ns))
+    fine_grid, coarse_grid = np.arange(substeps * (len(planned) - 1) + 1) / substeps, np.arange(len(planned))
     future_ns = grid_ns[0] + np.round(np.interp(fine_grid, coarse_grid, grid_ns - grid_ns[0])).astype(np.int64)
-    extension_ns = future_ns[-1] + (spacing // parts) * np.arange(
-        1, 2 + parts * required_lookahead_ns(model) // spacing)
+    extension_ns = future_ns[-1] + (spacing // substeps) * np.arange(
+        1, 2 + substeps * required_lookahead_ns(model) // spacing)
     steering_ns = np.concatenate((time_ns[before], future_ns, extension_ns))
-    steering = np.concatenate((angle[before], np.interp(fine_grid, coarse_grid, future),
-                               np.full(len(extension_ns), future[-1])))
+    steering = np.concatenate((angle[before], np.interp(fine_grid, coarse_grid, planned),
+                               np.full(len(extension_ns), planned[-1])))
     return interpolate(*correct_steering(model, steering_ns, steering, maximum_gap), grid_ns, gap_ns)
 
 
 def required_lookahead_ns(model: Model) -> int:
-    """Time [ns] for which the steering must be known beyond an instant at which the wheel angle is computed; 0 unless
-    the stamps of the steering are late."""
+    """How far beyond an instant [ns] the steering must be known to compute the wheel angle there; 0 unless the
+    stamps of the steering are late."""
     if not isinstance(model, AugmentedModel) or not model.has_steering_dynamics:
         return 0
     time, _ = model.steering(np.zeros(1), np.zeros(1), np.ones(1, bool))
@@ -101,9 +101,9 @@ def required_lookahead_ns(model: Model) -> int:
 
 
 def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveLog:
-    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; if the model has
-    these, steering_wheel_angle is None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an acceleration
-    that was not recorded.
+    """The drive as recorded by ideal sensors, with delay, play and lag of the steering applied; a model with
+    these sets steering_wheel_angle to None. maximum_gap [s]. Raises StCoreError if a sensor effect needs an
+    acceleration that was not recorded.
     """
     if not isinstance(model, AugmentedModel):
         return log
@@ -115,8 +115,8 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
             raise StCoreError("{}: effect {} needs {}, which was not recorded".format(log.name, *missing))
         recorded = {name: getattr(log, name) for name in Measured._fields if getattr(log, name) is not None}
         zeros = np.zeros(len(log.ins_time_ns))
-        true = model.correct(Measured(*(recorded.get(name, zeros) for name in Measured._fields)))
-        corrected |= {name: getattr(true, name) for name in names if name in recorded}
+        ideal = model.correct(Measured(*(recorded.get(name, zeros) for name in Measured._fields)))
+        corrected |= {name: getattr(ideal, name) for name in names if name in recorded}
     if model.has_steering_dynamics:
         time_ns, angle = correct_steering(model, log.steering_time_ns, log.road_wheel_angle, maximum_gap)
         corrected |= {"steering_time_ns": time_ns, "road_wheel_angle": angle, "steering_wheel_angle": None}
@@ -125,8 +125,8 @@ def correct_log(model: Model, log: DriveLog, maximum_gap: float = 0.1) -> DriveL
 
 def predict_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
     """Readings of the INS in the given states: `predict_ideal_readings` with the sensor effects applied."""
-    true = predict_ideal_readings(model, vehicle, states)
-    return model.observe(true) if isinstance(model, AugmentedModel) else true
+    ideal = predict_ideal_readings(model, vehicle, states)
+    return model.observe(ideal) if isinstance(model, AugmentedModel) else ideal
 
 
 def predict_ideal_readings(model: Model, vehicle: VehicleParameters, states: tuple) -> Measured:
@@ -147,11 +147,11 @@ def reading_errors(model: Model, vehicle: VehicleParameters, states: np.ndarray,
                    yaw: np.ndarray) -> np.ndarray:
     """Errors (n, k, 3) of states (n, k, 6): longitudinal, lateral [m], yaw [rad]; predicted minus measured.
 
-    x, y [m], yaw [rad]: measured, (n, k) each. Axes and signs as `types.pose_errors`.
+    x, y [m], yaw [rad]: measured, (n, k) each. Axes and signs as in `types.pose_errors`.
     """
     with np.errstate(all="ignore"):
         predicted = predict_readings(model, vehicle, tuple(np.moveaxis(states, -1, 0)))
-        # Stacked in the memory order of the trajectories (by point), which is twice as fast as by start.
+        # Stacked in the memory order of the trajectories (by point), twice as fast as stacking by start.
         errors = pose_errors(predicted.x, predicted.y, predicted.yaw, x, y, yaw)
         return np.stack([e.T for e in errors]).transpose(2, 1, 0)
 
@@ -182,7 +182,7 @@ class ModelView:
         return span + MEMORY_TIME if any(has_steering_dynamics(model) for model in models) else span
 
     def read_start(self, time_ns: int, steps: int, step: float) -> tuple[VehicleState, ControlInput | InputSequence]:
-        """State at the CG of the model, and inputs of a forecast with constant steering wheel angle and acceleration.
+        """State at the model's CG, and inputs of a forecast with constant steering wheel angle and acceleration.
 
         With steering dynamics the inputs are a sequence. Raises StCoreError if state or inputs are unknown.
         """
@@ -193,8 +193,8 @@ class ModelView:
         if not self.has_steering_dynamics:
             return state, now
         series, grid = self._history.steering, half_step_grid(time_ns, steps, step)
-        held = np.full(len(grid), now.road_wheel_angle)
-        angle = predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, held,
+        constant_angle = np.full(len(grid), now.road_wheel_angle)
+        angle = predict_wheel_angles(self.model, series.times, series.rows[:, 0], grid, constant_angle,
                                      series.maximum_gap_ns * NANOSECOND)
         return state, InputSequence(angle, np.full(len(grid), now.velocity_x_dot))
 

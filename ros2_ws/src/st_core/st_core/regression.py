@@ -178,16 +178,16 @@ class Blocks:
         return np.linalg.solve(others, gradient[:, :, None])[:, :, 0] * (len(self) - 1) / len(self)
 
 
-def make_blocks(run_of: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
+def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | np.ndarray) -> Blocks:
     """Whole runs as blocks if there are at least MIN_RUN_BLOCKS, else sections of runs, BLOCK_LENGTH long.
 
-    run_of: (n,) run number of each sample. time: (n,) time since the start of that run [s].
+    run_index: (n,) run number of each sample. time: (n,) time since the start of that run [s].
     """
-    run_of = np.asarray(run_of)
-    runs, number = np.unique(run_of, return_inverse=True)
+    run_index = np.asarray(run_index)
+    runs, number = np.unique(run_index, return_inverse=True)
     if len(runs) >= MIN_RUN_BLOCKS:
         return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
-    keys = np.stack((run_of, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
+    keys = np.stack((run_index, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
     sections, section_of = np.unique(keys, axis=0, return_inverse=True)
     plural = "s" if len(runs) > 1 else ""
     return Blocks(section_of.ravel(), sections[:, 0], sections[:, 1],

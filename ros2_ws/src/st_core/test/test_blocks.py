@@ -11,9 +11,9 @@ def test_number_of_decimals_is_defined_for_every_half_width(half_width, decimals
 
 
 def test_blocks_are_runs_or_parts_of_few_runs():
-    run_of, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
-    assert make_blocks(run_of, time).name == "9 runs"
-    group = make_blocks(run_of[:60], time[:60])
+    run_index, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
+    assert make_blocks(run_index, time).name == "9 runs"
+    group = make_blocks(run_index[:60], time[:60])
     assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.block_of), [10] * 6)
 
 
@@ -32,7 +32,7 @@ def test_intervals_contain_the_mean_at_their_level():
 def test_intervals_contain_the_mean_of_errors_correlated_beyond_a_block(correlation_time, seconds):
     """95 % intervals of the mean of five runs of errors with a correlation time [s], over 400 repetitions."""
     generator = np.random.default_rng(1)
-    run_of, time = np.repeat(np.arange(5), seconds), np.tile(np.arange(float(seconds)), 5)
+    run_index, time = np.repeat(np.arange(5), seconds), np.tile(np.arange(float(seconds)), 5)
     memory = np.exp(-1.0 / correlation_time) if correlation_time else 0.0
     covered = 0
     for _ in range(400):
@@ -40,20 +40,20 @@ def test_intervals_contain_the_mean_of_errors_correlated_beyond_a_block(correlat
         draws[:, 1:] *= np.sqrt(1.0 - memory**2)
         for k in range(1, seconds):
             draws[:, k] += memory * draws[:, k - 1]
-        low, high = _interval_of_mean(draws.ravel(), run_of, time)
+        low, high = _interval_of_mean(draws.ravel(), run_index, time)
         covered += low < 0.0 < high
     assert 0.9 <= covered / 400 <= 0.99
 
 
-def _interval_of_mean(values, run_of, time):
-    mean, spread, _ = make_blocks(run_of, time).fit_least_squares(np.ones((len(values), 1)), values)
+def _interval_of_mean(values, run_index, time):
+    mean, spread, _ = make_blocks(run_index, time).fit_least_squares(np.ones((len(values), 1)), values)
     return spread.interval(0, mean[0])
 
 
 def test_bootstrap_deviations_agree_with_least_squares():
-    run_of = np.repeat(np.arange(12), 10)
-    values = np.random.default_rng(3).standard_normal(120) + run_of
-    group = make_blocks(run_of, np.zeros(120))
+    run_index = np.repeat(np.arange(12), 10)
+    values = np.random.default_rng(3).standard_normal(120) + run_index
+    group = make_blocks(run_index, np.zeros(120))
     totals = group.sum_by_block(np.stack([np.ones(120), values], axis=1))
     bootstrap = group.bootstrap(lambda w: (w @ totals[:, 1:]) / (w @ totals[:, :1]), 4000, 0)
     _, analytic, _ = group.fit_least_squares(np.ones((120, 1)), values)

@@ -29,8 +29,8 @@ def test_fit_recovers_parameters_within_their_spread_over_runs(fit, leaf):
     assert fit.values == pytest.approx(true, rel=0.03)
     assert (np.abs(fit.values - true) < 4.0 * fit.spread.standard_errors).all()
     assert not fit.at_bound and fit.spread.basis[0] == "9 runs" and (fit.spread.degrees_of_freedom == 8.0).all()
-    assert fit.residuals.shape == (len(fit.run_of), 2)
-    assert fit.prediction_count == sum(used for used, _ in fit.windows.values())
+    assert fit.residuals.shape == (len(fit.run_index), 2)
+    assert fit.prediction_count == sum(used for used, _ in fit.window_counts.values())
 
 
 @pytest.mark.slow
@@ -53,7 +53,7 @@ def test_students_t_does_not_apply_to_errors_of_the_single_track_model(fit, leaf
 
 def test_predictions_below_minimum_speed_are_excluded(logs, leaf, fit):
     fast_only = fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=9.0))
-    assert [fast_only.windows[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
+    assert [fast_only.window_counts[f"run {k}"][0] > 0 for k in range(9)] == [False] * 3 + [True] * 6
     assert fast_only.prediction_count < fit.prediction_count
     with pytest.raises(IdentificationError, match=r"driving: 0 of \d+ windows of [0-9.]+ s are faster than 40 m/s"):
         fit_driving(logs, leaf, NAMES, "linear", DrivingFitSettings(minimum_speed=40.0))

@@ -265,7 +265,7 @@ def test_small_slip_angles_do_not_determine_the_peak(leaf):
                         for name in ("p_cy1", "p_ey1"))
     assert shape.parameter in doubtful
     assert shape.interval95[1] - shape.interval95[0] > 1.0 and curvature.interval95[1] - curvature.interval95[0] > 1.0
-    assert all("bound" in e.verdict or "not determine" in e.verdict for e in found.estimates if e.parameter in doubtful)
+    assert all("limit" in e.verdict or "not determine" in e.verdict for e in found.estimates if e.parameter in doubtful)
 
 
 @pytest.mark.parametrize(("change", "message"), [

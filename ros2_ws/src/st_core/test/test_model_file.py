@@ -22,7 +22,7 @@ def make_file(leaf) -> ModelFile:
     model = augment("nonlinear", {"steering_lag": {"time_constant": 0.08}, "crosswind": {"wind_x": 1e-7, "wind_y": 5.0},
                                   "friction": {"factor": 0.85}})
     intervals = {("steering_lag", "time_constant"): (0.07, 0.09), ("crosswind", "wind_y"): (4.0, 6.5)}
-    return ModelFile.of(model, leaf, PROVENANCE, intervals, source="fit to two runs")
+    return ModelFile.from_model(model, leaf, PROVENANCE, intervals, source="fit to two runs")
 
 
 MINIMAL = """
@@ -48,7 +48,7 @@ def test_file_round_trip(leaf, embed):
 
 @pytest.mark.parametrize("base", MODELS)
 def test_every_effect_survives_a_round_trip(leaf, base):
-    file = ModelFile.of(augment(base, find_applicable_effects(base)), leaf, ModelProvenance())
+    file = ModelFile.from_model(augment(base, find_applicable_effects(base)), leaf, ModelProvenance())
     reloaded = ModelFile.from_yaml(file.to_yaml())
     assert reloaded == file and reloaded.model().values == file.model().values
 

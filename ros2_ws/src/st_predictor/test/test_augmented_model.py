@@ -44,7 +44,8 @@ def make_circle_model(car: VehicleParameters) -> ModelFile:
         p = model(unknown).parameters(car)
         return np.array(model(unknown).rhs(state, model(unknown).inputs(ANGLE, 0.0, p), p))[[3, 5]]
 
-    return ModelFile.of(model(fsolve(residual, [0.5, 0.0], xtol=1e-12)), car, ModelProvenance(note="steady circle"))
+    balanced = model(fsolve(residual, [0.5, 0.0], xtol=1e-12))
+    return ModelFile.from_model(balanced, car, ModelProvenance(note="steady circle"))
 
 
 @dataclass

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from st_core.manoeuvres import UNDERSTEER
+from st_core.manoeuvres import UNDERSTEER_GRADIENT
 from st_core.vehicle import VehicleParameters
 
 from .dynamics import RACK, VX, VY, YAW, YAW_RATE, X, Y
@@ -100,7 +100,7 @@ class Driver:
         self._offset_integral = min(max(self._offset_integral, -OFFSET_INTEGRAL_LIMIT), OFFSET_INTEGRAL_LIMIT)
         road_curvature = self.plan.path.curvature(self.distance + ANTICIPATION_TIME * speed)
         curvature = road_curvature - 2 * (offset + preview * math.sin(course)) / preview**2 - self._offset_integral
-        return math.atan(self.car.wheelbase * curvature) + UNDERSTEER * speed**2 * curvature
+        return math.atan(self.car.wheelbase * curvature) + UNDERSTEER_GRADIENT * speed**2 * curvature
 
     def _control_speed(self, plant: Plant, target_speed: float, acceleration: float) -> None:
         s = plant.state

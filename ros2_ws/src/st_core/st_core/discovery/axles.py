@@ -121,11 +121,11 @@ class Axles:
                 continue
             square_errors = np.zeros(2)  # of the model, of the vehicle file
             for k, run in enumerate(self.runs):
-                in_run = np.asarray(regression.samples.run_of) == k
+                in_run = np.asarray(regression.samples.run_index) == k
                 if in_run.sum() < MIN_SAMPLES:
                     continue
                 samples = replace(regression.samples, **{name: getattr(regression.samples, name)[in_run]
-                                                         for name in ("slip", "force", "run_of", "time", "used")})
+                                                         for name in ("slip", "force", "run_index", "time", "used")})
                 held_out = self.model.with_values(leave_one_out.get(run.name, {}))
                 square_errors += [compute_force_error(m, self.vehicle, samples) ** 2 for m in (held_out, base)]
             if square_errors[0] > square_errors[1]:

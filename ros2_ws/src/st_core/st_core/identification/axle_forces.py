@@ -9,7 +9,7 @@ velocity at each axle. An intercept absorbs offsets of steering and INS. Slow an
 4 m/s^2 and slip angles above 2 deg are excluded.
 
 The slope is a mean over the slip range: it is below the stiffness at zero slip if the tyre saturates in that range, or
-if the slip angle is noisy. `AxleRegression.model_error` is the model_a_y standard uncertainty of the stiffness at zero
+if the slip angle is noisy. `AxleRegression.model_error` is the resulting standard uncertainty of the stiffness at zero
 slip, from a second regression in the lower half of the slip range (`regression.extrapolation_uncertainty`). Source:
 paper, section on parameter identification.
 
@@ -73,7 +73,7 @@ class AxleSamples:
     axle: str
     slip: np.ndarray  # slip angle [rad]
     force: np.ndarray  # N
-    run_of: np.ndarray  # index of the run
+    run_index: np.ndarray  # index of the run
     time: np.ndarray  # s
     used: np.ndarray  # whether a sample is used in the regression
 
@@ -93,8 +93,8 @@ class AxleSamples:
 
     def find_zero_force_slip(self) -> float:
         """Slip at zero force [rad], by linear regression; 0 if the force does not oppose the slip."""
-        use = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
-        slope, intercept = np.polyfit(self.slip[use], -self.force[use], 1)
+        mask = self.used if self.used.sum() >= 10 else np.ones(len(self.slip), bool)
+        slope, intercept = np.polyfit(self.slip[mask], -self.force[mask], 1)
         return float(-intercept / slope) if slope > 0.0 else 0.0
 
 
@@ -109,7 +109,7 @@ class AxleRegression:
     samples: AxleSamples  # all samples above the minimum speed
     reasons: tuple[str, ...]  # why the value is rejected; empty for a usable value
     basis: str  # text on the number of samples and blocks
-    model_error: float = float("nan")  # standard uncertainty at zero slip [N/rad], see the module; NaN if unknown
+    model_error: float = float("nan")  # standard uncertainty at zero slip [N/rad]; NaN if unknown
 
     @property
     def usable(self) -> bool:
@@ -139,7 +139,7 @@ class AxleRegression:
 
 
 def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Lateral forces of the (front, rear) axle [N] along the lateral axis of the wheels, left +; see the module."""
+    """Lateral forces of the (front, rear) axle [N] along the lateral axis of the wheels, positive to the left."""
     lateral = vehicle.mass * samples.lateral_acceleration / vehicle.wheelbase
     yaw = vehicle.yaw_inertia * samples.yaw_acceleration / vehicle.wheelbase
     return ((vehicle.cg_to_rear_axle * lateral + yaw) / np.cos(samples.road_wheel_angle),
@@ -147,7 +147,7 @@ def compute_measured_forces(samples: RunSamples, vehicle: VehicleParameters) -> 
 
 
 def compute_slip_angles(samples: RunSamples, vehicle: VehicleParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Slip angles of the (front, rear) axle [rad], + when the wheels travel to their left (`models.slip_angles`)."""
+    """Slip angles of the (front, rear) axle [rad], positive for wheels that slide to their left."""
     angle = samples.road_wheel_angle
     state = 0.0, 0.0, samples.velocity_x, samples.velocity_y, 0.0, samples.yaw_rate  # position and yaw have no effect
     return slip_angles(state, (np.sin(angle), np.cos(angle)), vehicle)
@@ -206,7 +206,7 @@ def _fit_regressions(runs: Sequence[RunSamples], vehicle: VehicleParameters) -> 
 def _fit_slope(samples: AxleSamples) -> Slope:
     """Slope C of F = -C alpha + intercept, fitted to the used samples."""
     slip = samples.slip[samples.used]
-    group = make_blocks(samples.run_of[samples.used], samples.time[samples.used])
+    group = make_blocks(samples.run_index[samples.used], samples.time[samples.used])
     solution, spread, influence = group.fit_least_squares(np.stack([-slip, np.ones_like(slip)], axis=1),
                                                           samples.force[samples.used])
     return Slope(float(solution[0]), spread, (group.run.astype(np.int64) << 32) + group.block, influence[:, 0])
@@ -268,7 +268,7 @@ def identify_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> 
                           (*notes, *describe_correlations([e.parameter for e in estimates], correlation)), figure)
 
 
-EVALUATION_SPEED = 20.0  # m/s, at which the curve is evaluated; above every minimum_slip_speed
+EVALUATION_SPEED = 20.0  # m/s, speed at which the curve is evaluated; above every minimum_slip_speed
 MIN_DRAWS = 20  # minimum number of drawn models for a band
 MAX_SECANT_STEPS = 6  # for the lateral acceleration; the force error is below 0.1 % even at the bounds of roll steer
 BAND = (0.05, 0.95)  # quantiles of the draws
@@ -277,8 +277,8 @@ BAND = (0.05, 0.95)  # quantiles of the draws
 @dataclass(frozen=True)
 class ForceCurve:
     """Lateral force of an axle versus slip angle, within the range of the drives. slip: slip angle, >= 0 [rad]. force,
-    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive
-    against the slip [N]. density: fraction of the samples between neighbouring values of slip."""
+    low, high, file: force, its 90 % band, and force at the start of the search (vehicle file or reference), positive if
+    it opposes the slip [N]. density: fraction of the samples between neighbouring values of slip."""
 
     axle: str
     slip: tuple[float, ...]
@@ -291,7 +291,7 @@ class ForceCurve:
 
 def compute_axle_forces(model: str | Model, vehicle: VehicleParameters,
                         slip: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N]; see the module.
+    """Forces of the front and the rear axle that oppose slip angles >= 0 [rad], (n,) each [N].
 
         v_y = l_r r + v tan(slip),   delta = atan((v_y + l_f r) / v) - slip,   r = a_y / v
         F_f cos(delta) = (l_r m a_y + I_z r_dot) / L,   F_r = (l_f m a_y - I_z r_dot) / L

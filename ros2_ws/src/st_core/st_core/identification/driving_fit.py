@@ -1,7 +1,7 @@
 """Fit of vehicle and recording parameters to predictions of several drives at once.
 
 Problem, loss and fit are taken from `discovery`: windows of the drives are predicted with the measured inputs, errors
-of yaw rate and lateral velocity at the INS are assumed to have Student's distribution, and the effects that represent
+of yaw rate and lateral velocity at the INS are taken as Student-t distributed, and the effects that represent
 the parameters are fitted together, without a prior. Unlike in a regression of force on slip, noise of the slip angle
 does not attenuate the estimates. Checked by: test_driving_fit.py.
 """
@@ -41,7 +41,7 @@ MAX_ITERATIONS, SCALE_TOLERANCE = 6, 0.02
 """Largest number of fits, each with the error scale of the previous one; relative change of the scale below which the
 fits have converged."""
 MAX_CONDITION = 1e12  # condition number of the Hessian above which the drives do not determine the parameters
-MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's distribution
+MIN_CURVATURE_RATIO = 0.2  # curvature of the loss / its Gauss-Newton approximation; 0.7 for Student's t distribution
 Values = Mapping[str, float]
 
 
@@ -134,9 +134,9 @@ class DrivingFit:
     at_bound: tuple[str, ...]  # names of values at a bound
     noise_covariance: np.ndarray  # (p, p) due to independent residuals alone, up to a constant factor
     residuals: np.ndarray  # (n, c) predicted minus measured, a column per channel [SI]
-    run_of: np.ndarray  # (n,) index of the run of each residual
+    run_index: np.ndarray  # (n,) index of the run of each residual
     time: np.ndarray  # (n,) time of each residual [s]
-    windows: Mapping[str, tuple[int, int]]  # number (used, all) by run
+    window_counts: Mapping[str, tuple[int, int]]  # number of windows (used, all) by run
     mean_squared_curvature: float  # of the path [1/m^2]
     mean_acceleration: float  # of |v_x r| [m/s^2]
     peak_accelerations: np.ndarray  # largest |v_x r| of each used window [m/s^2]
@@ -144,7 +144,7 @@ class DrivingFit:
     @property
     def prediction_count(self) -> int:
         """Number of predictions used."""
-        return sum(used for used, _ in self.windows.values())
+        return sum(used for used, _ in self.window_counts.values())
 
 
 def fit_driving(logs: Sequence[DriveLog], vehicle: VehicleParameters, names: Sequence[str],
@@ -212,7 +212,7 @@ def _make_fit(problem: Problem, windows: _LimitedWindows, vector: np.ndarray, ef
     values, step = to_quantities(vector), 1e-4
     change = np.stack([(to_quantities(vector + step * space.scale * unit) - values) / step
                        for unit in np.eye(len(space))[indices]], axis=1)
-    margin = 1e-3 * (space.high - space.low)  # a value nearer to a bound counts as at the bound
+    margin = 1e-3 * (space.high - space.low)  # a value closer to a bound counts as being at it
     effects_at_bound = {space.free[i][0] for i in indices
                         if not space.low[i] + margin[i] < vector[i] < space.high[i] - margin[i]}
     points, columns = len(windows.time), len(windows.columns)

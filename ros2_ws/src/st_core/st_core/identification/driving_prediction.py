@@ -56,14 +56,14 @@ from .run_samples import measure_coverage, measure_driving_coverage, prepare_dri
 
 STIFFNESSES = ("cornering_stiffness_front", "cornering_stiffness_rear")
 RATIO, OFFSET = "steering_ratio", "steering_wheel_offset"
-NUISANCE = (OFFSET, MISALIGNMENT)
+NUISANCE_PARAMETERS = (OFFSET, MISALIGNMENT)
 UNCERTAINTY_GRADES: tuple[tuple[float, str, Status], ...] = (
     (MAX_RELATIVE_UNCERTAINTY, "Determined", "identified"),
     (5.0 * MAX_RELATIVE_UNCERTAINTY, "Poorly determined", "doubtful"),
     (np.inf, "Not identifiable", "unidentifiable"))
 """(largest relative standard uncertainty of a stiffness, ratio or inertia; beginning of the verdict; status)."""
-INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE)
-YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, left +
+INERTIA_NAMES = ("yaw_inertia", *STIFFNESSES, DELAY, RELAXATION, *NUISANCE_PARAMETERS)
+YAW_ACCELERATION_EDGES = np.array([-10.0, -0.3, -0.1, 0.1, 0.3, 10.0])  # rad/s^2, positive to the left
 TRANSIENT_SETTINGS = DrivingFitSettings(interval=0.3)
 SYSTEMATIC_ERRORS = (np.deg2rad(0.05), 0.005, 0.03)
 """Standard uncertainty of steering offset [rad], steering ratio and common scale of the stiffnesses (both relative) due
@@ -74,7 +74,7 @@ simulated without noise, the rear stiffness is too small by 4.6 m^2 / R^2, 1.1 %
 
 
 def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: str | Model = "nonlinear", *,
-                  additional: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE) -> Identification:
+                  additional: Sequence[str] = (), nuisance: Sequence[str] = NUISANCE_PARAMETERS) -> Identification:
     """Both stiffnesses, with an uncertainty from the variation between runs.
 
     base: linear, nonlinear, or one of these with known effects (`augment`), such as the drive force on steered wheels.
@@ -146,12 +146,13 @@ def identify_steering(logs: Sequence[DriveLog], vehicle: VehicleParameters,
 
     Raises IdentificationError for too little excitation, such as a single speed.
     """
-    result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET), nuisance=(*NUISANCE, DELAY, RELAXATION))
+    result = fit_stiffness(logs, vehicle, base, additional=(RATIO, OFFSET),
+                           nuisance=(*NUISANCE_PARAMETERS, DELAY, RELAXATION))
     names = [estimate.parameter for estimate in result.estimates]
     chosen = sorted(range(len(names)), key=lambda i: (names[i] != RATIO, names[i] != OFFSET))
     correlation = result.correlation[chosen][:, chosen] if result.correlation is not None else None
     ratio, *others = (result.estimates[i] for i in chosen)
-    ratio = replace(ratio, verdict=f"{ratio.verdict} Also possible: {get_effect(RATIO).imitated_by}.")
+    ratio = replace(ratio, verdict=f"{ratio.verdict} Other possible causes: {get_effect(RATIO).imitated_by}.")
     return replace(result, experiment="steering", estimates=(ratio, *others), correlation=correlation)
 
 
@@ -172,13 +173,13 @@ def identify_yaw_inertia(logs: Sequence[DriveLog], vehicle: VehicleParameters,
     require_coverage(coverage, "Steady-state cornering does not excite the yaw inertia: drive step steers, lane "
                                "changes or a sine sweep.")
     fit = fit_driving(logs, vehicle, INERTIA_NAMES, base, settings)
-    # Uncertainty of the dead time, propagated to the inertia; see the module.
+    # Uncertainty of the dead time, propagated to the inertia; see the module docstring.
     interval = float(np.median(np.concatenate([np.diff(log.steering_time_ns) for log in logs]))) * NANOSECOND
-    delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.windows.values()))
+    delay_uncertainty = interval / np.sqrt(12.0 * sum(used > 0 for used, _ in fit.window_counts.values()))
     row, delay = (fit.names.index(name) for name in ("yaw_inertia", DELAY))
-    # Change of the inertia per change of the dead time, with all other parameters refitted.
-    change = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
-    known_uncertainty = {DELAY: delay_uncertainty, "yaw_inertia": change * delay_uncertainty}
+    # With all other parameters refitted.
+    inertia_per_delay = abs(float(fit.noise_covariance[row, delay] / fit.noise_covariance[delay, delay]))
+    known_uncertainty = {DELAY: delay_uncertainty, "yaw_inertia": inertia_per_delay * delay_uncertainty}
     method = f"multi-step prediction of transients, {describe_model(base)}"
     result = _make_identification("yaw-inertia", vehicle, fit, method, ("yaw_inertia", *STIFFNESSES, DELAY),
                                   {}, known_uncertainty)
@@ -218,21 +219,21 @@ def _make_identification(experiment: str, vehicle: VehicleParameters, fit: Drivi
     estimated_variance = np.diag(spread.covariance) + np.square([systematic_uncertainty.get(n, 0.0) for n in fit.names])
     degrees_of_freedom = list(map(effective_degrees_of_freedom, estimated_variance.tolist(),
                                   np.diag(covariance).tolist(), spread.degrees_of_freedom.tolist()))
-    runs = tuple(name for name, (used, _) in fit.windows.items() if used)
+    runs = tuple(name for name, (used, _) in fit.window_counts.items() if used)
     estimates = tuple(
         ParameterEstimate(fit.names[i], float(fit.values[i]), QUANTITIES[fit.names[i]].unit, float(uncertainty[i]),
                           symmetric_interval(float(fit.values[i]), float(uncertainty[i]), degrees_of_freedom[i]),
                           method, runs, *_judge_estimate(fit, i, uncertainty[i]))
         for i in chosen)
     rejected = [(name, f"{total - used} of {total} predictions (speed below the minimum, lateral acceleration above "
-                 "the limit, or gaps)") for name, (used, total) in fit.windows.items() if used < total]
+                 "the limit, or gaps)") for name, (used, total) in fit.window_counts.items() if used < total]
     others = [f"Also fitted: {n} {fit.values[i]:.4g} {QUANTITIES[n].unit}, standard uncertainty {uncertainty[i]:.2g}."
               for i, n in enumerate(fit.names) if n not in reported]
     if RATIO not in fit.names:
         others.append(f"{RATIO} {vehicle.steering_ratio:.4g} of the vehicle file is assumed exact: its error changes "
                       "the front stiffness; st identify steering estimates it from drives at two or more speeds.")
     warnings = (*describe_correlations(fit.names, correlation_matrix(covariance)), *others)
-    figure = {"residuals": fit.residuals, "residual_run": fit.run_of, "residual_time": fit.time, "names": fit.names,
+    figure = {"residuals": fit.residuals, "residual_run": fit.run_index, "residual_time": fit.time, "names": fit.names,
               "covariance": covariance}
     return Identification(experiment, estimates, runs, tuple(rejected),
                           correlation_matrix(covariance[np.ix_(chosen, chosen)]), (), warnings, figure)
@@ -243,7 +244,7 @@ def _judge_estimate(fit: DrivingFit, index: int, uncertainty: float) -> tuple[st
     name, value = fit.names[index], fit.values[index]
     basis = f"{fit.prediction_count} predictions in {fit.spread.basis[index]}"
     if name in fit.at_bound:
-        return (f"The fit stopped at the bound {value:.4g}: the drives do not determine the value, or contradict other "
+        return (f"The fit reached the limit {value:.4g}: the drives do not determine the value, or contradict other "
                 "values of the vehicle file."), "unidentifiable"
     if not QUANTITIES[name].relative:
         return (f"{value:.4g} {QUANTITIES[name].unit}, standard uncertainty {uncertainty:.2g}, from {basis}.",

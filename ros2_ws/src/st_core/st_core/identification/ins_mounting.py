@@ -30,14 +30,14 @@ from .run_samples import SPEED_EDGES, RunSamples, measure_coverage, prepare_driv
 
 MINIMUM_SPEED, MAXIMUM_SPEED = 1.5, 9.0  # m/s
 MAXIMUM_ACCELERATION = 2.5  # m/s^2, lateral
-CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, left +
+CURVATURE_EDGES = np.array([-0.3, -0.05, -0.02, -0.005, 0.005, 0.02, 0.05, 0.3])  # 1/m, positive to the left
 MIN_CURVATURE = 0.03  # 1/m; d_y is not identifiable from wider bends
 MIN_TIGHT_TIME = 5.0  # s of tight bends to each side
 SAMPLE_INTERVAL = 0.1  # s; filtered samples at shorter intervals are redundant
 
 
 def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Estimates of cg_to_ins_x [m], ins_misalignment [rad, + to the left], and with tight bends cg_to_ins_y [m].
+    """Estimates of cg_to_ins_x [m], ins_misalignment [rad, positive to the left], and with tight bends cg_to_ins_y [m].
 
     vehicle: its lengths are used, its lever arm is not. Raises IdentificationError for too few or unusable drives.
     """
@@ -51,9 +51,9 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
                                  [run.yaw_rate[m] / run.velocity_x[m] for run, m in pairs], times, 2.0, 3))
     require_coverage(coverage, "Drive slowly (2 to 8 m/s): straight on, and left and right turns.")
     columns = [_make_columns(run, mask, vehicle) for run, mask in pairs]
-    run_of = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
+    run_index = np.concatenate([np.full(len(c), i) for i, c in enumerate(columns)])
     time, speed, lateral, rate, rate_dot, angle = np.concatenate(columns).T
-    group = make_blocks(run_of, time)
+    group = make_blocks(run_index, time)
     used = tuple(run.name for run, c in zip(runs, columns, strict=True) if len(c))
 
     regressors = np.stack([speed, rate, speed**2 * rate, speed * rate_dot], axis=1)
@@ -74,7 +74,7 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
     else:
         estimates.append(lateral_position)
         correlation = block_diag(correlation, 1.0)
-    figure = {"curvature": rate / speed, "speed": speed, "run": run_of, "names": tuple(run.name for run in runs),
+    figure = {"curvature": rate / speed, "speed": speed, "run": run_index, "names": tuple(run.name for run in runs),
               "slope": lateral / speed + slip * speed * rate - theta[3] * rate_dot, "theta": theta,
               "residual": lateral - regressors @ theta}
     rejected = tuple((run.name, f"{len(run) - int(mask.sum())} of {len(run)} samples outside {MINIMUM_SPEED:g} to "
@@ -85,14 +85,14 @@ def identify_ins_mounting(logs: Sequence[DriveLog], vehicle: VehicleParameters) 
 
 
 def _make_columns(run: RunSamples, mask: np.ndarray, vehicle: VehicleParameters) -> np.ndarray:
-    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6), of one sample in the mask per SAMPLE_INTERVAL."""
-    where = np.flatnonzero(mask)
-    if len(where):
-        where = where[np.unique(np.floor(run.time[where] / SAMPLE_INTERVAL), return_index=True)[1]]
-    rate = run.yaw_rate[where]
-    return np.stack([run.time[where], run.velocity_x[where] - rate * vehicle.cg_to_ins_y,
-                     run.velocity_y[where] + rate * vehicle.cg_to_ins_x, rate, run.yaw_acceleration[where],
-                     run.road_wheel_angle[where]], axis=1)
+    """(time, v_x, v_y, r, dr/dt, delta) at the INS [SI], (n, 6); of the mask, one sample per SAMPLE_INTERVAL."""
+    rows = np.flatnonzero(mask)
+    if len(rows):
+        rows = rows[np.unique(np.floor(run.time[rows] / SAMPLE_INTERVAL), return_index=True)[1]]
+    rate = run.yaw_rate[rows]
+    return np.stack([run.time[rows], run.velocity_x[rows] - rate * vehicle.cg_to_ins_y,
+                     run.velocity_y[rows] + rate * vehicle.cg_to_ins_x, rate, run.yaw_acceleration[rows],
+                     run.road_wheel_angle[rows]], axis=1)
 
 
 def _estimate_lateral_position(speed: np.ndarray, rate: np.ndarray, angle: np.ndarray, group: Blocks,

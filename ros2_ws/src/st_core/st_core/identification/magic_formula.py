@@ -75,7 +75,7 @@ def find_load_levels(data: FlatPlank) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_table(data: FlatPlank, levels: np.ndarray, level: np.ndarray, nominal_load: float) -> tuple[FlatPlank, bool]:
-    """(the table with a force that opposes the slip angle, whether the sign of the slip angle was changed).
+    """(the table with a force that opposes the slip angle, whether that required the opposite sign of the slip angle).
 
     levels, level: from `find_load_levels`. nominal_load [N]. Raises IdentificationError for an unusable table.
     """
@@ -149,7 +149,7 @@ class TyreFit:
     two_stage_tyre: MagicFormula  # the tyre after the paper's two stages, or after stage 1 with one load
     levels: np.ndarray  # mean load of each level [N]
     level: np.ndarray  # index of the level of each row
-    flipped: bool  # whether the sign of the slip angle was changed
+    opposite_sign: bool  # whether the fit uses the opposite sign of the slip angle
 
     def compute_stiffness(self, load: float) -> tuple[float, float]:
         """K [N/rad], < 0, of one tyre at a load [N], and its standard uncertainty from the covariance of the fit."""
@@ -169,7 +169,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     start: source of nominal_load and of all parameters that are not fitted; its scale factors are replaced by 1.
     """
     levels, level = find_load_levels(data)
-    data, flipped = check_table(data, levels, level, start.nominal_load)
+    data, opposite_sign = check_table(data, levels, level, start.nominal_load)
     base = start._replace(lambda_ky=1.0, lambda_cy=1.0, lambda_muy=1.0)
     nominal = int(np.argmin(np.abs(levels - start.nominal_load)))
     at_nominal = {key: getattr(data, key)[level == nominal] for key in ("load", "slip", "force")}
@@ -184,7 +184,7 @@ def fit_tyre(data: FlatPlank, start: MagicFormula) -> TyreFit:
     others = [two_stage_tyre._replace(p_cy1=shape, p_ey1=curvature, p_ey2=-1.0) for shape, curvature in STARTS]
     fit = _fit(data, (two_stage_tyre, *others), names)
     tyre = _with_values(two_stage_tyre, names, fit.values.tolist())
-    return TyreFit(tyre, names, fit, two_stage_tyre, levels, level, flipped)
+    return TyreFit(tyre, names, fit, two_stage_tyre, levels, level, opposite_sign)
 
 
 def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identification:
@@ -192,7 +192,7 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
     tyre_fit = fit_tyre(data, start)
     fit, tyre = tyre_fit.fit, tyre_fit.tyre
     levels, level = tyre_fit.levels, tyre_fit.level
-    data = replace(data, slip=-data.slip) if tyre_fit.flipped else data
+    data = replace(data, slip=-data.slip) if tyre_fit.opposite_sign else data
     function = _make_residuals(data, tyre_fit.two_stage_tyre, tyre_fit.names)
     peak = float(np.abs(data.force).max())
     method = (f"flat plank, {len(data.load)} points at {', '.join(f'{x:.0f}' for x in levels)} N, nominal load first, "
@@ -209,10 +209,10 @@ def identify_magic_formula(data: FlatPlank, start: MagicFormula) -> Identificati
         status: Status = "doubtful" if fit.is_at_bound(k) or open_ends else "identified"
         if fit.is_at_bound(k):
             end = min(fit.lower[k], fit.upper[k], key=lambda bound: abs(bound - value))
-            verdict.append(f"{key} ended at its bound {end:g}: the bound, not the data, determines the value.")
+            verdict.append(f"{key} is at a limit of its range, {end:g}: the limit, not the data, determines the value.")
         elif open_ends == 1:
             end = low if low_open else high
-            verdict.append(f"The data determine only one end of the interval; the other is the bound {end:g}.")
+            verdict.append(f"The data determine only one end of the interval; the other is the limit {end:g}.")
         if open_ends == 2:
             verdict.append(f"The data do not determine {key} within {low:g} to {high:g}; the value is written because, "
                            "with the other parameters, it reproduces the stiffness at the tested loads.")
@@ -244,21 +244,21 @@ def _fit_nominal_load(data: FlatPlank, base: MagicFormula) -> MagicFormula:
     return _with_values(base, names, _fit(data, starts, names).values.tolist())
 
 
-def _fit_load_dependency(data: FlatPlank, first: MagicFormula, free: Sequence[str]) -> MagicFormula:
+def _fit_load_dependency(data: FlatPlank, nominal_tyre: MagicFormula, names: Sequence[str]) -> MagicFormula:
     """Stage 2: K at the nominal load is fixed, which determines p_ky1 from p_ky2 and p_ky4."""
-    stiffness = float(magic_formula_stiffness(first.nominal_load, first))
+    stiffness = float(magic_formula_stiffness(nominal_tyre.nominal_load, nominal_tyre))
 
     def make_tyre(values: Any) -> MagicFormula:
-        changed = _with_values(first, free, values)
-        unscaled = magic_formula_stiffness(first.nominal_load, changed._replace(p_ky1=-1.0))
+        changed = _with_values(nominal_tyre, names, values)
+        unscaled = magic_formula_stiffness(nominal_tyre.nominal_load, changed._replace(p_ky1=-1.0))
         return changed._replace(p_ky1=-stiffness / unscaled)
 
     def compute_residuals(values: np.ndarray) -> np.ndarray:
         return tyre_force(data.slip, data.load, make_tyre(np.moveaxis(values, -1, 0)[..., None])) - data.force
 
-    low, high = _get_bounds(free)
+    low, high = _get_bounds(names)
     start = {"p_dy2": -0.1, "p_ey2": 0.0, "p_ky2": 2.0, "p_ky4": 2.0}
-    return make_tyre(fit_within_bounds(compute_residuals, [[start[k] for k in free]], low, high).values.tolist())
+    return make_tyre(fit_within_bounds(compute_residuals, [[start[k] for k in names]], low, high).values.tolist())
 
 
 def _fit(data: FlatPlank, starts: Sequence[MagicFormula], names: Sequence[str]) -> BoundedFit:
@@ -288,7 +288,7 @@ def _get_bounds(names: Sequence[str]) -> tuple[list[float], list[float]]:
 
 def _make_warnings(data: FlatPlank, tyre_fit: TyreFit, peak: float) -> list[str]:
     sentences = []
-    if tyre_fit.flipped:
+    if tyre_fit.opposite_sign:
         sentences.append("In the table the force has the same sign as the slip angle (the other convention): the sign "
                          "of the slip angle was changed.")
     if (loads := len(tyre_fit.levels)) < 3:
@@ -322,8 +322,8 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
     for tyre in TYRES:
         axle = tyre.removeprefix("tyre_")
         key = f"cornering_stiffness_{axle}"
-        stated = vehicle.provenance.get(key)
-        if stated is None or not stated.uncertainty:
+        provenance = vehicle.provenance.get(key)
+        if provenance is None or not provenance.uncertainty:
             raise IdentificationError(f"{key} of the vehicle file has no uncertainty: identify the stiffness first "
                                       "and use the resulting vehicle.yaml. (If a file has no lambda_ky, it is derived "
                                       "from the stiffness.)")
@@ -340,7 +340,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
             get_stated_uncertainty(vehicle, key) / size
             for key, size in (("mass", vehicle.mass), ("cg_to_front_axle", distance))))
         load_sensitivity = (up - down) / (2.0 * LOAD_STEP)  # d ln K / d ln F_z
-        relative_uncertainty = math.hypot(stated.uncertainty / stiffness, table_uncertainty,
+        relative_uncertainty = math.hypot(provenance.uncertainty / stiffness, table_uncertainty,
                                           load_sensitivity * load_uncertainty)
         uncertainty = value * relative_uncertainty
         cause = ("a possible cause is steering and suspension compliance." if value < 1.0 else "compliance cannot "
@@ -348,7 +348,7 @@ def identify_lambda_ky(vehicle: VehicleParameters, tables: Mapping[str, tuple[fl
         verdict = (f"The {axle} axle is {value:.3f} times as stiff as its two tyres on the flat plank at {load:.0f} N: "
                    f"{cause}")
         status: Status = "identified" if value <= 1.0 + 2.0 * relative_uncertainty else "doubtful"
-        runs = tuple(filter(None, (stated.data, table_name)))
+        runs = tuple(filter(None, (provenance.data, table_name)))
         method = f"C / (2 K) at the static load {load:.0f} N, C {stiffness:.0f} N/rad"
         estimates.append(ParameterEstimate(f"{tyre}.lambda_ky", value, "1", uncertainty,
                                            symmetric_interval(value, uncertainty), method, runs, verdict, status))

@@ -38,7 +38,7 @@ from .result import Coverage, Identification, IdentificationError, ParameterEsti
 from .steering import Line, fit_line
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with steps of 0.5 kg
+SCALE_UNCERTAINTY = 0.5  # kg; standard uncertainty of one scale: class III wheel pads with a resolution of 0.5 kg
 MAX_SIDE_DIFFERENCE = 0.2  # left-right difference divided by the axle load; below 0.12 with one person in the car
 MAX_MASS_RANGE = 0.02  # largest relative range of the mass over weighings of one loading
 
@@ -73,7 +73,7 @@ def identify_mass_and_cg(weighings: Weighings, vehicle: VehicleParameters) -> Id
         raise IdentificationError(f"the weighings of one loading differ by {np.ptp(masses):.1f} kg of {mass:.1f} kg, "
                                   "too much for the same car: weigh again, or note the loading")
     variation = np.cov(masses, distances) / n if n > 1 else np.zeros((2, 2))
-    # d l_f / d reading: -l_f / m in front, (l - l_f) / m in the rear.
+    # d l_f / d reading: -l_f / m at the front, (l - l_f) / m at the rear.
     gradient = np.stack([np.ones(4), np.array([-front, -front, wheelbase - front, wheelbase - front]) / mass])
     covariance = variation + weighings.scale_uncertainty**2 * gradient @ gradient.T
     covariance[1, 1] += (front / wheelbase * get_stated_uncertainty(vehicle, "wheelbase")) ** 2
@@ -130,7 +130,7 @@ def _check_scales(readings: np.ndarray, rejected_count: int, front: float, vehic
         yield ("With one weighing, the interval does not include the scatter between weighings. Roll the car off and "
                "on, and weigh it at least three times.")
     if rejected_count:
-        yield f"{rejected_count} of {len(readings) + rejected_count} weighings have another loading and were excluded."
+        yield f"{rejected_count} of {len(readings) + rejected_count} weighings had a different load and were excluded."
     wheelbase, expected = vehicle.wheelbase, vehicle.cg_to_front_axle
     if abs(front - expected) > 0.05 * wheelbase and abs(wheelbase - front - expected) < 0.02 * wheelbase:
         yield (f"cg_to_front_axle is estimated as {front:.3f} m, the vehicle file has {expected:.3f} m; with front and "
@@ -191,15 +191,15 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
                                   "lifted, or are columns exchanged?")
     mass, wheelbase = weighed_mass or vehicle.mass, vehicle.wheelbase
     mass_uncertainty = 0.0 if weighed_mass else get_stated_uncertainty(vehicle, "mass")
-    rear_share = vehicle.cg_to_front_axle / wheelbase  # of the load of the level car
-    radius, deflection_note = _compute_radii(data, rear_share)
+    rear_fraction = vehicle.cg_to_front_axle / wheelbase  # of the load of the level car, on the rear axle
+    radius, deflection_note = _compute_radii(data, rear_fraction)
     height_difference = wheelbase * line.slope / mass
     height = radius + height_difference
     slope_uncertainty = wheelbase / mass * line.uncertainty
     uncertainty = math.hypot(
         slope_uncertainty, height_difference * mass_uncertainty / mass,
         height_difference * get_stated_uncertainty(vehicle, "wheelbase") / wheelbase,
-        RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_share, rear_share))
+        RADIUS_UNCERTAINTY * math.hypot(1.0 - rear_fraction, rear_fraction))
     single = radius + wheelbase * (_compute_load_transfers(data, line) / mass) / np.tan(data.pitch)
     average = float(single[np.isfinite(single)].mean())
     # Only the uncertainty of the slope was estimated from a few rows; the other uncertainties are known.
@@ -214,7 +214,7 @@ def identify_cg_height(data: LiftRows, vehicle: VehicleParameters, weighed_mass:
         f"over the pitch angles, the method of the paper, is {average:.3f} m.{deflection_note}")
     edges = np.arange(0.0, data.pitch.max() + PITCH_BIN_WIDTH, PITCH_BIN_WIDTH)
     coverage = Coverage("pitch", "deg", np.degrees(edges), np.histogram(data.pitch, edges)[0], 1, 2)
-    warnings = _check_lifts(data, mass, rear_share)
+    warnings = _check_lifts(data, mass, rear_fraction)
     if abs(average - height) > 2.0 * uncertainty:
         warnings.append(f"The average over the pitch angles, {average:.3f} m, differs from the fit, {height:.3f} m, by "
                         "more than twice the uncertainty of the fit: the average weights all pitch angles equally.")
@@ -244,7 +244,7 @@ def _check_rows(data: LiftRows) -> None:
                                   "positive, with the front axle lifted")
 
 
-def _compute_radii(data: LiftRows, rear_share: float) -> tuple[float, str]:
+def _compute_radii(data: LiftRows, rear_fraction: float) -> tuple[float, str]:
     """(height of the line between the wheel centres at the CG [m], sentence on the deflection of the rear tyres)."""
     front, rear = (radius[data.level & np.isfinite(radius)] for radius in (data.front_radius, data.rear_radius))
     if not len(front) or not len(rear):
@@ -257,7 +257,7 @@ def _compute_radii(data: LiftRows, rear_share: float) -> tuple[float, str]:
     deflection = float(rear.mean() - data.rear_radius[np.argmax(data.pitch)])
     text = (f" At the steepest pitch the rear tyres deflected by a further {1e3 * deflection:.1f} mm, which does not "
             "change the height of the level car.") if math.isfinite(deflection) else ""
-    return float(front.mean() * (1.0 - rear_share) + rear.mean() * rear_share), text
+    return float(front.mean() * (1.0 - rear_fraction) + rear.mean() * rear_fraction), text
 
 
 def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
@@ -274,7 +274,7 @@ def _compute_load_transfers(data: LiftRows, line: Line) -> np.ndarray:
     return transfers
 
 
-def _check_lifts(data: LiftRows, mass: float, rear_share: float) -> list[str]:
+def _check_lifts(data: LiftRows, mass: float, rear_fraction: float) -> list[str]:
     sentences = []
     for name in dict.fromkeys(data.lifts):
         pitch = np.degrees(data.pitch[np.asarray(data.lifts) == name])
@@ -284,7 +284,7 @@ def _check_lifts(data: LiftRows, mass: float, rear_share: float) -> list[str]:
             sentences.append(f"Lift {name}: pitch falls from {pitch[k]:.1f} to {pitch[k + 1]:.1f} deg at row {k + 2}. "
                              "The order does not affect the fit, but friction changes the load on the way down: enter "
                              "such rows as a separate lift.")
-    measured, expected = float(data.rear_load[data.level].mean()), mass * rear_share
+    measured, expected = float(data.rear_load[data.level].mean()), mass * rear_fraction
     if abs(measured - expected) > MAX_LOAD_DIFFERENCE * mass:
         sentences.append(f"With the car level, the rear wheels carry {measured:.1f} kg, but mass and CG position of "
                          f"the vehicle file give {expected:.1f} kg: the car was loaded differently. The height applies "

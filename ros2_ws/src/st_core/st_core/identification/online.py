@@ -4,8 +4,9 @@ After every FIT_INTERVAL of usable driving, both stiffnesses, ratio, offset, INS
 and relaxation length of the tyres are fitted together to the last BUFFER_DURATION seconds. The standard deviation is
 the quadrature sum of the variation between blocks of driving, converted to a normal distribution with the same 95 %
 interval, and of SYSTEMATIC_ERRORS, due to the single-track model. After sufficient excitation a value has the status
-estimated if its deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car, at a bound of the
-fit, or if the model's residual is too large. Valid for |a_y| <= 4 m/s^2 on dry level roads. Checked by: test_online.py.
+estimated if its standard deviation is at most MAX_DEVIATIONS, and invalid if it is implausible for the car or at a
+limit of the fit, or if the residual is too large. Valid for |a_y| <= 4 m/s^2 on dry level roads. Checked by:
+test_online.py.
 """
 
 import math
@@ -36,7 +37,7 @@ FIT_INTERVAL = 15.0  # s of usable driving
 MIN_SPEED = 2.0  # m/s; slower samples are not stored
 MAX_GAP = 0.1  # s; longer intervals between samples do not count as driving time
 DEVIATIONS_WITHOUT_FIT = (math.radians(30.0), 0.2, 0.5)  # standard deviations, units as SYSTEMATIC_ERRORS
-MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest deviations of estimated values, units as SYSTEMATIC_ERRORS
+MAX_DEVIATIONS = (math.radians(0.5), 0.015, 0.06)  # largest of an estimated value, units as SYSTEMATIC_ERRORS
 MAX_OFFSET = math.radians(45.0)  # of the steering wheel
 PLAUSIBLE_RANGES = ((0.6, 1.6), (0.3, 3.0))  # ratio of the steering ratio to the vehicle file's; stiffness scale
 MAX_RESIDUAL_RATIO = 0.2  # largest `OnlineFit.residual_ratio`; simulated Leaf 0.02 to 0.04, 0.1 with a noisy INS
@@ -79,12 +80,12 @@ class OnlineFit:
     values: tuple[float, ...]  # (3,) in the order of NAMES
     deviations: tuple[float, ...]  # standard deviations (3,)
     residual_ratio: float = 0.0  # RMS yaw rate residual / RMS yaw rate, or / MIN_YAW_RATE if larger
-    at_bound: tuple[str, ...] = ()  # names of values at a bound
+    at_bound: tuple[str, ...] = ()  # names of values at a limit of the fit
     problem: str = ""  # why the fit failed, or empty
 
 
 def fit_recent(log: DriveLog, vehicle: VehicleParameters) -> OnlineFit:
-    """Fit a snapshot of recent driving; never raises for its content. May run in another thread."""
+    """Fit to a snapshot of recent driving; does not raise for unusable driving. May run in a separate thread."""
     try:
         logs, _ = prepare_drives([log], vehicle)
         fit = fit_driving(logs, vehicle, FITTED_PARAMETERS, "nonlinear", FIT_SETTINGS)
@@ -114,7 +115,7 @@ def _make_failed_fit(vehicle: VehicleParameters, problem: str) -> OnlineFit:
 
 
 class OnlineIdentifier:
-    """Estimates from chronological samples. The caller sets `fit` to the result of `fit_recent` for a snapshot."""
+    """Stores samples in order of time and makes estimates. The caller sets `fit`, from `fit_recent` with a snapshot."""
 
     def __init__(self, vehicle: VehicleParameters):
         self.reset(vehicle)
@@ -154,7 +155,7 @@ class OnlineIdentifier:
 
     @property
     def is_fit_due(self) -> bool:
-        """Whether there is enough new driving for another fit."""
+        """Whether there is enough new driving for the next fit."""
         return self.driving_time.used - self._driving_time_at_fit >= FIT_INTERVAL and len(self._steering) > 1
 
     def take_snapshot(self) -> tuple[DriveLog, VehicleParameters]:
@@ -183,27 +184,27 @@ class OnlineIdentifier:
         return tuple(estimates)
 
     def _add_driving_time(self, sample: InsSample, time: float) -> None:
-        speed, rate, total = sample.velocity_x, sample.yaw_rate, self.driving_time
+        speed, rate, times = sample.velocity_x, sample.yaw_rate, self.driving_time
         rejected = "too slow" if speed < FIT_SETTINGS.minimum_speed else (
             "lateral acceleration too high" if abs(speed * rate) > FIT_SETTINGS.maximum_acceleration else "")
         if rejected:
-            total.rejected[rejected] = total.rejected.get(rejected, 0.0) + time
+            times.rejected[rejected] = times.rejected.get(rejected, 0.0) + time
             return
         bend, acceleration = self.vehicle.wheelbase * rate / speed, speed * rate
-        total.used += time
-        total.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
-        total.left += time * (bend > MIN_BEND_ANGLE)
-        total.right += time * (bend < -MIN_BEND_ANGLE)
-        total.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
-        total.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
-        total.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
+        times.used += time
+        times.straight += time * (abs(bend) < 0.25 * MIN_BEND_ANGLE)
+        times.left += time * (bend > MIN_BEND_ANGLE)
+        times.right += time * (bend < -MIN_BEND_ANGLE)
+        times.loaded_left += time * (acceleration > MIN_LOADED_ACCELERATION)
+        times.loaded_right += time * (acceleration < -MIN_LOADED_ACCELERATION)
+        times.speeds[sum(speed >= edge for edge in SPEED_BINS[1:])] += time
 
     def _describe_missing_driving(self) -> Mapping[str, str]:
         """Text on the driving that is still missing, by parameter; "" if there is enough."""
         times = self.driving_time
         bends = min(times.left, times.right)
         filled = sum(time >= 5.0 for time in times.speeds)
-        needs = {
+        required = {
             "steering_wheel_offset": [(times.used, 10.0, "driving"),
                                       (max(times.straight, bends), 5.0, "straights, or of bends to each side")],
             # Ratio and front stiffness are not separable at a single speed.
@@ -214,7 +215,7 @@ class OnlineIdentifier:
                                 (filled, 2, "ranges of speed, 5 s each")],
         }
         return {name: "; ".join(f"{driven:.0f} of {needed:g}{'' if isinstance(needed, int) else ' s of'} {kind}"
-                                for driven, needed, kind in rows if driven < needed) for name, rows in needs.items()}
+                                for driven, needed, kind in rows if driven < needed) for name, rows in required.items()}
 
     def _describe_implausible_values(self) -> Mapping[str, str]:
         """Reason why a value is implausible, by parameter."""
@@ -231,5 +232,5 @@ class OnlineIdentifier:
                 reasons[name] = f"{value:.2f} times the value of the vehicle file is outside {low:g} to {high:g}"
         for name in fit.at_bound:
             if name in NAMES or name in STIFFNESSES:
-                reasons[name if name in NAMES else NAMES[2]] = f"{name} ended at the bound of the fit"
+                reasons[name if name in NAMES else NAMES[2]] = f"{name} reached a limit of the fit"
         return reasons

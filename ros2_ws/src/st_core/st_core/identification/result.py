@@ -33,7 +33,7 @@ class ParameterEstimate:
     standard_uncertainty: float  # one standard deviation; may be infinite if unidentifiable
     interval95: tuple[float, float]  # lower and upper end of the 95 % interval, which may be asymmetric
     method: str  # short text
-    runs: tuple[str, ...]  # names of the data
+    runs: tuple[str, ...]  # names of the drives or tables
     verdict: str  # sentences for the user
     status: Status = "identified"
 
@@ -73,8 +73,8 @@ class Identification:
 
     experiment: str  # its name in `st identify`
     estimates: tuple[ParameterEstimate, ...]
-    used: tuple[str, ...]  # names of the data
-    rejected: tuple[tuple[str, str], ...] = ()  # (data, reason)
+    used: tuple[str, ...]  # names of the drives or tables
+    rejected: tuple[tuple[str, str], ...] = ()  # (name of the drive or table, reason)
     correlation: np.ndarray | None = None  # matrix, in the order of the estimates
     coverage: tuple[Coverage, ...] = ()  # excitation by signal
     warnings: tuple[str, ...] = ()  # sentences
@@ -112,7 +112,7 @@ class Identification:
 
 
 def describe_contradiction(estimate: ParameterEstimate, value: float, standard_uncertainty: float, origin: str) -> str:
-    """A sentence if a value of another origin differs significantly (two-sided, 5 %) from an estimate, else "".
+    """A sentence if a value from a different source differs significantly (two-sided, 5 %) from an estimate, else "".
 
         z = (x_1 - x_2) / sqrt(u_1^2 + u_2^2),    reported if |z| > 1.96
     """
@@ -138,7 +138,7 @@ def _finite_or_none(number: float) -> float | None:
 
 def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Identification],
                      date: str) -> VehicleParameters:
-    """The vehicle with all identified and doubtful values, and derived lambda_ky recomputed. date: YYYY-MM-DD.
+    """The vehicle with all identified and doubtful values, and with derived lambda_ky recomputed. date: YYYY-MM-DD.
 
     Raises ConfigurationError, naming the key and the limit, for a value outside the limits of a vehicle file.
     """
@@ -160,15 +160,15 @@ def apply_to_vehicle(vehicle: VehicleParameters, identifications: Iterable[Ident
 
 
 def describe_stale_scales(vehicle: VehicleParameters, identifications: Iterable[Identification]) -> tuple[str, ...]:
-    """A sentence for each tyre with a lambda_ky set in the vehicle file that depends on a changed value."""
+    """A sentence for each tyre whose lambda_ky, set in the vehicle file, depends on a changed value."""
     changed = {estimate.parameter for identification in identifications for estimate in identification.estimates
                if estimate.status != "unidentifiable"}
     sentences = []
     for tyre in TYRES:
-        fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED_SOURCE and f"{tyre}.lambda_ky" not in changed
+        is_fixed = vehicle.sources.get(f"{tyre}.lambda_ky") != DERIVED_SOURCE and f"{tyre}.lambda_ky" not in changed
         base = (tyre.replace("tyre", "cornering_stiffness"), "mass", "cg_to_front_axle")
         causes = sorted(key for key in changed if key in base or key.startswith(f"{tyre}."))
-        if fixed and causes:
+        if is_fixed and causes:
             sentences.append(f"{tyre}.lambda_ky of the vehicle file is outdated, as {', '.join(causes)} changed: run "
                              "`st identify lambda` on the new file.")
     return tuple(sentences)
@@ -181,9 +181,11 @@ def get_stated_uncertainty(vehicle: VehicleParameters, key: str) -> float:
 
 
 def compare_with_file(vehicle: VehicleParameters, estimate: ParameterEstimate) -> str:
-    """A sentence if the estimate differs significantly (5 %) from a file value with an uncertainty, else ""."""
-    stated = vehicle.provenance.get(estimate.parameter)
-    if stated is None or not stated.uncertainty or estimate.status == "unidentifiable":
+    """A sentence if the estimate differs significantly (5 %) from a value of the vehicle file that has an uncertainty,
+    else ""."""
+    provenance = vehicle.provenance.get(estimate.parameter)
+    if provenance is None or not provenance.uncertainty or estimate.status == "unidentifiable":
         return ""
-    origin = f"the vehicle file ({stated.method or vehicle.sources[estimate.parameter]}, {stated.date or 'no date'})"
-    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), stated.uncertainty, origin)
+    origin = (f"the vehicle file ({provenance.method or vehicle.sources[estimate.parameter]}, "
+              f"{provenance.date or 'no date'})")
+    return describe_contradiction(estimate, value_of(vehicle, estimate.parameter), provenance.uncertainty, origin)

@@ -14,7 +14,7 @@ from .result import Coverage, IdentificationError
 
 FILTER_SETTLING_TIME = 0.2  # s; discarded at both ends of each interval without gaps
 MAXIMUM_GAP = 0.1  # s; longest interval between samples that is interpolated
-MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # of a usable drive: s of INS and steering, number of INS samples
+MIN_COMMON_TIME, MIN_SAMPLES = 5.0, 50  # of a usable drive: INS and steering together [s], INS samples
 MIN_REPORTED_BIAS = 5.0e-4  # rad/s; above the drift of a good INS; acts like 0.1 deg at the steering wheel at 15 m/s
 SPEED_EDGES = np.array([0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 20.0, 30.0, 60.0])  # m/s
 ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 3.0, 4.0, 8.0])  # m/s^2, left +
@@ -22,7 +22,7 @@ ACCELERATION_EDGES = np.array([-8.0, -4.0, -3.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class RunSamples:
-    """Samples of one drive, (n,) each, at the CG in body axes, without NaN; left +."""
+    """Samples of one drive, (n,) each, at the CG in body axes, without NaN; positive to the left."""
 
     name: str
     time: np.ndarray  # s since the first INS sample
@@ -60,9 +60,9 @@ def sample_run(log: DriveLog, vehicle: VehicleParameters, cutoff: float = 2.0) -
     angle, _ = smooth(log.steering_time_ns, log.road_wheel_angle)
     angle = LogSignals(log, MAXIMUM_GAP, cutoff).sample(log.steering_time_ns, angle, time_ns)
     breaks = np.flatnonzero(np.diff(time_ns) > round(MAXIMUM_GAP / NANOSECOND))
-    begins, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
-    segment = np.searchsorted(begins, time_ns, side="right") - 1
-    is_settled = np.minimum(time_ns - begins[segment], ends[segment] - time_ns) >= round(
+    starts, ends = time_ns[np.append(0, breaks + 1)], time_ns[np.append(breaks, len(time_ns) - 1)]
+    segment = np.searchsorted(starts, time_ns, side="right") - 1
+    is_settled = np.minimum(time_ns - starts[segment], ends[segment] - time_ns) >= round(
         FILTER_SETTLING_TIME / NANOSECOND)
     is_valid = np.isfinite(angle) & is_settled & np.isfinite(yaw_acceleration) & np.isfinite(a_y)
     columns = ((time_ns - time_ns[:1]) * NANOSECOND, speed + yaw_rate * d_y, velocity_y - yaw_rate * d_x, log.yaw,

@@ -98,7 +98,7 @@ ANGLE_BIN_WIDTH = math.radians(90.0)
 
 @dataclass(frozen=True)
 class Turntable:
-    """Angles (n,) of the steering wheel and of both front wheels [rad], left +. sweeps: name of the sweep per row."""
+    """Angles (n,) of the steering wheel and of both front wheels [rad], positive to the left. sweeps: names, (n,)."""
 
     steering: np.ndarray
     left: np.ndarray
@@ -175,7 +175,7 @@ def _make_warnings(data: Turntable, line: Line) -> list[str]:
     if len(line.intercepts) > 1:
         spread = math.degrees(max(line.intercepts.values()) - min(line.intercepts.values()))
         sentences.append(f"The sweeps differ by up to {spread:.2f} deg at the road wheel. Possible causes are "
-                         "play, friction, and turntables that were zeroed in between.")
+                         "play, friction, and turntables zeroed between the sweeps.")
     return sentences
 
 
@@ -189,7 +189,7 @@ CUTOFF = 1.0  # Hz, low-pass on the measured yaw rate, forward and backward
 
 
 def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameters) -> Identification:
-    """Offset at the steering wheel by both methods [rad], left +, as parameters PAPER_NAME and DIRECT_NAME.
+    """Offset at the steering wheel [rad], positive to the left, by both methods: parameters PAPER_NAME, DIRECT_NAME.
 
     vehicle: its offset is the start value of the fit. Raises IdentificationError for too little straight driving.
     """
@@ -207,13 +207,13 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     smoothed_logs = [replace(log, yaw_rate=filtered_derivative(log.ins_time_ns, log.yaw_rate, CUTOFF, MAXIMUM_GAP,
                                                     "zero_phase")[0]) for log in logs]
     fit = fit_driving(smoothed_logs, vehicle, (PAPER_NAME,), "linear", settings)
-    predicted_runs = tuple(name for name, (count, _) in fit.windows.items() if count)
+    predicted_runs = tuple(name for name, (count, _) in fit.window_counts.items() if count)
     paper = _make_estimate(PAPER_NAME, fit.values[0], fit.spread, "predicted versus measured yaw rate (paper)",
                            predicted_runs, f"{fit.prediction_count} predictions on straights")
 
-    run_of = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
+    run_index = np.concatenate([np.full(len(w), i) for i, w in enumerate(windows)])
     times = np.concatenate([w[:, 0] for w in windows])
-    _, spread, _ = make_blocks(run_of, times).fit_least_squares(np.ones((len(values), 1)), values)
+    _, spread, _ = make_blocks(run_index, times).fit_least_squares(np.ones((len(values), 1)), values)
     averaged_runs = tuple(run.name for run, w in zip(runs, windows, strict=True) if len(w))
     direct = _make_estimate(DIRECT_NAME, float(values.mean()), spread, "mean reading on steady straights",
                             averaged_runs, f"{len(values)} windows of {WINDOW:g} s")
@@ -224,7 +224,7 @@ def identify_steering_offset(logs: Sequence[DriveLog], vehicle: VehicleParameter
     names = tuple(run.name for run in runs)
     used = tuple(name for name in names if name in predicted_runs or name in averaged_runs)
     rejected = tuple((name, "no straight driving") for name in names if name not in used)
-    figure = {"time": times, "run": run_of, "offset": values, "residual_yaw_rate": fit.residuals[:, 0]}
+    figure = {"time": times, "run": run_index, "offset": values, "residual_yaw_rate": fit.residuals[:, 0]}
     return Identification("steering-offset", (paper, direct), used, rejected, None, (),
                           (*notes, *([conflict] if conflict else [])), figure)
 

@@ -27,7 +27,7 @@ class Model:
     parameters: Callable[[VehicleParameters], Any]
     inputs: Callable[..., tuple]
     rhs: Callable[[tuple, tuple, Any], tuple]
-    extra_states: tuple[str, ...] = ()  # names of the states that follow the six
+    extra_states: tuple[str, ...] = ()  # names of the states after the six
     start: Callable[[tuple, tuple, Any], tuple] | None = None
     signals: tuple[str, ...] = ()  # names of further measured quantities that the model needs
     axle_forces: AxleForces | None = None  # lateral forces of a dynamic base model, whose rhs is from `make_rhs`
@@ -49,12 +49,12 @@ class Model:
 
 
 def slip_angles(state, w, p):
-    """Slip angles (front, rear) [rad], + when the wheel slides to its left; d: road wheel angle.
+    """Slip angles (front, rear) [rad], positive when the wheel slides to its left; d: road wheel angle.
 
         v_x0 = v_x cos d + (v_y + l_f r) sin d,   v_sy0 = (v_y + l_f r) cos d - v_x sin d
         v_x1 = v_x,                               v_sy1 = v_y - l_r r        (0: front wheel, 1: rear)
 
-    w: begins with sin d and cos d. p: with cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s].
+    w: begins with sin d and cos d. p: has cg_to_front_axle, cg_to_rear_axle [m], minimum_slip_speed [m/s].
     Source: paper, wheel velocities.
     """
     velocity_x, velocity_y, yaw_rate, sine, cosine = state[2], state[3], state[5], w[0], w[1]
@@ -65,12 +65,12 @@ def slip_angles(state, w, p):
 
 
 def motion(state, force_front, force_rear, w, p):
-    """Time derivative of the state for axle forces [N], each along the lateral axis of its wheel, left +.
+    """Time derivative of the state for axle forces [N], each along the lateral axis of its wheel, positive to the left.
 
         x_dot = v_x cos psi - v_y sin psi,  y_dot = v_x sin psi + v_y cos psi,  v_x_dot: input
         v_y_dot = (F_f cos d + F_r) / m - v_x r,  psi_dot = r,  r_dot = (l_f F_f cos d - l_r F_r) / I_z
 
-    w: begins with sin d, cos d (d: road wheel angle) and v_x_dot [m/s^2]. p: with mass, yaw_inertia and both CG
+    w: begins with sin d, cos d (d: road wheel angle) and v_x_dot [m/s^2]. p: has mass, yaw_inertia and both CG
     distances. Source: paper, dynamic model.
     """
     _, _, velocity_x, velocity_y, yaw, yaw_rate = state

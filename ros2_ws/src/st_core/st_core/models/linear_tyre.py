@@ -33,7 +33,7 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def axle_forces(slip_front, slip_rear, w, p: Parameters):
-    """Lateral forces (front, rear) of the axles [N], left +."""
+    """Lateral forces (front, rear) of the axles [N], positive to the left."""
     return linear_force(slip_front, p.cornering_stiffness_front), linear_force(slip_rear, p.cornering_stiffness_rear)
 
 

@@ -2,7 +2,8 @@
 
     F_z,f = m / l (g l_r - a_x h),  F_z,r = m / l (g l_f + a_x h),  a_x = v_x_dot (the input)
 
-The formula is evaluated for one tyre at half the axle load, its force doubled. Source: paper, dynamic model, appendix.
+The formula gives the force of one tyre at half the axle load, an axle twice that. Source: paper, dynamic model,
+appendix.
 """
 
 from typing import NamedTuple
@@ -31,7 +32,7 @@ def parameters(vehicle: VehicleParameters) -> Parameters:
 
 
 def axle_loads(velocity_x_dot, p: Parameters):
-    """Normal loads (front, rear) of the axles [N] at a forward acceleration [m/s^2]; their sum is m g."""
+    """Normal loads (front, rear) of the axles [N] at a forward acceleration [m/s^2]; they add up to m g."""
     per_length = p.mass / (p.cg_to_front_axle + p.cg_to_rear_axle)
     transfer = per_length * velocity_x_dot * p.cg_height
     return per_length * GRAVITY * p.cg_to_rear_axle - transfer, per_length * GRAVITY * p.cg_to_front_axle + transfer
@@ -47,7 +48,7 @@ def inputs(road_wheel_angle, velocity_x_dot, p: Parameters):
 
 
 def axle_forces(slip_front, slip_rear, w, p: Parameters):
-    """Lateral forces (front, rear) of the axles [N], left +."""
+    """Lateral forces (front, rear) of the axles [N], positive to the left."""
     _, _, _, b_front, d_front, e_front, b_rear, d_rear, e_rear = w
     return (magic_formula_force(slip_front, b_front, d_front, e_front, p.tyre_front),
             magic_formula_force(slip_rear, b_rear, d_rear, e_rear, p.tyre_rear))

@@ -85,7 +85,8 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
     note = f"st discover, outcome {discovery.outcome}, from {request.base}{companion}"
     provenance = ModelProvenance(f"{datetime.now(UTC):%Y-%m-%d}", data=request.file_hashes, note=note)
     named = {e.name: e.parameters for e in discovery.effects}
-    complete = ModelFile.of(update.model, update.vehicle, provenance, intervals, "st discover: found in the runs")
+    complete = ModelFile.from_model(update.model, update.vehicle, provenance, intervals,
+                                    "st discover: found in the runs")
     base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives
                    else "part of the base model")
     minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}

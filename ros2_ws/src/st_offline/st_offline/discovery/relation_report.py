@@ -374,7 +374,7 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
     about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(relation)}")
-    fitted = ModelFile.of(relation.model, vehicle, about, source="fitted together with the relation")
+    fitted = ModelFile.from_model(relation.model, vehicle, about, source="fitted together with the relation")
     active = {name: parts for name, parts in fitted.effects.items()
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}

@@ -22,7 +22,7 @@ from st_core.log import LogSignals
 from st_core.log_evaluation import AXES, EvaluationSettings, FutureInputs, LogEvaluation, Progress, evaluate_log
 from st_core.model_file import ModelFile
 from st_core.models import Model, get_model
-from st_core.planned_inputs import SLIP_FREE, path_inputs, recorded_plan
+from st_core.planned_inputs import SLIP_FREE_ANGLE, path_inputs, recorded_plan
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
@@ -254,5 +254,5 @@ def _read_planned_columns(files: Mapping[str, str],
         if kind == PLANNED_INPUTS:
             return time_ns, (first, second)
         path = path_inputs(first, second, seconds, vehicle)
-        return time_ns, (path.road_wheel_angle, path.velocity_x_dot, path.signals[SLIP_FREE])
+        return time_ns, (path.road_wheel_angle, path.velocity_x_dot, path.signals[SLIP_FREE_ANGLE])
     return None
