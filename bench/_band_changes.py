@@ -79,7 +79,7 @@ def count_warnings(log: DriveLog, vehicle: VehicleParameters, bands: Bands, doma
 def calibrate_all(runs: Sequence[ErrorSamples]) -> tuple[Bands, CalibrationDomain]:
     pairs = [(model, mode) for model in MODELS for mode in MODES]
     return ({key: calibrate(runs, key, TIME, (0.5, 0.9)) for key in pairs},
-            CalibrationDomain.of([r.conditions for r in runs]))
+            CalibrationDomain.from_runs([r.conditions for r in runs]))
 
 
 def measure_changes() -> list[Row]:

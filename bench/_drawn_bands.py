@@ -22,7 +22,7 @@ def random_bands(vehicle: VehicleParameters) -> Bands:
         runs.append(ErrorSamples(f"run {number}", draw.uniform(0.0, LARGEST_CONDITIONS, (STARTS, 4)),
                                  {pair: errors}))
     band, settings = calibrate(runs, pair, TIME), SETTINGS.as_dict()
-    domain = CalibrationDomain.of([run.conditions for run in runs])
+    domain = CalibrationDomain.from_runs([run.conditions for run in runs])
     return Bands(vehicle.name, vehicle.hash, settings, {"drawn": "0" * 64}, RUNS, domain,
                  {(model, mode): band for model in MODELS for mode in MODES},
                  {model: hash_configuration(vehicle, settings, "") for model in MODELS})

@@ -118,7 +118,7 @@ def _adaptive_rows(title: str, runs: Runs, groups: Mapping[str, Sequence[str]],
             known = [one for name, one in runs.items() if name not in names]
             levels = [level for level in LEVELS if known and level <= compute_highest_level(len(known))]
             band = calibrate(known, pair, TIME, levels) if levels else None
-            domain = CalibrationDomain.of([one.conditions for one in known]) if levels else None
+            domain = CalibrationDomain.from_runs([one.conditions for one in known]) if levels else None
             for drive in new[group]:
                 score.add(drive, band, domain)
         rows.append({"held out": title, "mode": pair[1]} | score.cells(bool(runs)))
@@ -153,7 +153,7 @@ def score_days(runs: Runs) -> list[Row]:
         for day, new in days.items():
             known = [one for other, one in days.items() if other != day]
             band = calibrate(known, pair, TIME, stated)
-            domain = CalibrationDomain.of([one.conditions for one in known])
+            domain = CalibrationDomain.from_runs([one.conditions for one in known])
             kept = domain.contains(new.conditions)
             if not kept.any():
                 continue
@@ -288,7 +288,7 @@ def score_transfer(title: str, runs: Runs, others: Runs, model: str) -> dict[str
 def sum_scores(band: Band, known: Sequence[ErrorSamples], new: Sequence[ErrorSamples],
                pair: tuple[str, str]) -> list[dict]:
     """Sums for `summarise_bands` for each new run."""
-    domain, entries = CalibrationDomain.of([one.conditions for one in known]), []
+    domain, entries = CalibrationDomain.from_runs([one.conditions for one in known]), []
     for one in new:
         rows = domain.contains(one.conditions)
         sums = sum_band_scores(band, one.conditions[rows], one.errors[pair][rows].astype(float))

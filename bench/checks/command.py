@@ -102,7 +102,7 @@ def _print_in_full(set_: str, name: str, kinds: Sequence[str]) -> int:
                 print(f"-- {title}")
                 for finding in result.findings:
                     advice = finding.advice.line if finding.advice else "-"
-                    print(f"{format_finding(finding)}\n    {finding.text}\n    where {finding.where}; "
+                    print(f"{format_finding(finding)}\n    {finding.text}\n    where {finding.times}; "
                           f"correction: {advice}")
     return 0
 

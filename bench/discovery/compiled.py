@@ -105,7 +105,7 @@ def compile_loop(loop):
     for function in numba_cache.find_reachable_functions(loop)[:-1]:
         register_jitable(function)
     kernel = numba.njit(error_model="numpy")(loop)
-    numba_cache.enable_cache(kernel, numba_cache.fingerprint(loop))
+    numba_cache.enable_cache(kernel, numba_cache.compute_fingerprint(loop))
     return kernel
 
 

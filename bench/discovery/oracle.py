@@ -93,7 +93,7 @@ class Oracle:
         self._windows = Windows(drives, vehicle, settings)
         origin = origin or Point(null_model(), GAIN)
         self._model = origin.model
-        self._free: list[tuple[str, Parameter]] = [(n, p) for n, p in self._model.free if n in names]
+        self._free: list[tuple[str, Parameter]] = [(n, p) for n, p in self._model.free_parameters if n in names]
         self._null = np.array([self._model.values[n][p.name] for n, p in self._free] + [origin.gain])
         self._unit = np.array([abs(p.initial - p.null) for _, p in self._free] + [GAIN_UNIT])
         self._low = np.array([p.bounds[0] for _, p in self._free] + [-0.3])

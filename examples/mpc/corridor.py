@@ -178,7 +178,7 @@ def calibrate_band(controller: Controller, car: VehicleParameters, vehicle: Vehi
         runs.append(compute_error_samples([get_model(model)], vehicle, SETTINGS.signals(log), SETTINGS))
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     band = calibrate(runs, (model, "hindsight"), time, LEVELS)
-    return band, CalibrationDomain.of([one.conditions for one in runs])
+    return band, CalibrationDomain.from_runs([one.conditions for one in runs])
 
 
 def compare(seeds: int, model: str) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""The program `st`: registers and runs the commands in verbs/, which import their libraries only when they run."""
+"""The program `st`: registers the commands in verbs/, which import their libraries only when called, and runs them."""
 
 import errno
 import os

@@ -116,7 +116,7 @@ def test_bands_are_exported_as_functions_of_state_and_inputs(tmp_path):
             for k in range(10)]
     settings, key = EvaluationSettings(PredictionSettings(step=0.5)), ("linear", "hindsight")
     bands = Bands(vehicle().name, vehicle().hash, settings.as_dict(), {"drawn": "0" * 64}, len(runs),
-                  CalibrationDomain.of([one.conditions for one in runs]), {key: calibrate(runs, key, time)},
+                  CalibrationDomain.from_runs([one.conditions for one in runs]), {key: calibrate(runs, key, time)},
                   {"linear": hash_configuration(vehicle(), settings.as_dict(), "")})
     file, out = tmp_path / "bands.yaml", tmp_path / "out"
     file.write_text(bands.to_yaml())

@@ -1,4 +1,4 @@
-"""Models with effects: `augment(base, {effect: {parameter: value}})`, a Model that every backend accepts."""
+"""Models with effects, created by `augment(base, {effect: {parameter: value}})`, which every backend accepts."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,19 +31,19 @@ class AugmentedModel(Model):
     values: Values = field(kw_only=True)  # by effect and parameter
 
     @cached_property
-    def free(self) -> tuple[tuple[str, Parameter], ...]:
+    def free_parameters(self) -> tuple[tuple[str, Parameter], ...]:
         """(effect name, parameter) of all parameters that a fit may change, in the order of `vector`."""
         return tuple((e.name, p) for e in self.effects for p in e.parameters if p.fit)
 
     @property
     def vector(self) -> np.ndarray:
-        """Values of the parameters in `free`."""
-        return np.array([self.values[effect][p.name] for effect, p in self.free])
+        """Values of the `free_parameters`."""
+        return np.array([self.values[effect][p.name] for effect, p in self.free_parameters])
 
     def with_vector(self, vector: Sequence[float]) -> "AugmentedModel":
-        """The model with other values of the parameters in `free`. Raises ConfigurationError outside the bounds."""
+        """The model with other values of the `free_parameters`. Raises ConfigurationError for one out of bounds."""
         values: dict[str, dict[str, float]] = {}
-        for (effect, parameter), value in zip(self.free, vector, strict=True):
+        for (effect, parameter), value in zip(self.free_parameters, vector, strict=True):
             if value != self.values[effect][parameter.name]:
                 values.setdefault(effect, {})[parameter.name] = value
         return self.with_values(values)
@@ -111,7 +111,7 @@ class AugmentedModel(Model):
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:
-        """Road wheel angle [rad] that the equations use for a recorded one (float or array): with the effects of ratio,
+        """Road wheel angle [rad] in the equations for a recorded one (float or array): with the effects of ratio,
         offset and map, but without effects that need signals or act in `steering`."""
         effects = compose(self.base, self.effects).effects
         hooks = [(index, e.inputs, ()) for index, e in enumerate(effects) if e.inputs and not e.signals]
@@ -138,7 +138,7 @@ class AugmentedModel(Model):
 
     @cached_property
     def active_effects(self) -> tuple[type[Effect], ...]:
-        """Effects with a `free` parameter that is not at its null value; the others leave predictions bit-identical."""
+        """Effects with a free parameter that is not at its null value; the others leave predictions bit-identical."""
         return tuple(e for e in self.effects
                      if any(p.fit and self.values[e.name][p.name] != p.null for p in e.parameters))
 
@@ -167,7 +167,7 @@ def augment(base: str | Model, effects: Values | Iterable[str]) -> AugmentedMode
         base = base.base
     ordered = sorted((get_effect(name) for name in effects), key=lambda effect: (effect.order, effect.name))
     models = {base.name}
-    # Each conversion may depend on another, so one pass per conversion is needed.
+    # A conversion may depend on the result of another, so one pass per conversion is needed.
     conversions = [effect.converts for effect in ordered if effect.converts]
     for _ in conversions:
         models |= {to for start, to in conversions if start in models}
@@ -212,12 +212,12 @@ def _check_all_values(effects: Iterable[type[Effect]], values: Values) -> Values
     return checked
 
 
-def fold(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
+def fold_effects(vehicle: VehicleParameters, effects: Iterable[type[Effect]], values: Values) -> VehicleParameters:
     """The vehicle with effects folded into its parameters; each effect must define `fold`.
 
-    It predicts the same as the vehicle with the effects, from the same readings. If steering ratio or offset changed,
-    the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash divided by the
-    factor of steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
+    Its predictions equal those of the vehicle with the effects, for the same readings. If steering ratio or offset
+    changed, the road wheel angle must be recomputed (`DriveLog.with_steering`), and the play of steering_backlash
+    divided by the factor of steering_ratio. Raises ConfigurationError for a value outside the limits of a vehicle file.
     """
     for effect in effects:
         assert effect.fold is not None

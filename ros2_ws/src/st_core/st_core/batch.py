@@ -87,7 +87,7 @@ def plan_blocks(starts_ns: np.ndarray, instants_ns: np.ndarray, lanes: int, shar
 
 
 class _Piece(NamedTuple):
-    """Consecutive starts with overlapping horizons, which fit into a block."""
+    """Consecutive starts with overlapping horizons that fit into one block."""
 
     rows: slice
     spacing: int  # half steps between columns
@@ -167,7 +167,7 @@ class Recording:
 class LogBatch:
     """Starts in one drive, whose inputs are sampled once, to be predicted with any models, cars and parameter values.
 
-    log: a drive, or its LogSignals with other settings than the default. starts_ns: any instants [ns]. Starts that are
+    log: a drive, or its LogSignals with settings other than the default. starts_ns: any instants [ns]. Starts that are
     multiples of half an integration step apart are fastest: quantities that depend only on the inputs are then computed
     once for the log, not for each start.
     horizon, step [s]. inputs: measured = inputs of the log over the horizon (hindsight); held = inputs at the start; or
@@ -253,7 +253,7 @@ class LogBatch:
         return reading_errors(model, vehicle, self.predict(model, vehicle), *measured)
 
     def _count_substeps(self, model: Model, vehicle: VehicleParameters) -> int:
-        """Integration steps per step; `discovery.windows.Batch` overrides it without a check of stability."""
+        """Integration steps per step; overridden in `discovery.windows.Batch`, without a check of stability."""
         if self._substeps == "auto":
             return integrate.required_substeps(model, vehicle, self._speeds, self.step)
         integrate.warn_if_step_too_long(model, vehicle, self._speeds, self.step / self._substeps)
@@ -263,8 +263,8 @@ class LogBatch:
         """Blocks of all starts; cached if there is only one."""
         if (count, separate) not in self._block_cache:
             # Held inputs are required only at the start, unless earlier steering still affects the wheels.
-            throughout = self._inputs == "measured" or separate
-            instants = half_step_grid(0, self.steps * count, self.step / count) if throughout else np.zeros(1, np.int64)
+            only_start = self._inputs == "held" and not separate
+            instants = np.zeros(1, np.int64) if only_start else half_step_grid(0, self.steps * count, self.step / count)
             blocks = plan_blocks(self._unique_starts, instants, self._backend.LANES, share=not separate)
             first_two = list(islice(blocks, 2))
             if len(first_two) > 1:

@@ -29,11 +29,11 @@ class Channel:
     unit: str  # SI
     min_residual_scale: float  # lower limit of the scale of residuals [unit], below the noise of an INS
     signals: tuple[str, ...] = ()  # DriveLog fields with the measurements; default: name
-    columns: tuple[str, ...] = ()  # components of its error; default: name
+    columns: tuple[str, ...] = ()  # components of the error; default: name
     errors: Callable[[Mapping[str, np.ndarray], Any], tuple[np.ndarray, ...]] | None = None
     smoothed: bool = False  # measured and predicted values are averaged over SMOOTHING_NS
-    accumulates: bool = False  # its errors grow over the horizon
-    zero_means_missing: bool = False  # if all values are 0, it was not measured
+    accumulates: bool = False  # errors grow over the horizon
+    zero_means_missing: bool = False  # the channel was not measured if all values are 0
     noise: Callable[..., tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:

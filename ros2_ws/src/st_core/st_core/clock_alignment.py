@@ -16,22 +16,22 @@ from .clock_fit import DRIFT_PRIOR_PPM, STEP, Fit, Pair, Series, find_peaks, fit
 from .clock_types import MAX_SPAN, Alignment, SharedSignal, SignalLag, Verdict, describe_step, refused_alignment
 from .regression import SIGMA_PER_MAD
 
-COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass: while the drift is unknown, and for the result
-STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; its rounding error is part of the uncertainty
-GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # one signal below 1st: doubtful; all below 2nd: refused
-MIN_OVERLAP = 20.0  # s, if no offset fits with an overlap of 40 % of the shorter recording
+COARSE_CUTOFF, FINE_CUTOFF = 0.5, 4.0  # Hz, of the low-pass while the drift is unknown, and in the final fit
+STAMP_RESOLUTION = 50e-6  # s, of logger time stamps; their rounding error is part of the uncertainty
+GOOD_CORRELATION, USABLE_CORRELATION = 0.95, 0.80  # doubtful if one is below the 1st; refused if all are below the 2nd
+MIN_OVERLAP = 20.0  # s, required overlap if no offset fits with an overlap of 40 % of the shorter recording
 UNUSUAL_DRIFT_PPM = 200.0  # two quartz clocks differ by less
-MAX_CLOCK_STEP = 0.05  # s; a larger clock step causes an alignment to be refused
+MAX_CLOCK_STEP = 0.05  # s; an alignment with a larger clock step is refused
 MAX_DISAGREEMENT = 0.005  # s, between the offset of a single signal and the common offset
 MAX_TIME_FRAME_RESIDUAL = 0.02  # s, of the offsets of time frames from a straight line
 GOOD_DEVIATION, USABLE_DEVIATION = 0.005, 0.05  # s, standard deviation of the offset
 MANUAL_SEARCH, MANUAL_TOLERANCE = 5.0, 0.01  # s, range and smallest tolerance of the check of a given offset
-STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; wide if a signal fits poorly with one offset
+STEP_SEARCH, WIDE_STEP_SEARCH = 5.0, 40.0  # s, largest step searched for; the second if a signal fits poorly
 WINDOW_DURATION = 30.0  # s, length of a window
 MAX_WINDOWS = 150  # largest number of windows, evenly spaced in a long recording
 MIN_CORRELATION = 0.9  # smallest correlation of the highest peak of a window that is used
 MAX_PEAK_RATIO = 0.97  # largest ratio of the second peak to the highest one, in a window that is used
-MAX_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
+MAX_LAG_DEVIATION = 0.05  # s, largest standard deviation of the lag of a window that is used
 MIN_CLOCK_STEP = 0.01  # s, smallest step reported
 USUAL_DRIFT = 50e-6  # s/s, standard deviation of the prior of the drift
 MIN_STEP_EVIDENCE = 30.0  # required reduction of the normalised sum of squares by a step
@@ -198,7 +198,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
                         "do not overlap in time, are not of the same drive, or part of a signal is wrong")
     elif lowest_correlation < GOOD_CORRELATION:
         worst = min(result.signals, key=lambda s: s.correlation)
-        doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, expected {GOOD_CORRELATION}")
+        doubts.append(f"{worst.name} fits poorly: correlation {worst.correlation:.2f}, below {GOOD_CORRELATION}")
     if result.ambiguous and result.peak and result.second_peak:
         (best, correlation), (second, second_correlation) = result.peak, result.second_peak
         doubts.append(f"an offset {second - best:+.2f} s away fits nearly as well, with correlation "
@@ -218,7 +218,7 @@ def _add_verdict(result: Alignment, solution: Fit, pairs: Sequence[Pair], other_
     step = find_clock_step(lags)
     if step:
         reason = describe_step(step.size, other_ns * 1e-9 + step.time - result.at_ns * 1e-9)
-        # All other doubts are consequences of the step.
+        # The other doubts are consequences of the step.
         unusable = abs(step.size) > MAX_CLOCK_STEP or not np.isfinite(solution.offset_deviation)
         refusals, doubts = ([reason], []) if unusable else ([], [reason])
     if refusals:
@@ -290,14 +290,14 @@ def align_by_time_frame(other_time_ns: np.ndarray, reference_time_ns: np.ndarray
     """Alignment by CAN frames that contain the time of the INS: a robust line (soft L1) through their offsets, or
     through the median offset of each second if there are two or more frames per second.
 
-    other_time_ns: log stamp of each frame with a time; an INS without GNSS lock sends none. reference_time_ns: time in
+    other_time_ns: log stamp of each frame with a time; without GNSS lock, frames have none. reference_time_ns: time in
     the frame, UTC. resolution: of the time in the frame [s]. latency: delay from the time in a frame to its stamp in
     the log [s], with standard deviation latency_uncertainty [s].
     """
     if len(other_time_ns) < 2:
         return refused_alignment("fewer than two time frames contain a time (did the INS have no GNSS lock?)")
     if abs(int(other_time_ns[-1]) - int(other_time_ns[0])) * 1e-9 > MAX_SPAN:
-        return refused_alignment("the log spans days: probably its clock was set during the recording")
+        return refused_alignment("the log spans days: its clock was probably set during the recording")
     other_ns, reference_ns = int(other_time_ns[0]), int(reference_time_ns[0])
     time = (other_time_ns - other_ns) * 1e-9 - latency
     offset = (reference_time_ns - reference_ns) * 1e-9 - time
@@ -353,7 +353,7 @@ def measure_window_lags(pairs: Sequence[Pair], offset: float, search: float) -> 
             fine = fit(windows, best.offset, middle, free_drift=False)
         except ValueError:
             continue
-        if fine.offset_deviation < MAX_DEVIATION and abs(fine.offset - offset) <= search + 1.0:
+        if fine.offset_deviation < MAX_LAG_DEVIATION and abs(fine.offset - offset) <= search + 1.0:
             lags.append(WindowLag(float(middle), fine.offset - offset, fine.offset_deviation))
     return lags
 

@@ -41,7 +41,7 @@ class Series:
 def resample(time: np.ndarray, values: np.ndarray, cutoff: float, angle: bool = False) -> Series:
     """Interpolate linearly to 100 Hz, apply a zero-phase Butterworth low-pass (order 4) and keep every fifth point.
 
-    time: [s], strictly increasing. values: NaN where they must not be used. cutoff: cut-off frequency of the low-pass
+    time: [s], strictly increasing. values: NaN where unusable. cutoff: cut-off frequency of the low-pass
     [Hz], equal for both recordings. angle: values are an angle [rad], wrapped or not; the result is its rate [rad/s],
     because the zero of the angle is unknown. The angle is filtered before it is differentiated: the filter reflects a
     series about its end samples, which are noisy in a differentiated angle.
@@ -126,10 +126,10 @@ def fit(pairs: Sequence[Pair], offset: float, middle: float, drift: float = 0.0,
 
         residual_k(t) = (reference_k(t + offset + drift (t - middle)) - gain_k other_k(t) - bias_k) / scale_k
 
-    middle: instant on the other clock at which the offset applies [s]. offset, drift: start values.
+    middle: instant on the other clock at which the offset applies [s]. offset, drift: initial values.
     The gain absorbs the scale of a wheel speed, the bias a gyro offset; scale_k is a robust standard deviation. The
-    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, but not below that of
-    independent residuals and a reference without noise. The curvature is the product of the slopes of both recordings,
+    uncertainty is a sandwich estimate from blocks of 5 s, since residuals are autocorrelated, and at least that for
+    independent residuals and a noise-free reference. The curvature is the product of the slopes of both recordings,
     in which their independent noise averages out. A weak prior (100 ppm) limits the drift. Raises ValueError if a
     signal has less than 2 s in common, or if the signals do not vary.
     """
@@ -171,8 +171,8 @@ class _SignalFit(NamedTuple):
 
 def _normal_equations(pairs: Sequence[Pair], splines: Sequence[Sequence[CubicSpline]], parameters: np.ndarray,
                       middle: float, free_drift: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[_SignalFit]]:
-    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). splines: of both
-    sides of a pair. The normal matrix also contains the noise of the reference, the curvature only common motion."""
+    """(normal matrix, curvature, gradient, fit of each signal) at parameters = (offset [s], drift). splines: two per
+    pair. The normal matrix also contains the noise of the reference, the curvature only common motion."""
     normal = np.diag([0.0, (DRIFT_PRIOR_PPM * 1e-6) ** -2])
     curvature = normal.copy()
     gradient = np.array([0.0, normal[1, 1] * parameters[1] if free_drift else 0.0])
@@ -228,7 +228,7 @@ def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[fl
 
 def select_common_samples(pair: Pair, parameters: Sequence[float] | np.ndarray,
                           middle: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """(rows of `other` where both sides are known, their times on the reference clock [s]) at (offset [s], drift)."""
+    """(rows of `other` at which both series are known, their reference times [s]) at parameters (offset [s], drift)."""
     known, time = pair.reference.known, pair.other.time
     reference_time = time + parameters[0] + parameters[1] * (time - middle)
     index = np.floor((reference_time - pair.reference.origin) / STEP).astype(np.int64)
@@ -253,7 +253,7 @@ def find_peaks(pairs: Sequence[Pair], minimum_overlap: float,
                span: tuple[float, float] = (-np.inf, np.inf)) -> tuple[Peak, Peak] | None:
     """The two highest peaks of the mean correlation of the signals at offsets within span [s].
 
-    The second is over PEAK_DISTANCE from the first, beyond a valley, or has correlation 0. None without a positive one.
+    The second lies beyond a valley and PEAK_DISTANCE from the first, or has correlation 0. None if none is positive.
     """
     curve = mean_correlation(pairs, minimum_overlap, span)
     if curve is None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 AMBIGUOUS_PEAK_RATIO = 0.9  # second peak of the correlation divided by the first
-MAX_SPAN = 48 * 3600.0  # s, duration of a recording; a longer one means that a clock was set while recording
+MAX_SPAN = 48 * 3600.0  # s, longest duration of a recording; a longer one has a clock that was set while recording
 
 
 class Verdict(StrEnum):
@@ -22,7 +22,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class SharedSignal:
-    """One quantity in both recordings, each on its own clock; NaN where it must not be used (standstill, not ready).
+    """One quantity in both recordings, each on its own clock; NaN where unusable (standstill, sensor not ready).
 
     Times are int64 [ns], strictly increasing. The values of both recordings agree up to a gain > 0 and a bias.
     """
@@ -32,7 +32,7 @@ class SharedSignal:
     reference: np.ndarray
     other_time_ns: np.ndarray
     other: np.ndarray
-    latency: float = 0.0  # delay from the instant of a value to its stamp in the other recording [s]
+    latency: float = 0.0  # delay from the measurement of a value to its stamp in the other recording [s]
     latency_uncertainty: float = 0.0  # standard deviation [s]
     min_deviation: float = 0.0  # standard deviation at or below which the signal counts as constant
     angle: bool = False  # an angle [rad], wrapped or not, of unknown zero in each recording; its rate is compared
@@ -47,7 +47,7 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True)
 class SignalLag:
-    """Agreement of one signal with an alignment by all signals."""
+    """Fit of one signal by an alignment of all signals."""
 
     name: str
     difference: float  # offset fitted to this signal alone minus the common offset [s]
@@ -75,8 +75,8 @@ class Alignment:
 
     def to_reference_ns(self, other_ns: np.ndarray | int) -> np.ndarray:
         """Time on the reference clock [ns] of a time on the other clock [ns]."""
-        since = np.asarray(other_ns, dtype=np.int64) - self.at_ns
-        return since + self.at_ns + self.offset_ns + np.round(since * (self.drift_ppm * 1e-6)).astype(np.int64)
+        elapsed = np.asarray(other_ns, dtype=np.int64) - self.at_ns
+        return elapsed + self.at_ns + self.offset_ns + np.round(elapsed * (self.drift_ppm * 1e-6)).astype(np.int64)
 
     def offset_at_ns(self, other_ns: int) -> int:
         """Reference time minus other time at an instant of the other clock [ns]."""
@@ -84,12 +84,12 @@ class Alignment:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether another offset fits nearly as well."""
+        """Whether a different offset fits nearly as well."""
         return (self.peak is not None and self.second_peak is not None
                 and self.second_peak.correlation > AMBIGUOUS_PEAK_RATIO * self.peak.correlation)
 
     def with_doubts(self, *reasons: str) -> "Alignment":
-        """The alignment with further reasons; a good one becomes doubtful."""
+        """The alignment with further reasons; the verdict good becomes doubtful."""
         if not reasons:
             return self
         verdict = Verdict.DOUBTFUL if self.verdict is Verdict.GOOD else self.verdict

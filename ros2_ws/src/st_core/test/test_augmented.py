@@ -73,7 +73,7 @@ def test_effect_constants_come_from_the_vehicle(leaf, effect, key, value):
 
 def test_free_parameters_as_a_vector():
     model = augment("nonlinear", ["crosswind", "friction", "roll_steer"])
-    names = [(effect, p.name) for effect, p in model.free]
+    names = [(effect, p.name) for effect, p in model.free_parameters]
     assert names == [("crosswind", "wind_x"), ("crosswind", "wind_y"), ("friction", "factor"),
                      ("roll_steer", "gradient")]
     assert model.vector.tolist() == [1.0, 5.0, 0.8, 0.0005]

@@ -73,7 +73,7 @@ def test_saturation_limits_and_compliance_softens_the_axle(leaf):
 def test_curve_band_spans_the_draws_over_the_measured_slip(leaf):
     model = augment("nonlinear", {"front_tyre_curve": {"peak": 0.8, "curvature": 1.0},
                                    "front_stiffness": {"factor": 1.1}})
-    spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free])
+    spread = np.diag([{"peak": 0.1, "curvature": 0.0, "factor": 0.0}[p.name] ** 2 for _, p in model.free_parameters])
     driven = np.random.default_rng(1).normal(0.0, 0.02, 5000)
     curve = make_axle_curve(model, leaf, "front", driven, "nonlinear", draw_models(model, spread, leaf, 400))
     assert curve.slip[-1] == pytest.approx(np.quantile(np.abs(driven), 0.995)) and curve.slip[0] == 0.0

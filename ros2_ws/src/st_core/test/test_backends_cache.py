@@ -188,9 +188,10 @@ def test_fingerprint_includes_closure_values_and_called_functions():
     def square(x):
         return x * x
 
-    fingerprints = [numba_cache.fingerprint(make(*parts)) for parts in ((1.0, double), (2.0, double), (1.0, square))]
+    fingerprints = [numba_cache.compute_fingerprint(make(*parts))
+                    for parts in ((1.0, double), (2.0, double), (1.0, square))]
     assert len(set(fingerprints)) == 3
-    assert numba_cache.fingerprint(make(1.0, double)) == fingerprints[0]
+    assert numba_cache.compute_fingerprint(make(1.0, double)) == fingerprints[0]
     assert [f.__name__ for f in numba_cache.find_reachable_functions(make(1.0, double))] == ["double", "outer"]
     with pytest.raises(numba_cache.UnhashableError):
-        numba_cache.fingerprint(make(object(), double))
+        numba_cache.compute_fingerprint(make(object(), double))

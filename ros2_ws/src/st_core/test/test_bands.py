@@ -136,7 +136,7 @@ def bands(leaf):
     other = ("linear", "forecast")
     band = calibrate(runs, PAIR, TIME)
     return Bands(leaf.name, leaf.hash, settings, {"a.csv": "0" * 64}, 12,
-                 CalibrationDomain.of([r.conditions for r in runs]),
+                 CalibrationDomain.from_runs([r.conditions for r in runs]),
                  {PAIR: band, other: band}, {"linear": hash_configuration(leaf, settings, "")})
 
 
@@ -170,11 +170,12 @@ def test_conditions_outside_the_calibration_are_described(bands):
 def test_conditions_of_a_single_run_are_outside_the_calibration():
     slow, fast = (np.tile([speed, 1.5, 0.2, 0.02], (400, 1)) for speed in (8.0, 22.0))
     probe = np.stack([slow[0], fast[0]])
-    assert CalibrationDomain.of([slow, np.concatenate([slow, fast])]).contains(probe).tolist() == [True, False]
+    assert CalibrationDomain.from_runs([slow, np.concatenate([slow, fast])]).contains(probe).tolist() == [True, False]
     # Fewer than 10 windows of a run do not count.
-    sparse = CalibrationDomain.of([np.concatenate([slow, fast[:9]]), np.concatenate([slow, fast])])
+    sparse = CalibrationDomain.from_runs([np.concatenate([slow, fast[:9]]), np.concatenate([slow, fast])])
     assert sparse.contains(probe).tolist() == [True, False]
-    assert CalibrationDomain.of([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])]).contains(probe).all()
+    enough = CalibrationDomain.from_runs([np.concatenate([slow, fast[:10]]), np.concatenate([slow, fast])])
+    assert enough.contains(probe).all()
 
 
 def test_bands_of_another_car_model_or_configuration_are_rejected(bands, leaf):

@@ -52,7 +52,7 @@ def bands(leaf, logs):
     time = SETTINGS.prediction.step * np.arange(1, SETTINGS.prediction.steps + 1)
     found = {(m, q): calibrate(runs, (m, q), time) for m in MODELS for q in ("hindsight", "forecast")}
     hashes = {m: hash_configuration(leaf, SETTINGS.as_dict(), "") for m in MODELS}
-    domain = CalibrationDomain.of([r.conditions for r in runs])
+    domain = CalibrationDomain.from_runs([r.conditions for r in runs])
     return Bands(leaf.name, leaf.hash, SETTINGS.as_dict(), {}, 10, domain, found, hashes)
 
 

@@ -42,7 +42,7 @@ def test_healthy_or_unknown_ins_status_gives_no_findings(log):
 def test_bad_ins_mode_is_reported_with_its_share_and_time(log, field, good, bad, text):
     finding, = quality_findings(log, **{field: with_section(good, bad, slice(50, 95))})
     assert (finding.name, finding.severity, finding.value) == ("ins_mode", Severity.WARNING, pytest.approx(0.15))
-    assert text in finding.text and finding.where == (pytest.approx((5.0, 9.4)),)
+    assert text in finding.text and finding.times == (pytest.approx((5.0, 9.4)),)
     short, = quality_findings(log, **{field: with_section(good, bad, slice(50, 52))})
     assert short.severity is Severity.NOTE
 
@@ -51,7 +51,7 @@ def test_bad_ins_mode_is_reported_with_its_share_and_time(log, field, good, bad,
 def test_poor_position_accuracy_is_reported_with_its_value_and_time(log, metres, severity):
     finding, = quality_findings(log, position_accuracy=with_section(0.01, metres, slice(100, 300)))
     assert (finding.name, finding.severity, finding.value) == ("ins_accuracy", severity, metres)
-    assert finding.where == (pytest.approx((10.0, 29.9)),)
+    assert finding.times == (pytest.approx((10.0, 29.9)),)
     assert quality_findings(log, position_accuracy=with_section(0.01, metres, slice(0, 100))) == ()
 
 

@@ -170,7 +170,7 @@ def assert_valid(checked):
         assert finding.interval is None or finding.interval[0] <= finding.value <= finding.interval[1], finding
         assert finding.effect is None or finding.effect >= 0.0, finding
         assert finding.text and "nan" not in finding.text and finding.advice and finding.advice.line
-        assert all(first <= last for first, last in finding.where)
+        assert all(first <= last for first, last in finding.times)
     json.dumps(checked.as_dict(), allow_nan=False)
 
 

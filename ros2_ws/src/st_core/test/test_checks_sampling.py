@@ -91,7 +91,7 @@ def freeze(log, channel, begin, end):
 def test_frozen_channel_is_found_while_the_car_moves(log, leaf, channel):
     finding = findings_by_name(freeze(log, channel, 10.0, 16.0), leaf)["channel_frozen"]
     assert finding.channels == (channel,) and finding.value == pytest.approx(6.0, abs=0.05)
-    assert finding.where == (pytest.approx((10.0, 16.0), abs=0.05),)
+    assert finding.times == (pytest.approx((10.0, 16.0), abs=0.05),)
     if channel != "road_wheel_angle":
         assert finding.advice.entry == {"leave_out": [[pytest.approx(10.0, abs=0.05), pytest.approx(16.0, abs=0.05)]]}
 
@@ -112,11 +112,11 @@ def test_decreasing_and_duplicate_time_stamps_are_counted(log):
     assert findings["time_duplicates"].value == pytest.approx(10 / len(stamps))
     assert findings["time_order"].value == pytest.approx(1 / len(stamps))
     assert {finding.severity for finding in findings.values()} == {Severity.NOTE}
-    assert findings["time_order"].where == (pytest.approx((9.99, 9.99)),)  # the newest earlier stamp
+    assert findings["time_order"].times == (pytest.approx((9.99, 9.99)),)  # the newest earlier stamp
     steering = log.steering_time_ns[500:].copy()  # starts after the INS
     steering[100], time = steering[90], (steering[99] - log.ins_time_ns[0]) * 1e-9
     findings = findings_by_name(log, auxiliary=AuxiliaryData(stamps={"steering": steering}))
-    assert findings["time_order"].where == (pytest.approx((time, time)),)
+    assert findings["time_order"].times == (pytest.approx((time, time)),)
     healthy = AuxiliaryData(stamps={"INS": log.ins_time_ns, "steering": log.steering_time_ns})
     assert findings_by_name(log, auxiliary=healthy) == {}
 
@@ -128,7 +128,7 @@ def test_gaps_are_reported_with_length_and_time(log, leaf, seconds, severity):
     assert list(findings) == ["time_gaps"]
     gaps = findings["time_gaps"]
     assert gaps.severity is severity and gaps.value == pytest.approx(seconds, abs=0.02)
-    assert gaps.where == (pytest.approx((15.0, 15.0 + seconds), abs=0.02),)
+    assert gaps.times == (pytest.approx((15.0, 15.0 + seconds), abs=0.02),)
 
 
 @pytest.mark.parametrize(("rows", "severity"), [(3, Severity.NOTE), (400, Severity.WARNING)])
@@ -186,7 +186,7 @@ def test_position_jumps_are_found_and_left_out(log, size, end, stretches):
     finding = findings_by_name(wrong)["position_jumps"]
     assert finding.value == 2.0
     assert float(re.search(r"largest ([\d.]+) m", finding.text)[1]) == pytest.approx(size, abs=0.02)
-    assert finding.where == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
+    assert finding.times == (pytest.approx((12.34, 12.35)), pytest.approx((end - 0.01, end)))
     left_out = finding.advice.entry["leave_out"]
     assert np.ravel(left_out) == pytest.approx(stretches, abs=0.011)
     assert "position_jumps" not in findings_by_name(apply_corrections(wrong, {}, None, left_out))

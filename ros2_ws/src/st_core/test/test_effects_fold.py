@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from effect_values import values_of
-from st_core.augmented import augment, fold
+from st_core.augmented import augment, fold_effects
 from st_core.batch import LogBatch
 from st_core.effects import EFFECTS, find_applicable_effects
 from st_core.log import DriveLog
@@ -37,16 +37,16 @@ def predict_with_errors(model, vehicle: VehicleParameters, log: DriveLog) -> tup
     return batch.predict(model, vehicle), batch.errors(model, vehicle)
 
 
-def fold_effects(model, vehicle: VehicleParameters):
+def fold_active_effects(model, vehicle: VehicleParameters):
     """(vehicle with the effects it can represent, model without them)."""
-    return fold(vehicle, [e for e in model.active_effects if e.fold], model.values), model.select_effects(
+    return fold_effects(vehicle, [e for e in model.active_effects if e.fold], model.values), model.select_effects(
         e for e in model.effects if not e.fold)
 
 
 def assert_folding_is_equivalent(model, vehicle: VehicleParameters) -> tuple[VehicleParameters, tuple[str, ...]]:
     """(folded vehicle, names of the effects that remain in the model), after both are shown to predict the same."""
     log = vehicle_log(vehicle)
-    car, remaining = fold_effects(model, vehicle)
+    car, remaining = fold_active_effects(model, vehicle)
     expected = predict_with_errors(model, vehicle, log)
     for original, result in zip(expected, predict_with_errors(remaining, car, log.with_steering(car)), strict=True):
         assert np.isfinite(original).all()
@@ -88,7 +88,7 @@ def test_all_foldable_effects_at_once_with_others(vehicle, base):
 def test_steering_ratio_and_offset_are_folded_exactly(vehicle):
     """delta = (wheel - offset) / ratio / factor + angle, for every steering wheel angle."""
     model = augment("linear", {"steering_ratio": {"factor": 0.9}, "steering_offset": {"angle": 0.01}})
-    car, _ = fold_effects(model, vehicle)
+    car, _ = fold_active_effects(model, vehicle)
     assert car.steering_ratio == pytest.approx(0.9 * vehicle.steering_ratio)
     for wheel in (-3.0, 0.0, 0.15, 5.0):
         expected = (wheel - 0.15) / vehicle.steering_ratio / 0.9 + 0.01
@@ -97,5 +97,5 @@ def test_steering_ratio_and_offset_are_folded_exactly(vehicle):
 
 def test_effects_at_null_leave_the_vehicle_unchanged(vehicle):
     model = augment("nonlinear", {name: values_of(name, 0.0) for name in ("mass", "steering_ratio", "steering_lag")})
-    car, remaining = fold_effects(model, vehicle)
+    car, remaining = fold_active_effects(model, vehicle)
     assert car is vehicle and [effect.name for effect in remaining.effects] == ["steering_lag"]

@@ -88,10 +88,10 @@ def test_estimates_are_rounded_to_the_digits_of_their_interval(value, interval, 
 
 def test_time_ranges_and_effect_of_a_finding():
     assert describe_intervals(DEGREES) == "whole run" and describe_intervals(JUMPS) == "1.0 to 1.5 s, 3.0 to 3.2 s"
-    short = Finding("a", Severity.NOTE, (), "t", where=((0.71, 0.72), (3.0, 3.2)))
+    short = Finding("a", Severity.NOTE, (), "t", times=((0.71, 0.72), (3.0, 3.2)))
     assert describe_intervals(short) == "0.7 s, 3.0 to 3.2 s"
     many = tuple((float(k), k + 0.5) for k in range(9))
-    assert describe_intervals(Finding("a", Severity.NOTE, (), "t", where=many)).endswith("3.0 to 3.5 s and 5 more")
+    assert describe_intervals(Finding("a", Severity.NOTE, (), "t", times=many)).endswith("3.0 to 3.5 s and 5 more")
     assert describe_effect(DEGREES) == "shifts the position after 5 s by about 130 m" and describe_effect(COARSE) == ""
 
 

@@ -1,1 +1,1 @@
-"""The commands of `st`, which import their libraries only when they run, because `st --help` must be fast."""
+"""The commands of `st`; they import their libraries only when called, so that `st --help` is fast."""

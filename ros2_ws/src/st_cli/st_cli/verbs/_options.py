@@ -32,7 +32,7 @@ def _check_sign(value: int | None) -> int | None:
 
 
 def in_range(minimum: float, unit: str, maximum: float = math.inf) -> Callable[[float | None], float | None]:
-    """Callback that rejects a number outside the range; its message has the unit, which typer's own lacks."""
+    """Callback that rejects a number outside the range, with the unit in the message, unlike typer's own check."""
     def check(value: float | None) -> float | None:
         if value is not None and not minimum <= value <= maximum:
             limit = f"above the maximum of {maximum:g}" if value > maximum else f"below the minimum of {minimum:g}"
@@ -73,7 +73,7 @@ def report_errors(verb: str, *additional: type[Exception]) -> Iterator[None]:
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """Splits a list of names at its commas; removes spaces around the names, and empty names."""
+    """Names in a comma-separated list, without surrounding spaces; empty names are left out."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
@@ -98,18 +98,18 @@ class ReadOptions:
         callback=in_range(0.0, "s", 1.0), help="Delay from steering wheel motion to the stamp of its frame, s. "
         "Default: from --car, else 0; live: else from config/nodes.yaml.")] = None
     steering_topic: Annotated[str | None, typer.Option(
-        help="Bags of other recorders: the topic with the steering angle, of any type defined in the bag. Default: the "
-        "one of type st_msgs/Steering.")] = None
+        help="Bags of other recorders: topic with the steering angle, of any type defined in the bag. Default: the "
+        "topic of type st_msgs/Steering.")] = None
     steering_field: Annotated[str | None, typer.Option(
         help="Message field with the steering angle: data (default), drive.steering_angle, ... Without "
         "--steering-topic: the column of a CSV or VBO.")] = None
     steering_is: Annotated[Literal["road", "wheel"], typer.Option(
-        help="Meaning of this angle: road wheel angle (road) or steering wheel angle (wheel), which is converted with "
-        "ratio and offset of the vehicle file.")] = "road"
+        help="Meaning of the steering angle in the bag or table: road wheel angle (road) or steering wheel angle "
+        "(wheel), which is converted with ratio and offset of the vehicle file.")] = "road"
     steering_unit: Annotated[Literal["rad", "deg"] | None, typer.Option(
-        help="Unit of this angle; default: that in the name of the field or column, else rad.")] = None
+        help="Unit of the steering angle; default: the unit in the name of the field or column, else rad.")] = None
     odometry_topic: Annotated[str | None, typer.Option(
-        help="Bags with several topics of type nav_msgs/Odometry: the one of the INS.")] = None
+        help="Bags with several topics of type nav_msgs/Odometry: the topic of the INS.")] = None
 
     def resolve(self, **others: Any) -> "tuple[Path | None, ReadSettings]":
         """(vehicle file, None if the user named none; settings for reading). others: further fields of ReadSettings.
@@ -124,7 +124,7 @@ class ReadOptions:
                                              odometry=self.odometry_topic, **options.sensor_settings, **others)
 
     def fill_in_car(self, requires_bus: bool = False) -> "ReadOptions":
-        """The options, with files and steering sensor of the car where the user gave none.
+        """The options, with files and steering sensor settings of the car where the user gave none.
 
         Raises RunError for a car that cannot be read and, if `requires_bus`, for a --car without DBC or signal table.
         """
@@ -242,7 +242,7 @@ def report_default_car(verb: str, named_file: Path | None, file: Path | str) -> 
     from st_recordings.car import list_cars
 
     if named_file is None and Path(file).resolve().parent == LEAF.resolve().parent:
-        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; --car names another car "
+        typer.echo(f"st {verb}: no car was named: the Leaf's file {file} is used; name your car with --car "
                    f"({', '.join(list_cars())}, or a folder)", err=True)
 
 

@@ -11,7 +11,7 @@ from . import _options as shared
 @shared.expand_options(shared.ReadOptions)
 def check(
     runs: shared.Runs,
-    output: Path | None = typer.Option(None, help="Folder of the results; default runs/check-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/check-<time>."),
     json: Path | None = typer.Option(None, "--json", help="JSON file of the results; default check.json in --output.",
                                      dir_okay=False),
     propose_correction: Path | None = typer.Option(

@@ -45,22 +45,22 @@ def expand_references(arguments: Sequence[str]) -> list[str]:
 def discover(
     runs: shared.Runs,
     reference: list[Path] = typer.Option(
-        [], REFERENCE, help="Drives of the healthy car, all paths up to the next option; the search starts from them "
-        "instead of the vehicle file."),
+        [], REFERENCE, help="Reference drives, of the healthy car: all paths up to the next option. The search starts "
+        "from the fit to these drives instead of the vehicle file."),
     base: str = typer.Option("nonlinear", help="Base model: kinematic, linear, nonlinear, or a model file (.yaml)."),
-    output: Path | None = typer.Option(None, help="Folder of the results; default runs/discover-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/discover-<time>."),
     channels: str = typer.Option(",".join(CHANNELS), help="Measurements to use, separated by commas."),
     effects: Path | None = typer.Option(None, help="Folder of your own effects to include.", **shared.FOLDER),
     certify: bool = typer.Option(
         False, "--certify", help="Measure power and false alarms: one step of the search on simulated drives, with "
         "known effects and without any; otherwise the power is predicted. Takes minutes."),
     propose: bool | None = typer.Option(
-        None, "--propose/--no-propose", help="Search for a relation beyond the library, and write it as an effect file "
-        "to keep or delete; default: if the unexplained residual is large. Takes a minute."),
+        None, "--propose/--no-propose", help="Search for a relation that is not in the effect library, and write it as "
+        "an effect file to keep or delete; default: if the unexplained residual is large. Takes a minute."),
     seed: int = typer.Option(0, help="Seed of all random draws."),
     jobs: int = typer.Option(1, help="Number of parallel processes.", min=1),
     figures: str = typer.Option("png", help="Formats of the figure files: png, pdf; empty: none."),
-    report: bool = typer.Option(True, help="Draw figures and report; otherwise write numbers, model and vehicle only."),
+    report: bool = typer.Option(True, help="Draw figures and write a report; otherwise only numbers, model, vehicle."),
     force: bool = typer.Option(False, "--force", help="Also use runs in which `st check` finds an error."),
     fresh: bool = typer.Option(False, "--fresh", help="Search again, even if the same inputs have a cached result."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
@@ -93,7 +93,7 @@ def identify(
         None, help="Model file used to predict drives, instead of nonlinear; its effects are not changed.",
         **shared.FILE),
     effects: shared.EffectsOfModel = None,
-    output: Path | None = typer.Option(None, help="Folder of the results; default runs/identify-<what>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/identify-<what>-<time>."),
     force: bool = typer.Option(False, "--force", help="Also use drives in which `st check` finds an error."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:

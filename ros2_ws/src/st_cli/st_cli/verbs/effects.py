@@ -25,7 +25,7 @@ def effects(
     files: list[Path] = typer.Argument(None, help="check: effect files (.py); default all effects of the library."),
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
-    own: Path | None = typer.Option(
+    own_effects: Path | None = typer.Option(
         None, "--effects", help="list: folder of your own effects to include.", **shared.FOLDER),
 ) -> None:
     """List the effects (kind, where they act, similar effects, required channels), or check effect files of your own.
@@ -37,8 +37,8 @@ def effects(
     from st_core.effects import load_folder
 
     with shared.report_errors("effects", OSError):
-        if own is not None:
-            load_folder(str(own.absolute()))
+        if own_effects is not None:
+            load_folder(str(own_effects.absolute()))
         if what == "list":
             _print_library()
             return
@@ -95,13 +95,13 @@ def export(
     effects: shared.EffectsOfFile = None,
     car: shared.CarName = None,
     vehicle: shared.VehicleFile = None,
-    output: Path | None = typer.Option(None, help="Folder of the files; default runs/export-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the files; default runs/export-<time>."),
     substeps: int = typer.Option(1, help="Integration substeps in one call of step(x, u, h).", min=1, max=64),
     bands: Path | None = typer.Option(
         None, help="Bands of `st calibrate`; their half-widths are written as functions of state and inputs (CasADi).",
         **shared.FILE),
     free: list[str] = typer.Option(
-        [], help="Parameter that stays an argument of the functions, such as road_bank.angle; repeatable."),
+        [], help="Parameter that remains an argument of the functions, such as road_bank.angle; repeatable."),
 ) -> None:
     """Write a model as functions: dynamics, Runge-Kutta step, Jacobians; with names, units and bounds.
 

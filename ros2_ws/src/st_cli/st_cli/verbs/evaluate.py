@@ -58,8 +58,8 @@ class PredictionOptions:
 def evaluate(
     runs: shared.Runs,
     prediction_options: PredictionOptions = PredictionOptions(),
-    output: Path | None = typer.Option(None, help="Folder of the results; default runs/evaluate-<time>."),
-    at: str = typer.Option("", help="Start times of predictions to draw in detail, s, such as 1,10,19; default: four."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/evaluate-<time>."),
+    at: str = typer.Option("", help="Starts of the predictions to draw in detail, s, such as 1,10,19; default: four."),
     table: Literal["means", "samples"] = typer.Option(
         "means", help="Error statistics: of the means over each horizon, as in the paper, or of all samples."),
     interval: float = typer.Option(0.1, help="Time between starts, s."),
@@ -77,7 +77,7 @@ def evaluate(
         "prediction time, with cost, error and band width of each.", callback=shared.in_range(0.001, "m")),
     force: bool = typer.Option(False, "--force", help="Also evaluate runs in which `st check` finds an error."),
     workers: int = typer.Option(1, help="Number of runs evaluated in parallel (Dask).", min=1),
-    scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler instead."),
+    scheduler: str | None = typer.Option(None, help="Address of a Dask scheduler to use instead of --workers."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Predict every --interval s of each run with each model, score the predictions, and write tables and figures.
@@ -108,7 +108,7 @@ def calibrate(
         ..., help="Recordings of one car: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False),
     prediction_options: PredictionOptions = PredictionOptions(),
-    output: Path = typer.Option(Path("bands.yaml"), help="File of the bands; it must not exist."),
+    output: Path = typer.Option(Path("bands.yaml"), help="File for the bands; it must not exist."),
     level: list[float] = typer.Option(
         [0.5, 0.9], "--level", help="Fraction of paths entirely inside the band; repeatable. n runs allow at most "
         "n/(n + 1): 9 runs for 0.9."),
@@ -137,7 +137,7 @@ def course(
     runs: list[Path] = typer.Argument(
         ..., help="Recordings of drives at one site: bags, .ncom with CAN logs, CSV, run.yaml, or folders of them.",
         show_default=False),
-    output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File of the course; it must not exist."),
+    output: Path = typer.Option(Path("course.yaml"), "--output", "-o", help="File for the course; it must not exist."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Build a course: speed and curvature along recorded paths, which may contain laps, both directions and branches.

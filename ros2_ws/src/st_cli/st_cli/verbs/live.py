@@ -16,7 +16,7 @@ SCENARIOS = ("S1 to S7 of the paper, sweep, step, ramp_to_limit, brake_in_turn, 
 @shared.expand_options(shared.RunOptions)
 def demo(
     scenario: str | None = typer.Option(None, help=f"Manoeuvre of the virtual Leaf: {SCENARIOS}; default S6."),
-    drive: Path | None = typer.Option(None, help="A recorded drive (CSV) instead.", **shared.FILE),
+    drive: Path | None = typer.Option(None, help="Recorded drive (CSV) to use instead of a scenario.", **shared.FILE),
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file; default the Leaf's. There is no --car, because the bus is always the Leaf's.",
         **shared.FILE),
@@ -31,7 +31,7 @@ def demo(
     ncom_rate: int = typer.Option(100, help="NCOM packets per second: 100 or 250."),
     seed: int = typer.Option(0, help="Seed of the simulated noise."),
     run_options: shared.RunOptions = shared.RunOptions(),
-    output: Path | None = typer.Option(None, help="Folder of the run; default runs/demo-<what>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the run; default runs/demo-<what>-<time>."),
 ) -> None:
     """Run the live suite on the virtual Leaf or on a recorded drive; show how well each model predicts."""
     from st_live import configuration, session
@@ -71,7 +71,7 @@ def live(
     realtime: bool = typer.Option(
         False, "--realtime", help="Real-time scheduling for bridges and predictor; permission: docs/manual/live.md."),
     run_options: shared.RunOptions = shared.RunOptions(),
-    output: Path | None = typer.Option(None, help="Folder of the run; default runs/live-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the run; default runs/live-<time>."),
 ) -> None:
     """Listen to the RT3000 and the car's CAN bus; predict, score and record until Ctrl-C."""
     from st_live import configuration, session

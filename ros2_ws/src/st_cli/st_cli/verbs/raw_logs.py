@@ -29,7 +29,7 @@ def align(
         ..., help="INS recording (.ncom, .xcom, .vbo; CSV with t, vx, yaw_rate) with CAN logs; folder; run.yaml."),
     search: tuple[float, float] | None = typer.Option(
         None, help="Bounds of the offset in seconds, if it is known approximately."),
-    output: Path | None = typer.Option(None, help="Folder of the results; default runs/align-<name>-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the results; default runs/align-<name>-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Find offset and drift between the clocks of INS and CAN log, report their uncertainty, and draw the signals.
@@ -100,9 +100,9 @@ def print_alignment(pair: "RawRun") -> None:
                 table.add_row("INS frames on the bus", pair.latency, "after the instant of measurement")
             table.add_row("INS minus CAN clock", f"{_format_seconds(alignment.offset_ns)} s",
                           f"{middle:.1f} s later, in the middle of the {span}")
-            own = _format_deviation(estimation_deviation * 1e3, "ms")
+            without_delay = _format_deviation(estimation_deviation * 1e3, "ms")
             table.add_row("  standard deviation", _format_deviation(alignment.offset_deviation * 1e3, "ms"),
-                          f"{own} without the uncertainty of the assumed delay")
+                          f"{without_delay} without the uncertainty of the assumed delay")
             table.add_row("drift", f"{alignment.drift_ppm:+.2f} ppm",
                           "INS relative to CAN clock; standard deviation "
                           f"{_format_deviation(alignment.drift_deviation, 'ppm')}")
@@ -194,8 +194,8 @@ def _import_run(source: "RunSource", car: "VehicleParameters", folder: Path, set
         task = progress.add_task(f"{source.name}: reading and aligning", total=None)
         imported = import_run(source, car, folder, settings,
                               lambda run: check_for_use(source.path, run, car, force),
-                              lambda share: progress.update(task, description=f"{source.name}: writing", total=1.0,
-                                                            completed=share))
+                              lambda fraction: progress.update(task, description=f"{source.name}: writing", total=1.0,
+                                                               completed=fraction))
     duration = time.perf_counter() - started
     for warning in imported.warnings:
         print_line(f"[yellow]{escape(warning)}[/yellow]", console)

@@ -19,7 +19,7 @@ def replay(
     fast: bool = typer.Option(False, "--fast", help="As fast as predictor and evaluator can follow."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
     run_options: shared.RunOptions = shared.RunOptions(),
-    output: Path | None = typer.Option(None, help="Folder of the run; default runs/replay-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the run; default runs/replay-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Play a recording through predictor, evaluator and recorder on its own clock; record their predictions."""
@@ -51,16 +51,16 @@ def replay(
 def verify(
     bag: Path = typer.Argument(..., help="A recording, or the folder of a run of st.", exists=True),
     tolerance: float = typer.Option(
-        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference: of positions m, of yaw rad."),
-    replayed: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
+        0.001, callback=shared.in_range(0.0, "m"), help="Largest accepted difference, m for positions, rad for yaw."),
+    replays_first: bool = typer.Option(False, "--replay", help="Play the recording through the nodes and compare."),
     force: bool = typer.Option(False, "--force", help="Use the recording even if `st check` finds an error in it."),
-    output: Path | None = typer.Option(None, help="Folder of that replay; default runs/verify-<time>."),
+    output: Path | None = typer.Option(None, help="Folder for the replay; default runs/verify-<time>."),
     read_options: shared.ReadOptions = shared.ReadOptions(),
 ) -> None:
     """Compare every prediction and score of the nodes with those computed offline from the same measurements.
 
-    A recording without predictions is played through the nodes first. Exit status: 0 all within the tolerance, 1 not,
-    2 nothing to compare.
+    A recording without predictions is first played through the nodes. Exit status: 0 all within the tolerance, 1 some
+    not, 2 nothing to compare.
     """
     from st_live.configuration import find_bag
     from st_live.verification import verify_command
@@ -71,7 +71,7 @@ def verify(
         vehicle, read_settings = read_options.resolve()
         shared.report_default_car_of_bag("verify", bag, vehicle)
         print_findings({bag.name: check_bag(find_bag(bag), vehicle, force, read_settings)}, shared.console)
-        status = verify_command(bag, vehicle, tolerance, replayed, output, shared.console, read_settings)
+        status = verify_command(bag, vehicle, tolerance, replays_first, output, shared.console, read_settings)
     raise typer.Exit(status)
 
 

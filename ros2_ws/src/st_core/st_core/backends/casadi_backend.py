@@ -56,7 +56,7 @@ class SymbolicModel:
         start(x_six, u) -> x                initial state: the six states and the extra ones
 
     If `parameters` is not empty, each function has p as last argument: the free parameters, then the signals of the
-    model. omitted_effects: those of the model that act on recorded steering or on sensors, not in the equations.
+    model. omitted_effects: effects of the model that act on recorded steering or on sensors, not in the equations.
     """
 
     name: str
@@ -79,8 +79,8 @@ class SymbolicModel:
 def build(model: str | Model, vehicle: VehicleParameters, substeps: int = 1, free: Iterable[str] = ()) -> SymbolicModel:
     """The functions of a model with the parameters of a car, named after the model.
 
-    substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle"; only effects that
-    change inputs or equations have them. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
+    substeps: RK4 steps within h. free: parameters that remain arguments, such as "road_bank.angle"; possible only for
+    effects in inputs or equations. Raises ConfigurationError for an unknown model or parameter, or substeps < 1.
     """
     model = get_model(model)
     if substeps < 1:

@@ -26,7 +26,7 @@ KERNEL_LIFETIME = 30 * 86400.0  # s; kernels not used for this long are deleted:
 
 
 def enable_cache(kernel, identity: str) -> Path | None:
-    """Enable the cache of a kernel before it is compiled; delete unused kernels. Returns its folder or None."""
+    """Enable the cache of a kernel before compilation, and delete old kernels. Returns its folder; None: no cache."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     parts = (identity, numba.__version__, np.__version__, platform.python_version(),
              *map(str, cpu_target.target_context.codegen().magic_tuple()),
@@ -37,7 +37,7 @@ def enable_cache(kernel, identity: str) -> Path | None:
             folder = base / key
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)  # records that it is used; fails in another user's folder
-            # numba reads CACHE_DIR when the cache is switched on, and refuses a folder it cannot write to.
+            # numba reads CACHE_DIR when caching is enabled, and rejects a folder that it cannot write to.
             previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
             try:
                 kernel.enable_caching()
@@ -45,7 +45,7 @@ def enable_cache(kernel, identity: str) -> Path | None:
                 numba.config.CACHE_DIR = previous
             # numba's own key pickles the closure, which differs between processes.
             kernel._cache._index_key = lambda signature, codegen: (signature, codegen.magic_tuple(), key)
-        except (OSError, RuntimeError, AttributeError):  # not writable, or another version of numba
+        except (OSError, RuntimeError, AttributeError):  # not writable, or an incompatible version of numba
             continue
         with contextlib.suppress(OSError):
             for old in base.iterdir():
@@ -56,7 +56,7 @@ def enable_cache(kernel, identity: str) -> Path | None:
 
 
 def compile_or_load(kernel, signature) -> None:
-    """Compile a kernel or load it from the cache; compile it without cache if the folder is damaged or unwritable."""
+    """Compile a kernel or load it from the cache; compile it uncached if the folder is damaged or not writable."""
     try:
         kernel.compile(signature)
     except NumbaError:
@@ -81,22 +81,22 @@ def _list_base_folders() -> Iterator[Path]:
 def find_reachable_functions(function: FunctionType, excluded: frozenset[str] = frozenset()) -> list[FunctionType]:
     """The function and all plain functions that it can call, directly or indirectly; each once, callees first.
 
-    They are found by the names in its code and closure, attributes of modules included. excluded: names of modules.
+    They are found by the names in code and closures, including attributes of modules. excluded: names of modules.
     """
-    reachable: list[FunctionType] = []
-    seen: set[FunctionType] = set()
+    functions: list[FunctionType] = []
+    visited: set[FunctionType] = set()
 
     def collect(function: FunctionType) -> None:
-        if function in seen or function.__module__ in excluded:
+        if function in visited or function.__module__ in excluded:
             return
-        seen.add(function)
+        visited.add(function)
         for _, value in find_references(function):
             if isinstance(value, FunctionType):
                 collect(value)
-        reachable.append(function)
+        functions.append(function)
 
     collect(function)
-    return reachable
+    return functions
 
 
 def find_references(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -122,7 +122,7 @@ class UnhashableError(Exception):
     """A value without a representation that is the same in every process."""
 
 
-def fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
+def compute_fingerprint(function: FunctionType, excluded: frozenset[str] = frozenset()) -> str:
     """sha256 (hex) of a function, of all functions that it can reach, and of their values and source files.
 
     The same in every process. Raises UnhashableError for a value such as an array, a list, a dict or an instance.

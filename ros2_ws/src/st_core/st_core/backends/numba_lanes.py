@@ -1,4 +1,4 @@
-"""Backend that numba compiles from the functions of a model, with predictions (lanes) in parallel in vector registers.
+"""Backend that numba compiles from the functions of a model; vector registers hold several predictions (lanes).
 
 All functions of a model are inlined into one loop over lanes, which contains a whole Runge-Kutta step and is vectorised
 by LLVM. Three vectors are interleaved, because each operation within a vector waits for the previous one.
@@ -38,11 +38,11 @@ from . import numba_cache, numpy_batch
 FLAGS = ("contract", "nsz", "arcp")
 OPTIONS: Any = {"fastmath": set(FLAGS), "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True}
 
-SIGN = np.int64(-(2**63))  # mask of the sign bit
-MAGNITUDE = np.int64(2**63 - 1)  # mask of the other bits
-ONE = np.int64(0x3FF0000000000000)  # bits of 1.0
+SIGN_MASK = np.int64(-(2**63))  # mask of the sign bit
+MAGNITUDE_MASK = np.int64(2**63 - 1)  # mask of the other bits
+ONE_BITS = np.int64(0x3FF0000000000000)  # bits of 1.0
 
-ROUND = 1.5 * 2.0**52  # after adding it, the low bits are the nearest integer
+ROUNDING_OFFSET = 1.5 * 2.0**52  # after adding it, the low bits are the nearest integer
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH, HALF_PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
@@ -60,7 +60,7 @@ PI_6, PI_3, HALF_PI = 0.5235987755982989, 1.0471975511965979, 1.5707963267948966
 
 
 def inline(function, implementation=None):
-    """Register a plain function, or its implementation, for compiled code, inlined at every call; returns it."""
+    """Register a plain function, or another implementation of it, to be inlined in compiled code; returns it."""
     @overload(function, jit_options=OPTIONS, strict=False)
     def implement(*args, **kwargs):
         return implementation or function
@@ -84,8 +84,8 @@ def _from_bits(_, x):
 @inline
 def _sine_cosine(x):
     """Sine and cosine of r, and an integer with n in its low bits. Two calls with the same x are computed once."""
-    shifted = x * TWO_OVER_PI + ROUND
-    n = shifted - ROUND
+    shifted = x * TWO_OVER_PI + ROUNDING_OFFSET
+    n = shifted - ROUNDING_OFFSET
     r = (x - n * HALF_PI_HIGH) - n * HALF_PI_LOW
     z = r * r
     z2 = z * z
@@ -107,8 +107,8 @@ def _cos(x):
 
 def _atan(x):
     # The sign u = +-1 is applied from the start, since this does not lengthen the chain of operations.
-    a = _from_bits(_to_bits(x) & MAGNITUDE)
-    u = _from_bits((_to_bits(x) & SIGN) | ONE)
+    a = _from_bits(_to_bits(x) & MAGNITUDE_MASK)
+    u = _from_bits((_to_bits(x) & SIGN_MASK) | ONE_BITS)
     below_one = a < 1.0
     middle = (a > TAN_PI_12) & (a < COT_PI_12)
     n = x if below_one else -u
@@ -130,16 +130,16 @@ for _function, _implementation in {
         ops.sin: _sin, ops.cos: _cos, ops.tan: lambda x: ops.sin(x) / ops.cos(x), ops.atan: _atan,
         ops.sqrt: lambda x: math.sqrt(x),  # noqa: PLW0108  # numba needs a Python function
         ops.sign: lambda x: 1.0 if x > 0.0 else -1.0 if x < 0.0 else x,
-        ops.absolute: lambda x: _from_bits(_to_bits(x) & MAGNITUDE),
+        ops.absolute: lambda x: _from_bits(_to_bits(x) & MAGNITUDE_MASK),
         ops.maximum: lambda x, limit: limit if x < limit else x,
         ops.minimum: lambda x, limit: limit if x > limit else x}.items():
     inline(_function, _implementation)
 
 
 # A multiple of three vectors of 8 (AVX-512) or 4 (AVX2) numbers. With fewer than 16 lanes LLVM does not vectorise the
-# loop, which is seven times slower; with 32 to 96 lanes and 2 to 4 vectors the speed differs by less than 15 %.
+# loop and it is seven times slower; with 32 to 96 lanes and 2 to 4 vectors the speed differs by less than 15 %.
 LANES = 48
-INTERLEAVE = 3  # vectors
+INTERLEAVED_VECTORS = 3
 CACHE_LINE = 64  # bytes
 EXCLUDED_MODULES = frozenset((ops.__name__,))  # modules with functions that are compiled above
 
@@ -201,7 +201,7 @@ def _collect_numbers(p: tuple, numbers: list[float]) -> tuple:
 def _compile(model: Model, type_of_p, fields: int, states: int):
     kernel = make_kernel(model, type_of_p, fields, states)
     try:
-        fingerprint = numba_cache.fingerprint(cast(FunctionType, model.rhs), EXCLUDED_MODULES)
+        fingerprint = numba_cache.compute_fingerprint(cast(FunctionType, model.rhs), EXCLUDED_MODULES)
         numba_cache.enable_cache(kernel, f"{fingerprint} {type_of_p} {fields} {states}")
     except numba_cache.UnhashableError:
         pass  # not cached: compiled in every process
@@ -227,13 +227,13 @@ def make_kernel(model: Model, type_of_p, fields: int, states: int):
 
 @contextmanager
 def interleave_vectors() -> Iterator[None]:
-    """Compile with INTERLEAVE full-width vectors.
+    """Compile with INTERLEAVED_VECTORS full-width vectors.
 
     By default LLVM uses one vector, of half the width on Intel server processors, which is 40 % slower. The options
     apply to the whole process and are therefore reset.
     """
     _, _, features = cpu_target.target_context.codegen().magic_tuple()
-    for option, value in (("interleave", INTERLEAVE), ("width", 8 if "+avx512f" in features else 0)):
+    for option, value in (("interleave", INTERLEAVED_VECTORS), ("width", 8 if "+avx512f" in features else 0)):
         llvmlite.binding.set_option("st_core", f"-force-vector-{option}={value}")
     try:
         yield
@@ -248,7 +248,7 @@ SIGNATURE = types.void(_ROW, _ROW, types.int64, _ROW, types.int64, _INDICES, typ
 
 def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
     @numba.njit(fastmath=set(FLAGS), error_model="numpy", nogil=True)
-    def kernel(values, start, columns, w, row, offsets, step, points, out):
+    def kernel(values, start, columns, w, stride, offsets, step, points, out):
         p = read_parameters(values)
         half, sixth = 0.5 * step, step / 6.0
         state = allocate()
@@ -261,20 +261,20 @@ def _define_kernel(rhs, read_parameters, load_w, load_state, allocate):
                     begin, middle, end = offsets[2 * k] + first, offsets[2 * k + 1] + first, offsets[2 * k + 2] + first
                     for lane in range(LANES):
                         s = load_state(state, LANES, lane)
-                        w_middle = load_w(w, row, middle + lane)
-                        k1 = rhs(s, load_w(w, row, begin + lane), p)
+                        w_middle = load_w(w, stride, middle + lane)
+                        k1 = rhs(s, load_w(w, stride, begin + lane), p)
                         k2 = rhs(_add(s, half, k1), w_middle, p)
                         k3 = rhs(_add(s, half, k2), w_middle, p)
-                        k4 = rhs(_add(s, step, k3), load_w(w, row, end + lane), p)
+                        k4 = rhs(_add(s, step, k3), load_w(w, stride, end + lane), p)
                         increment = _add(_add(k1, 2.0, _add(k2, 1.0, k3)), 1.0, k4)
                         _store(state, LANES, lane, _add(s, sixth, increment))
                     k += 1
                 for lane in range(LANES):
-                    _store(out, columns, point * N_STATES * columns + first + lane, _load_base(state, LANES, lane))
+                    _store(out, columns, point * N_STATES * columns + first + lane, _load_motion(state, LANES, lane))
     return kernel
 
 
-# The functions below move whole tuples of states and fields, lane by lane; their size is known at compile time.
+# The functions below move tuples of states and fields, whose size is known at compile time, for one lane each.
 
 def _make_parameter_reader(type_of_p):
     @intrinsic
@@ -308,8 +308,8 @@ def _make_scratch(size: int):
 
 def _make_loader(size: int):
     @intrinsic
-    def load(_, table, row, column):
-        """The tuple of table[i * row + column] for i < size."""
+    def load(_, table, stride, column):
+        """The tuple of table[i * stride + column] for i < size."""
         result = types.UniTuple(types.float64, size)
 
         def generate(context, builder, signature, arguments):
@@ -322,12 +322,12 @@ def _make_loader(size: int):
 
 
 N_STATES = len(STATE_NAMES)
-_load_base = _make_loader(N_STATES)
+_load_motion = _make_loader(N_STATES)  # the six states, without the extra states of effects
 
 
 @intrinsic
-def _store(_, table, row, column, values):
-    """table[i * row + column] = values[i]."""
+def _store(_, table, stride, column, values):
+    """table[i * stride + column] = values[i]."""
     def generate(context, builder, signature, arguments):
         data = _get_pointer(context, builder, signature.args[0], arguments[0])
         for i, value in enumerate(_extract_values(context, builder, signature.args[3], arguments[3])):
@@ -359,5 +359,5 @@ def _extract_values(context, builder, kind, value):
     return [context.cast(builder, builder.extract_value(value, i), k, types.float64) for i, k in enumerate(kind.types)]
 
 
-def _compute_index(context, builder, i, row, column):
-    return builder.add(column, builder.mul(context.get_constant(types.intp, i), row, flags=("nsw",)), flags=("nsw",))
+def _compute_index(context, builder, i, stride, column):
+    return builder.add(column, builder.mul(context.get_constant(types.intp, i), stride, flags=("nsw",)), flags=("nsw",))

@@ -51,7 +51,7 @@ def to_predicted_frame(errors: np.ndarray) -> np.ndarray:
 
         (along, across) = R(-e_yaw) (longitudinal, lateral),   yaw unchanged
 
-    errors: (..., 3) longitudinal, lateral (left +) [m] and yaw [rad], predicted minus measured, like the result.
+    errors: (..., 3) longitudinal, lateral (> 0: left) [m] and yaw [rad], predicted minus measured, like the result.
     """
     cosine, sine = np.cos(errors[..., 2]), np.sin(errors[..., 2])
     along = cosine * errors[..., 0] + sine * errors[..., 1]
@@ -82,9 +82,9 @@ def compute_error_samples(models: Sequence[Model], vehicle: VehicleParameters, s
         scored.append(starts[rows][complete])
         for pair, errors in block.errors.items():
             curves = errors[complete]
-            bad = ~np.isfinite(curves).all(axis=(1, 2))
-            if bad.any():
-                first = (scored[-1][bad][0] - log.start_ns) * NANOSECOND
+            is_invalid = ~np.isfinite(curves).all(axis=(1, 2))
+            if is_invalid.any():
+                first = (scored[-1][is_invalid][0] - log.start_ns) * NANOSECOND
                 raise NotFiniteError(f"errors of {pair[0]} are not finite, first for the start at {first:.1f} s, "
                                      "though all inputs were measured: correct the model or use a shorter --step")
             curves_by_pair.setdefault(pair, []).append(to_predicted_frame(curves[:, 1:]).astype(np.float32))
@@ -167,7 +167,7 @@ def compute_conformal_factors(scores: Sequence[np.ndarray], levels: Sequence[flo
 
 LEVELS = (0.5, 0.9)
 RELIABILITY_LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))  # of `Band.ratios` and the reliability diagram
-FOLDS = 5  # largest number of groups of runs in cross-fitting
+FOLDS = 5  # largest number of groups of runs for cross-fitting
 MIN_CALIBRATION_RUNS = 3  # the calibration domain of a scored run requires two other runs
 
 
@@ -192,7 +192,7 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
 
     A run is scored with a scale fitted to other runs (cross-fitting), because scores of runs used in the fit would be
     too small. Windows with conditions z outside the domain of the other runs are ignored. time: (points,) ahead [s].
-    Raises a one-line StCoreError for too few runs with common conditions, for a level as `check_levels`, and for errors
+    Raises a one-line StCoreError for too few runs with common conditions, an invalid level (`check_levels`), and errors
     that are not finite.
     """
     check_levels(levels, len(runs))
@@ -205,7 +205,8 @@ def calibrate(runs: Sequence[ErrorSamples], pair: ModelMode, time: np.ndarray,
     scores, ratios = [], []
     for group in np.array_split(np.arange(len(runs)), min(FOLDS, len(runs))):
         others = [run for number, run in enumerate(runs) if number not in group]
-        scale, domain = _fit_scale_of(others, pair, time), CalibrationDomain.of([run.conditions for run in others])
+        scale = _fit_scale_of(others, pair, time)
+        domain = CalibrationDomain.from_runs([run.conditions for run in others])
         for number in group:
             run = runs[number]
             rows = domain.contains(run.conditions)

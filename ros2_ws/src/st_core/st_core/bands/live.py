@@ -39,11 +39,11 @@ WARM_UP = 120.0  # s of scored driving before a band without a calibration is is
 PRIOR_WEIGHT = 5.0  # s; weight of DEFAULT_SCALE against the errors
 MIN_SQUARED_ERROR = 1.0e-8  # m^2, m^2, rad^2; keeps the scale above 0
 MAX_WEIGHT = 1.0  # s; longest time that one score represents, also after a pause
-MAX_WAITING_PREDICTIONS = 10_000  # predictions stored until their scores arrive
+MAX_WAITING_PREDICTIONS = 10_000  # largest number of predictions stored until their scores arrive
 
 
 class AdaptiveBand:
-    """The band of one model and mode, corrected by the scores of earlier predictions, available one horizon later.
+    """The band of one model and mode, corrected by the scores of predictions that started at least one horizon earlier.
 
     For a level with half-widths c s(t), and the score S = max over t, a of |e_a(t)| / s_a(t):
 
@@ -93,12 +93,12 @@ class AdaptiveBand:
         return dict(zip(self._logs, values.tolist(), strict=True))
 
     def issue(self, start_ns: int, scale: np.ndarray | None = None) -> dict[float, np.ndarray]:
-        """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns; stored until its score arrives.
+        """Half-widths (points, 3) [m, m, rad] by level for a prediction from start_ns, stored until it is scored.
 
         scale: (points, 3) [m, m, rad] of the calibrated band; None: RMS error of the run.
         """
         scale, factors = np.sqrt(self._squares) if scale is None else scale, self.factors
-        if self._issued and start_ns <= self._issued[-1][0]:  # after a jump back in time, their scores never arrive
+        if self._issued and start_ns <= self._issued[-1][0]:  # time jumped back: the stored ones will not be scored
             self._issued.clear()
         self._issued.append((start_ns, scale, factors))
         if len(self._issued) > MAX_WAITING_PREDICTIONS:
@@ -106,7 +106,7 @@ class AdaptiveBand:
         return {level: factor * scale for level, factor in factors.items()}
 
     def observe(self, start_ns: int, errors: np.ndarray) -> dict[float, bool]:
-        """Whether the whole path was inside, by level; empty without `issue` for this start, or with non-finite errors.
+        """Whether the whole path was inside, by level; empty for non-finite errors, or without `issue` for this start.
 
         Updates the factors, and the scale if it is estimated from the run. Call in order of time. errors: (points, 3)
         [m, m, rad] in the predicted frame.
@@ -166,7 +166,7 @@ def conditions_now(history: MeasurementHistory, time_ns: int) -> tuple[float, ..
 
 
 class CalibratedBands:
-    """Half-widths of `Bands.half_widths`, for all models, modes and levels together.
+    """Half-widths as in `Bands.half_widths`, computed for all models, modes and levels at once.
 
     models: names of the models, which must all be in the bands (see `Bands.check`). domain: conditions with a band.
     levels: the LEVELS that are in the file. half_widths: by model, overwritten by each update inside the domain.
@@ -276,7 +276,7 @@ def _compute_errors(score: Score) -> np.ndarray:
 
 ALTERNATIVE_RATIO = 5.0 / 9.0  # q / p: 50 % coverage of a 90 % band; coverage above 73 % reduces S
 FALSE_WARNING_TIME = 7200.0  # horizons; minimum mean time to a false warning: ten hours with horizons of 5 s
-END_SHARE = 0.5  # of the limit of S; a warning ends when S falls below this fraction
+WARNING_END_FRACTION = 0.5  # of the limit of S; a warning ends when S falls below this fraction
 
 
 @dataclass
@@ -285,7 +285,7 @@ class BandCoverage:
 
     n: int = 0  # number of scored windows with a band
     inside_counts: dict[float, int] = field(default_factory=dict)  # number with the whole path inside, by level
-    has_warning: bool = False  # whether the coverage of the highest level is significantly too low; ends at END_SHARE
+    has_warning: bool = False  # whether the coverage of the highest level is, or recently was, significantly too low
     evidence: float = 0.0  # S of the highest level, see module; limited to log(FALSE_WARNING_TIME)
     _last_ns: int | None = None
 
@@ -299,24 +299,24 @@ class BandCoverage:
         for level, is_inside in inside.items():
             self.inside_counts[level] = self.inside_counts.get(level, 0) + is_inside
         level = max(inside)
-        before, self._last_ns = self._last_ns, start_ns
-        interval = 0.0 if before is None else (start_ns - before) * NANOSECOND / horizon
+        previous_ns, self._last_ns = self._last_ns, start_ns
+        interval = 0.0 if previous_ns is None else (start_ns - previous_ns) * NANOSECOND / horizon
         weight = min(max(interval, 0.0), 1.0)  # 0 after a jump back in time, as in a replay
         limit, q = math.log(FALSE_WARNING_TIME), ALTERNATIVE_RATIO * level
         ratio = math.log(q / level) if inside[level] else math.log((1.0 - q) / (1.0 - level))
         self.evidence = min(max(self.evidence + weight * ratio, 0.0), limit)
-        self.has_warning = self.evidence >= (END_SHARE * limit if self.has_warning else limit)
+        self.has_warning = self.evidence >= (WARNING_END_FRACTION * limit if self.has_warning else limit)
 
 
 class CoverageMonitor:
-    """Coverage by model and mode. Published bands are stored until the score of their prediction arrives."""
+    """Coverage by model and mode. Published bands are stored until their prediction is scored."""
 
     def __init__(self) -> None:
         self.by_pair: dict[ModelMode, BandCoverage] = {}
         self._waiting: dict[tuple[str, str, int], dict[float, np.ndarray]] = {}
 
     def add_bands(self, model: str, start_ns: int, half_widths: HalfWidths) -> None:
-        """Store the half-widths published with a prediction; beyond MAX_WAITING_PREDICTIONS, the oldest are dropped."""
+        """Store the half-widths published with a prediction, for at most MAX_WAITING_PREDICTIONS."""
         for (mode, level), widths in half_widths.items():
             self._waiting.setdefault((model, mode, start_ns), {})[level] = widths
         while len(self._waiting) > MAX_WAITING_PREDICTIONS:

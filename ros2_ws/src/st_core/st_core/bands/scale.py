@@ -1,6 +1,6 @@
 """Scale of the errors: their typical magnitude as a function of the conditions at the start and of the time ahead.
 
-    s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE_FACTOR n_a)^2 + (FLOOR_SHARE e_a t/T)^2
+    s_a(t | z)^2 = sigma_a(t | z)^2 + floor_a(t)^2,     floor_a(t)^2 = (NOISE_FACTOR n_a)^2 + (FLOOR_RATIO e_a t/T)^2
     log sigma_a(t_k | z) = phi(z) . C[a, k],     linear in log t between the knots t_k
 
 a: along, across [m] or yaw [rad]; phi: `compute_features` of the conditions z. C is the penalised maximum likelihood
@@ -92,7 +92,7 @@ class CalibrationDomain:
     upper_limits: tuple[float, float]  # forward_acceleration [m/s^2], steering_activity [rad/s]
 
     @classmethod
-    def of(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
+    def from_runs(cls, conditions: Sequence[np.ndarray]) -> "CalibrationDomain":
         """The domain of conditions (n, 4), one array for each run."""
         starts = np.zeros((len(conditions), len(SPEED_EDGES), len(LATERAL_ACCELERATION_EDGES)), int)
         for run, counts in zip(conditions, starts, strict=True):
@@ -124,12 +124,12 @@ class CalibrationDomain:
 
 KNOTS = (0.1, 0.5, 1.0, 2.0, 3.5, 5.0)  # s ahead for a horizon of 5 s; proportional for other horizons
 NOISE_FACTOR = 3.0  # ratio of the constant part of the floor to the RMS error at the first point
-FLOOR_SHARE = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
-ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by this resolution
+FLOOR_RATIO = 0.2  # ratio of the floor's part proportional to time to the RMS error, at the end of the horizon
+ERROR_RESOLUTION = np.array([1.0e-3, 1.0e-3, 1.0e-4])  # m, m, rad; smaller errors are replaced by it
 RIDGE = 1.0e-2  # weight of the penalty above; the constant term is not penalised
 MAX_LOG_SCALE = 30.0  # limit of |log sigma|; finite in floats and far above any prediction error
 MAX_NEWTON_STEPS, MAX_HALVINGS = 100, 20  # of the fit; of one step, until the loss decreases
-TOLERANCE = 1.0e-3  # maximum derivative at convergence; a relative error of the mean squares below their uncertainty
+TOLERANCE = 1.0e-3  # maximum derivative at convergence; the error of the mean squares is then below their uncertainty
 MAX_FIT_STARTS = 100  # maximum number of starts of a run in the fit; neighbouring starts are redundant
 SPLINE_KNOTS = (1.5, 3.0, 4.5, 6.0, 7.5)  # m/s^2 of lateral acceleration; quadratic terms cannot fit tyre saturation
 SPLINE_KNOT_SPACING = 1.5  # m/s^2
@@ -172,7 +172,7 @@ class Scale:
     """Scale s of the errors, fitted by `fit_scale`."""
 
     coefficients: np.ndarray  # C (3, knots, features)
-    floor: np.ndarray  # (2, 3), NOISE_FACTOR n and, at the end of the horizon, FLOOR_SHARE e [m, m, rad]
+    floor: np.ndarray  # (2, 3), NOISE_FACTOR n and, at the end of the horizon, FLOOR_RATIO e [m, m, rad]
     time: np.ndarray  # (points,) ahead [s, > 0]
 
     @cached_property
@@ -207,7 +207,7 @@ def fit_scale(conditions: Sequence[np.ndarray], errors: Sequence[np.ndarray], ti
     squares = [np.maximum(np.square(run[rows].astype(float)), np.square(ERROR_RESOLUTION))
                for run, rows in zip(errors, selected, strict=True)]
     first, last = np.sqrt(np.mean([run[:, [0, -1]].mean(axis=0) for run in squares], axis=0))
-    floor = np.stack([NOISE_FACTOR * first, FLOOR_SHARE * last])
+    floor = np.stack([NOISE_FACTOR * first, FLOOR_RATIO * last])
     nearest = [int(np.abs(time - knot).argmin()) for knot in knots]
     targets = np.concatenate([run[:, nearest] for run in squares]).reshape(len(phi), -1)  # (n, knots * 3)
     c = _fit_gamma_regression(phi, weights, targets)

@@ -1,4 +1,4 @@
-"""Decomposition of a model's mean square error into shares of parameters, sensors and initial state, and a residual.
+"""Decomposition of a model's mean square error into parts due to parameters, sensors and initial state, and a residual.
 
     mean e_a(t)^2 = sum_p mean( (de_a(t)/dp sigma_p)^2 ) + sum_s mean( (de_a(t)/ds sigma_s)^2 ) + residual
 
@@ -52,14 +52,13 @@ def sum_squared_contributions(
     def make_batch(drive: LogSignals) -> LogBatch:
         return LogBatch(drive, starts, settings.prediction.horizon, settings.prediction.step, points=seconds.tolist())
 
-    def predict_path(drive: LogSignals, varied: Model, car: VehicleParameters) -> np.ndarray:
-        states = make_batch(drive).predict(varied, car)
+    def predict_path(drive: LogSignals, variant: Model, car: VehicleParameters) -> np.ndarray:
+        states = make_batch(drive).predict(variant, car)
         with np.errstate(all="ignore"):
-            r = predict_readings(varied, car, tuple(np.moveaxis(states, -1, 0)))
+            r = predict_readings(variant, car, tuple(np.moveaxis(states, -1, 0)))
             return np.stack([r.x, r.y, r.yaw])
 
-    measured = make_batch(signals)
-    errors, base = measured.errors(model, vehicle), predict_path(signals, model, vehicle)
+    errors, base = make_batch(signals).errors(model, vehicle), predict_path(signals, model, vehicle)
     complete = np.isfinite(errors).all(axis=(1, 2))
     # Predictions with each cause one standard deviation lower and higher.
     varied_paths: dict[Cause, list[np.ndarray]] = {}
@@ -69,7 +68,7 @@ def sum_squared_contributions(
         pairs = zip(drives, cars, strict=True)
         varied_paths[PARAMETERS, key] = [predict_path(drive, model, car) for drive, car in pairs]
     for key, models in _vary_model(model, intervals or {}).items():
-        varied_paths[PARAMETERS, key] = [predict_path(signals, varied, vehicle) for varied in models]
+        varied_paths[PARAMETERS, key] = [predict_path(signals, variant, vehicle) for variant in models]
     noise = {name: white_noise(getattr(signals.log, name)) if len(signals.log.x) > 3 else 0.0 for name in INS_SIGNALS}
     for name, sigma in noise.items():
         logs = [replace(signals.log, **{name: getattr(signals.log, name) + step}) for step in (-sigma, sigma)]
@@ -98,7 +97,7 @@ def _vary_vehicle(vehicle: VehicleParameters) -> dict[str, list[VehicleParameter
 
 
 def _vary_model(model: Model, intervals: Intervals) -> dict[str, list[Model]]:
-    """Models with a value one standard deviation lower and higher, within its bounds, by parameter of an effect."""
+    """Models with a value one standard deviation lower and higher, within the bounds, by parameter of an effect."""
     variants: dict[str, list[Model]] = {}
     if not isinstance(model, AugmentedModel):
         return variants

@@ -11,8 +11,8 @@ from ..regression import Z95, count_decimals, random_effects, symmetric_interval
 from .finding import DriveCheck, neutral_value
 
 MIN_COMPARED_RUNS = 3  # minimum number of runs whose estimates of a quantity are compared
-CONFIDENCE = 0.95  # of the tests of consistency
-PROJECTION_FINDINGS = ("x_scale", "y_scale", "position_scale", "map_shear")  # which a wrong projection may cause
+CONFIDENCE = 0.95  # confidence level of the tests of consistency
+PROJECTION_FINDINGS = ("x_scale", "y_scale", "position_scale", "map_shear")  # may be due to a wrong projection
 MAX_RELATIVE_SPREAD = 0.25  # largest standard deviation between consistent runs, divided by |mean - neutral value|
 
 

@@ -44,9 +44,9 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     """Findings of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
-    accelerations, other speeds); and with a vehicle, comparison with it and trial of the corrections. Each check works
-    on a copy without the faults found before. Never raises for the content of a recording: channels that are too short
-    or too inaccurate are not compared.
+    accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses
+    a copy corrected for the faults found before. Never raises for the content of a recording: channels that are too
+    short or too inaccurate are not compared.
     """
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
@@ -56,15 +56,15 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     implausible = [*auxiliary.implausible, *(f for f in implausible if (f.name, f.channels) not in reported)]
     motion = Motion.from_log(log, start_ns, auxiliary)
     channels = sampling.describe_channels(motion, auxiliary)
-    long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
-    driven = long_enough and is_driven(motion)
-    motion, time_unit = check_time_unit(motion) if driven else (motion, None)
+    is_long_enough = len(log.ins_time_ns) >= MIN_INS_SAMPLES
+    is_moving = is_long_enough and is_driven(motion)
+    motion, time_unit = check_time_unit(motion) if is_moving else (motion, None)
     results = _Results([*implausible, *sampling.check_timing(motion, auxiliary, implausible, start_ns)])
-    if long_enough:
+    if is_long_enough:
         results.findings += sampling.check_quality(auxiliary.quality, start_ns)
     broken_channels = find_broken_channels(implausible)
-    if not driven:
-        results.findings += vehicle_relations.check_standstill(motion) if long_enough else []
+    if not is_moving:
+        results.findings += vehicle_relations.check_standstill(motion) if is_long_enough else []
     else:
         ins_is_usable = not broken_channels & {*INS_SIGNALS}  # every further check needs all of these channels
         if ins_is_usable:
@@ -104,17 +104,17 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
     speed, sideslip_measured = motion.velocity_x, CHANNELS["velocity_y"].is_measured_in(log)
     removed_factors = _find_removed_factors(unit_findings)
     corrected, sensors = _check_sensors(motion, removed_factors)
-    rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
-    if rate and rate.value:
-        results.findings.append(rate)
-        corrected, sensors = _check_sensors(motion.with_time_divided(rate.value), removed_factors)
+    wrong_rate = None if time_unit else check_nominal_rate(sensors.findings, sensors.estimates)
+    if wrong_rate and wrong_rate.value:
+        results.findings.append(wrong_rate)
+        corrected, sensors = _check_sensors(motion.with_time_divided(wrong_rate.value), removed_factors)
     findings = _merge_findings_of_units(unit_findings, sensors.findings, sensors.estimates)
     results.findings += position.add_sign_alternative(findings, recorded, corrected)
     results.estimates, results.panels = sensors.estimates, sensors.panels
     if vehicle is not None:
         if not broken_channels & {*STEERING}:
-            wheel_measured = log.steering_wheel_angle is not None
-            results.add(vehicle_relations.check_steering(corrected, vehicle, wheel_measured))
+            has_steering_wheel = log.steering_wheel_angle is not None
+            results.add(vehicle_relations.check_steering(corrected, vehicle, has_steering_wheel))
         unusable_channels = coarse_channels | _list_channels(stuck_findings, "channel_frozen")
         if sideslip_measured and not unusable_channels & {"velocity_y", "yaw_rate"}:
             results.add(vehicle_relations.check_rear_axle(corrected, vehicle))
@@ -129,7 +129,7 @@ def _check_relations(motion: Motion, log: DriveLog, vehicle: VehicleParameters |
 
 
 def _list_channels(findings: list[Finding], name: str = "") -> set[str]:
-    """Channels that are affected by the findings of this name, or by all."""
+    """Channels affected by the findings of this name, or by any finding if no name is given."""
     return {channel for finding in findings if name in ("", finding.name) for channel in finding.channels}
 
 
@@ -138,8 +138,8 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
 
     The noise of yaw changes the scale of a yaw rate derived from it. Without velocity_y, yaw may be the course. The
     sideslip at a point l ahead of a rear axle with cornering compliance K is tau r, tau = l / v - K v: the yaw rate r
-    lags the course by tau (`sideslip` corrects that). A lag explained by the sideslip has no correction, and
-    becomes a note unless it is that of the steering.
+    lags the course by tau (`sideslip` corrects this). A lag that sideslip may explain has no correction, and becomes
+    a note unless it is that of the steering.
     """
     if any(f.severity is Severity.ERROR and "yaw_rate" in f.channels for f in findings):
         findings = [f for f in findings if f.name != "steering_unrelated"]
@@ -163,7 +163,7 @@ def _limit_to_measured_channels(findings: list[Finding], log: DriveLog, motion: 
 
 
 def _check_sensors(motion: Motion, removed_factors: dict[str, float]) -> tuple[Motion, _Results]:
-    """Check the relations that are valid for any vehicle. removed_factors: see `_find_removed_factors`."""
+    """(corrected motion, results) of the relations valid for any vehicle. removed_factors: `_find_removed_factors`."""
     results = _Results(panels=[position.make_distance_panel(motion, removed_factors)])
     motion, sign_findings = position.check_lateral_sign(motion)
     yaw_rate, tolerances = inertial.compare_yaw_rate(motion)

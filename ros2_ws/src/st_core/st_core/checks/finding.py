@@ -28,8 +28,8 @@ def _format_yaml(value: Any) -> str:
 class Advice:
     """Remedy for a finding. line: text to paste, or an instruction.
 
-    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` holds values of the vehicle file [SI];
-    "option": `line` is a command-line option; "look": `line` is an instruction.
+    kind: "run.yaml": `entry` is to be merged into run.yaml; "vehicle": `entry` contains values of the vehicle file
+    [SI]; "option": `line` is a command-line option; "look": `line` is an instruction.
     """
 
     kind: Literal["run.yaml", "vehicle", "option", "look"]
@@ -38,12 +38,12 @@ class Advice:
 
     @classmethod
     def correct(cls, channel: str, **values: float) -> "Advice":
-        """Correction of a channel in run.yaml; values: fields of `corrections.Correction`."""
+        """Advice to correct a channel in run.yaml; values: fields of `corrections.Correction`."""
         return cls.for_run_yaml({"correct": {channel: values}})
 
     @classmethod
     def for_run_yaml(cls, entry: Mapping[str, Any]) -> "Advice":
-        """Advice to merge an entry into run.yaml. The line has its first key; further keys follow as a comment."""
+        """Advice to merge an entry into run.yaml. The line contains the first key; the others follow as a comment."""
         return cls("run.yaml", "  # and ".join(f"{key}: {_format_yaml(value)}" for key, value in entry.items()), entry)
 
 
@@ -58,7 +58,7 @@ class Finding:
     value: float | None = None  # estimate [unit]
     unit: str = "1"
     interval: tuple[float, float] | None = None  # 95 % confidence interval of value [unit]
-    where: tuple[tuple[float, float], ...] = ()  # time intervals [s since the first INS measurement]; empty: all
+    times: tuple[tuple[float, float], ...] = ()  # time intervals [s since the first INS measurement]; empty: all
     effect: float | None = None  # approximate shift of the position after the horizon [m]
     advice: Advice | None = None
     tried: tuple[float, float] | None = None  # prediction error [m] without and with the correction, if tried
@@ -71,14 +71,15 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of this finding in check.json."""
-        return {**asdict(self), "severity": self.severity.value}
+        return {"where" if key == "times" else key: value
+                for key, value in {**asdict(self), "severity": self.severity.value}.items()}
 
 
 def merge_findings(findings: Iterable[Finding]) -> list[Finding]:
     """The findings, with those of equal name, severity, times and value merged into one for all their channels."""
     groups: dict[tuple, Finding] = {}
     for finding in findings:
-        key = (finding.name, finding.severity, finding.where, finding.value)
+        key = (finding.name, finding.severity, finding.times, finding.value)
         if (first := groups.get(key)) is None:
             groups[key] = finding
         else:
@@ -125,7 +126,8 @@ class DriveCheck:
     findings: tuple[Finding, ...]  # the most severe first
     channels: Mapping[str, Sampling]
     comparisons: tuple[Comparison, ...]  # in the order of the checks
-    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)  # value, 95 % limits; by finding
+    # (value, lower and upper 95 % limit) by name of the finding
+    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def with_severity(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
@@ -170,7 +172,7 @@ class AuxiliaryData:
     wheel_speed: Series | None = None  # forward speed from the wheels or the car's speed signal [m/s]
     ins_speed: Series | None = None  # forward speed [m/s]
     quality: InsQuality | None = None
-    corrections: tuple[str, ...] = ()  # descriptions of those in run.yaml
+    corrections: tuple[str, ...] = ()  # descriptions of the corrections in run.yaml
     implausible: tuple[Finding, ...] = ()  # findings about samples that the reader left out, see `plausibility`
     start_ns: int | None = None  # time of the first recorded INS measurement; None: the first one of the drive
     geographic: bool = False  # whether x and y are east and north, computed from latitude and longitude
@@ -188,19 +190,19 @@ class Limits:
     warning_effect: float = 0.25  # m; the best models have errors of 0.4 m over such horizons
     error_effect: float = 5.0  # m; error of a model that goes straight on in a bend of radius 250 m at 10 m/s
     unit_ratio: float = 1.33  # factor above which a ratio is due to a wrong unit, sign or axis, not to calibration
-    channel_unit_ratio: float = 2.0  # the same factor for accelerometers (roll) and wheel speeds (tyre radius)
+    channel_unit_ratio: float = 2.0  # the same for accelerometers (body roll) and wheel speeds (tyre radius)
     yaw_settling_time: float = 0.2  # s; time constant with which a model's initial yaw rate error decays
     lag: float = 0.015  # s; smaller lags are due to filters inside a sensor
     severe_lag: float = 0.05  # s; larger lags would be mistaken for a steering delay
-    min_correlation: float = 0.6  # magnitude for two estimates of a quantity; at a lower one they are not compared
+    min_correlation: float = 0.6  # magnitude; two estimates of a quantity with a lower correlation are not compared
     acceleration_bias: float = 0.1  # m/s^2; caused by a tilt of the sensor or the road of 0.6 deg
     lateral_acceleration: float = 13.0  # m/s^2; above the limit of road tyres
-    steering_unit_ratio: float = 1.5  # for steering and curvature: ratio, wheelbase and stiffnesses may be inaccurate
+    steering_unit_ratio: float = 1.5  # the same for steering; its ratio, wheelbase and stiffnesses may be inaccurate
     steering_lag: float = 0.1  # s; the car's own response may deviate from the vehicle file by this lag
     steering_offset: float = 0.02  # rad, at the road wheels
     ins_position: float = 0.25  # m; accuracy of a rough measurement of the INS position
     heading_misalignment: float = 0.002  # rad; 0.1 deg, accuracy of a dual-antenna INS
-    note_share: float = 0.01  # largest fraction of faulty samples that is reported as a note only
+    max_note_fraction: float = 0.01  # largest fraction of faulty samples that is reported as a note only
 
     def severity(self, effect: float, severe: bool = False) -> Severity:
         """Severity of an effect [m]; at least a warning if `severe`."""

@@ -25,8 +25,8 @@ NO_BIAS, UNIT_SCALE = Estimate(0.0, 0.0, 0.0), Estimate(1.0, 0.0, 0.0)
 LAG_TEST_SHIFT = 0.3  # s; a drive determines a lag if lags smaller and larger by this both fit worse
 BIAS_RESIDUAL_RATIO = 1.25  # ratio of the residuals with a scale and with a bias above which a bias is reported
 MIN_SCALE_CORRELATION = 0.98  # at a higher correlation, noise reduces a scale by less than 4 %
-MIN_RESIDUAL_SHARE = 1e-4  # fraction of the variance; interpolation and filters cause a residual of 1 % of a signal
-GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds the minimum next to it
+MIN_RESIDUAL_FRACTION = 1e-4  # of the variance; interpolation and filters cause a residual of 1 % of the signal
+GRID_ERROR = 0.1  # fraction of the variance by which the residual at a lag of the grid exceeds the minimum nearby
 DECORRELATION_TIME = 10.0  # s between independent values of the lag
 
 
@@ -65,8 +65,8 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
     MIN_COMMON_TIME, if one of them spans more than MAX_SPAN, or if |lag| exceeds max_fitted_lag.
 
     time, measured_time: ascending [s]; values NaN where unknown. cutoff: of the low-pass filter [Hz]. derived_is_angle:
-    whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the fitted
-    lag [s], which may be outside the searched range of MAX_LAG.
+    whether to compare the rate of `derived`. expected_lag: lag without a fault [s]. max_fitted_lag: limit of the lag
+    [s] after the fit, which may exceed the search limit MAX_LAG.
     """
     if max(float(np.ptp(t)) if len(t) else 0.0 for t in (time, measured_time)) > MAX_SPAN:
         return None
@@ -102,7 +102,7 @@ def compare_series(time: np.ndarray, derived: np.ndarray, measured_time: np.ndar
 
 def _fits_worse(pair: Pair, offset: float, best_offset: float, cutoff: float) -> bool:
     """Whether the residual with an offset is significantly larger than with the best offset (F test, 95 %)."""
-    (smallest, residual), common = _compute_residual_shares(pair, [best_offset, offset])
+    (smallest, residual), common = _compute_residual_fractions(pair, [best_offset, offset])
     return residual > _compute_f_limit(common, cutoff, 0.95) * smallest
 
 
@@ -123,9 +123,9 @@ def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
         solution = fit([pair], float(lags[start]), middle=0.0, free_drift=False)
         if all(abs(solution.offset - other.offset) > STEP for other in fits):
             fits.append(solution)
-    shares, common = _compute_residual_shares(pair, [solution.offset for solution in fits])
-    limit = _compute_f_limit(common, cutoff) * min(shares)
-    return sorted((solution for solution, share in zip(fits, shares, strict=True) if share <= limit),
+    fractions, common = _compute_residual_fractions(pair, [solution.offset for solution in fits])
+    limit = _compute_f_limit(common, cutoff) * min(fractions)
+    return sorted((solution for solution, fraction in zip(fits, fractions, strict=True) if fraction <= limit),
                   key=lambda solution: abs(solution.offset))
 
 
@@ -135,14 +135,14 @@ def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> flo
     return float(fisher.ppf(level, degrees_of_freedom, degrees_of_freedom))
 
 
-def _compute_residual_shares(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
+def _compute_residual_fractions(pair: Pair, offsets: Sequence[float]) -> tuple[list[float], int]:
     """(1 - r^2 at each offset, number of samples), from the samples common to all offsets. With different samples the
     comparison would be biased, since a filtered derivative is least accurate at its ends."""
     series = [_select_common_samples(pair, offset) for offset in offsets]
     common = np.flatnonzero(np.bincount(np.concatenate([rows for rows, _ in series])) == len(series))
     values = pair.other.values[common]
     r = [correlate(derived[np.isin(rows, common)], values) for rows, derived in series]
-    return [max(1.0 - correlation**2, MIN_RESIDUAL_SHARE) for correlation in r], len(common)
+    return [max(1.0 - correlation**2, MIN_RESIDUAL_FRACTION) for correlation in r], len(common)
 
 
 def _fit_line(problem: Regression, derived: np.ndarray, correlation: float,
@@ -198,8 +198,8 @@ class Tolerances:
     scale: float  # smallest reported deviation of the scale from 1
     bias: float  # smallest reported bias [unit]
     severe_lag: float = 0.0  # smallest lag that identification and discovery do not tolerate [s]
-    severe_scale: float = 0.0  # smallest deviation of the scale from 1 that they do not tolerate
-    severe_bias: float = np.inf  # smallest bias that they do not tolerate [unit]
+    severe_scale: float = 0.0  # the same for the deviation of the scale from 1
+    severe_bias: float = np.inf  # the same for the bias [unit]
     position_effect: float = 0.0  # position shift after the horizon per unit of error [m]
     min_spread: float = 0.0  # smallest standard deviation of the reference for which a lag is reported [unit]
     min_correlation: float = LIMITS.min_correlation  # at a lower correlation, only the lag is judged
@@ -231,7 +231,8 @@ def _judge(agreement: Agreement, tolerances: Tolerances) -> tuple[list[Finding],
     estimates = {f"{name}_lag": lag} if agreement.determines_lag else {}
     if abs(agreement.correlation) < tolerances.min_correlation:  # noise biases the scale and the bias, but not the lag
         return lag_findings, estimates
-    estimates |= {f"{name}_scale": scale} | ({f"{name}_bias": bias} if bias.deviation else {})  # 0: no bias was fitted
+    estimates |= {f"{name}_scale": scale}
+    estimates |= {f"{name}_bias": bias} if bias.standard_error else {}  # 0: no bias was fitted
     # Regression on a noisy quantity yields between r^2 and 1 times the true slope (Fuller 1987, Measurement Error
     # Models, 1.1), so noise of the derived quantity may explain a scale below 1.
     explained_by_noise = scale.value < 1.0 and scale.value / agreement.correlation**2 + scale.half_width > 1.0
@@ -297,7 +298,7 @@ def _make_advice(channel: str, key: str, value: float) -> Advice:
 
 
 def format_alternative_lags(agreement: Agreement, response: float = 0.0) -> str:
-    """Text on other lags that fit equally well; "" if there are none. response: lag of the car [s], added to each."""
+    """Text about other lags that fit equally well; "" if there are none. response: added to each lag [s]."""
     others = sorted(lag + response for lag in agreement.other_lags)
     text = " or ".join(f"{'lags' if lag > 0.0 else 'leads'} by {abs(lag):.2f} s" for lag in others)
     return f" (or {text}, which fits equally well: the motion is periodic)" if text else ""
@@ -321,7 +322,7 @@ def estimate_yaw_rate_lag(motion: Motion) -> float:
     if (agreement is None or not agreement.has_lag or abs(agreement.lag.value) < LIMITS.severe_lag
             or agreement.correlation < LIMITS.min_correlation):
         return 0.0
-    # A yaw rate of the opposite sign also correlates, half a period later.
+    # A yaw rate with the opposite sign also correlates at a lag of half a period.
     return agreement.lag.value if abs(agreement.correlation_without_lag) < agreement.correlation - 0.05 else 0.0
 
 
@@ -368,7 +369,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
 
 
 def check_speeds(motion: Motion) -> list[CheckResult]:
-    """Compare other sources of the speed with the forward speed of the INS."""
+    """Compare the speeds from other sources with the forward speed of the INS."""
     results = []
     for name in motion.speeds:
         scale, lag = SPEED_LIMITS[name]
@@ -380,5 +381,5 @@ def check_speeds(motion: Motion) -> list[CheckResult]:
 
 
 def compare_speed(motion: Motion, name: str) -> Agreement | None:
-    """Agreement of another source of the speed, by its name in `motion.speeds`, with the forward speed of the INS."""
+    """Agreement of a speed from `motion.speeds` with the forward speed of the INS."""
     return compare_series(motion.time, motion.velocity_x, *motion.speeds[name], SPEED_CUTOFF, fit_bias=False)

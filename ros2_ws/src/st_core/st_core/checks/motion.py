@@ -19,7 +19,7 @@ MIN_DRIVEN_WINDOWS = 5
 MIN_COHERENCE = 0.5  # cosine of the angle between successive displacements: 1 on a straight, 0 for a random walk
 MIN_SPEED_VARIATION = 0.1  # minimum standard deviation of the speed divided by its mean
 MIN_SIGNAL_TO_NOISE = 10.0  # minimum forward velocity divided by the standard deviation of its noise
-MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window
+MIN_TURN, MIN_DISTANCE = 0.02, 0.5  # rad, m; minimum motion in a window that is used
 MIN_WINDOWS = 5
 MAX_TURN = 1.5  # rad; largest change of the course between adjacent windows that is not ambiguous
 MAX_MEDIAN_TURN, MIN_HALVED_LENGTH = 1.0, 0.2  # rad, s; longer windows with a larger median turn are halved
@@ -30,7 +30,7 @@ SLOPE_ITERATIONS = 8  # of the robust fit of a slope
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive corrected for the findings so far, with the signals of DriveLog; accelerations may be NaN."""
+    """A drive corrected for the findings so far, with signals as in DriveLog; accelerations may be NaN."""
 
     time: np.ndarray  # s since the first INS measurement
     x: np.ndarray
@@ -40,7 +40,7 @@ class Motion:
     velocity_y: np.ndarray
     yaw_rate: np.ndarray
     steering_time: np.ndarray  # as `time`
-    steering: np.ndarray  # road wheel angle at steering_time [rad], left +
+    steering: np.ndarray  # road wheel angle at steering_time [rad], positive to the left
     acceleration_x: np.ndarray | None = None
     acceleration_y: np.ndarray | None = None
     # (time [s], values [m/s]) of other sources of the forward speed, by name
@@ -124,7 +124,7 @@ class Motion:
 
 
 def is_driven(motion: Motion) -> bool:
-    """Whether the car is driven, even if positions or velocity have a wrong unit. True if the recording is too short.
+    """Whether the car is driven, even if positions or velocity have a wrong unit; True if the recording is too short.
 
     The speed from positions or velocity must exceed MIN_MOVING_SPEED in MIN_DRIVEN_WINDOWS windows. In addition, the
     direction of travel must persist or the forward velocity far exceed its noise; neither holds for a parked car.
@@ -224,7 +224,7 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
     """Ratios of channels in windows of `length` [s], halved repeatedly for a small car whose path in a window would be
-    much longer than the chord. min_distance: smallest motion in a used window [m]."""
+    much longer than the chord. min_distance: smallest motion in a window that is used [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -4,7 +4,7 @@ Each channel is examined alone, before any comparison, so that a faulty sample i
 from one sample to the next is large if it exceeds both a physical limit and a multiple of the channel's median step,
 which makes the test valid in any unit:
 
-    |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the steps that are not 0
+    |v_k - v_{k-1}| > max(limit, 20 median |v_k - v_{k-1}|),   median of the non-zero steps
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,11 +23,11 @@ HALF_WINDOW = 0.1  # s; half-width of the window that contains a sample's neighb
 MIN_SENTINEL_SAMPLES = 3  # minimum number of samples of one value between two large steps
 MIN_ZERO_TIME = 0.2  # s; minimum duration of the value 0 as a sentinel
 SENTINEL_HOLD_RATIO = 3.0  # minimum number of samples of a sentinel 0, divided by the usual number of equal samples
-MAX_BAD_SHARE = 0.5  # fraction of implausible samples above which the channel is unusable, and no sample is left out
-WRAP_LIMIT = 0.3  # minimum wrap, divided by the largest plausible step; smaller wraps resemble real changes
+MAX_IMPLAUSIBLE_FRACTION = 0.5  # above it, the channel is unusable, and none of its samples is left out
+MIN_WRAP_RATIO = 0.3  # minimum wrap size divided by the largest plausible step; smaller wraps resemble real changes
 WRAP_SPREAD, WRAP_SYMMETRY = 0.1, 0.2  # fractions of the wrap size: tolerances of the step and of the sum of its ends
-MAX_WRAPPED_SHARE = 0.2  # fraction of wrapped samples above which the true range is uncertain
-MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in another unit
+MAX_WRAPPED_FRACTION = 0.2  # fraction of wrapped samples above which the true range is uncertain
+MAX_NET_CHANGE = 0.5  # largest ratio of net change to sum of |steps| in noise; 1 for a turn in a wrong unit
 JUMP_RATIO = 30.0  # minimum ratio of a jump to the 90th percentile of all steps; below 15 in seventeen real drives
 MAX_REVERSAL_ERROR = 0.3  # rad; largest difference of a yaw jump from pi that counts as a reversal of the heading
 MIN_SAMPLES = 20
@@ -66,7 +66,7 @@ class _ChannelSamples:
         self.gap = np.diff(time) > max(MAX_GAP, 1.5 * self.spacing)  # whether each step spans a gap, (n - 1,)
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
         changes = np.flatnonzero(self.step > 0.0)
-        self.median_step = float(np.median(self.step[changes]))  # of the steps that are not 0
+        self.median_step = float(np.median(self.step[changes]))  # of the non-zero steps
         self.update = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes of the value
         physical = self.limits.max_step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
         self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
@@ -110,8 +110,8 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
     """(mask (n,) of the samples of one channel to leave out, the findings).
 
     name: key of CHANNEL_LIMITS. time: (n,) ascending [s], with the zero of the times in the findings. values: (n,), NaN
-    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is False if more than half of the finite
-    samples would be left out.
+    where unknown; yaw unwrapped. moving: (n,) whether the car moves. The mask is all False if more than half of the
+    finite samples would be left out.
     """
     bad = np.zeros(len(values), bool)
     rows = np.flatnonzero(np.isfinite(values))
@@ -127,7 +127,7 @@ def find_implausible_samples(name: str, time: np.ndarray, values: np.ndarray,
                           ("out_of_range", _find_out_of_range(channel, large))):
         samples_by_kind[kind] = np.setdiff1d(samples, np.flatnonzero(implausible))
         implausible[samples] = True
-    is_unusable = bool(implausible.mean() > MAX_BAD_SHARE)
+    is_unusable = bool(implausible.mean() > MAX_IMPLAUSIBLE_FRACTION)
     findings = [_make_finding(kind, channel, samples, is_unusable) for kind, samples in samples_by_kind.items()
                 if len(samples)]
     bad[channel.rows[implausible]] = not is_unusable
@@ -168,7 +168,7 @@ def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.nda
 def _find_wraps(channel: _ChannelSamples) -> np.ndarray:
     """Samples displaced by wrap-arounds, which are steps of one size R from about R/2 to about -R/2 or back. The level
     nearest to 0 is taken as the true one."""
-    smallest = max(WRAP_LIMIT * channel.limits.max_step, STEP_MEDIAN_RATIO * channel.median_step)
+    smallest = max(MIN_WRAP_RATIO * channel.limits.max_step, STEP_MEDIAN_RATIO * channel.median_step)
     steps = np.flatnonzero((channel.step > smallest) & ~channel.gap)
     if len(steps) < 2:
         return steps[:0]
@@ -187,10 +187,10 @@ def _find_wraps(channel: _ChannelSamples) -> np.ndarray:
 
 
 def _find_out_of_range(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
-    """Samples out of range, if most samples are in range and a large step leads out of range or back. A channel in
-    another unit would exceed the range gradually, without a large step."""
+    """Samples out of range, if most samples are in range and a large step leads out of range or back. A channel in a
+    wrong unit would exceed the range gradually, without a large step."""
     outside = np.abs(channel.values) > channel.limits.max_magnitude
-    if not outside.any() or outside.mean() > MAX_BAD_SHARE:
+    if not outside.any() or outside.mean() > MAX_IMPLAUSIBLE_FRACTION:
         return np.zeros(0, np.int64)
     return _list_samples((first, last) for first, last in find_spans(outside)
                          if (first > 0 and large[first - 1]) or (last < len(large) and large[last]))
@@ -231,7 +231,7 @@ def _find_sentinels(channel: _ChannelSamples, large: np.ndarray, moving: np.ndar
 
 def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     """Samples further than the limit from the median of their neighbours (Hampel 1974, with a physical limit), and
-    runs in which most steps are large and irregular; equal large steps would be a turn in another unit."""
+    runs in which most steps are large and irregular; equal large steps would be a turn in a wrong unit."""
     if not large.any():
         return np.zeros(0, np.int64)
     half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)  # samples
@@ -257,15 +257,15 @@ def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
 
 
 def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_unusable: bool) -> Finding:
-    share = len(samples) / len(channel.values)
+    fraction = len(samples) / len(channel.values)
     values, times = channel.values[samples], channel.time[samples]
     value = float(values[np.argmax(np.abs(values))])
-    where = find_time_intervals(times, 1.5 * channel.spacing)
+    intervals = find_time_intervals(times, 1.5 * channel.spacing)
     unit = channel.limits.unit
     # Codes for a missing measurement are round numbers in the unit of the file, which is often degrees.
     degrees = f" ({np.rad2deg(value):.6g} {unit.replace('rad', 'deg')})" if unit.startswith("rad") else ""
     value_text = f"{value:.6g} {unit}{degrees}" + (" (unwrapped)" if channel.name == "yaw" else "")
-    when = f"at {where[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
+    when = f"at {intervals[0][0]:.2f} s" if len(samples) == 1 else f"between {times[0]:.2f} and {times[-1]:.2f} s"
     count = f"{len(samples)} of {len(channel.values)} samples"
     text = {
         "sample_spikes": f"{channel.name} is {value_text} {when}, " + (
@@ -280,11 +280,11 @@ def _make_finding(kind: str, channel: _ChannelSamples, samples: np.ndarray, is_u
                          f"{float(channel.step[samples - 1].max()):.4g} {unit} from one sample to the next "
                          f"{when}, and does not return: it is left out of all comparisons",
     }[kind]
-    severity = Severity.NOTE if kind == "sample_spikes" and share <= LIMITS.note_share else Severity.WARNING
-    if is_unusable or (kind == "channel_wraps" and share > MAX_WRAPPED_SHARE):
+    severity = Severity.NOTE if kind == "sample_spikes" and fraction <= LIMITS.max_note_fraction else Severity.WARNING
+    if is_unusable or (kind == "channel_wraps" and fraction > MAX_WRAPPED_FRACTION):
         severity = Severity.ERROR
     text += "" if is_unusable or kind == "channel_jumps" else "; these samples are left out"
     advice = ("change the definition of the signal: more bits, or a larger factor" if kind == "channel_wraps" else
               "check the sensor and the settings of the logger")
-    return Finding(kind, severity, (channel.name,), text, value, unit, None, where[:MAX_LISTED_INTERVALS],
+    return Finding(kind, severity, (channel.name,), text, value, unit, None, intervals[:MAX_LISTED_INTERVALS],
                    advice=Advice("look", advice))

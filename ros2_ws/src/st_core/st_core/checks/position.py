@@ -8,10 +8,10 @@ Each cause of a residual contributes a term that is linear in the size of the ca
     velocity scale 1/s    v = v_true / s                         s - 1 times the derived displacement
     lateral scale 1/s     v_y = v_y_true / s                     s - 1 times the integral of R(yaw) (0, v_y) dt
     map shear h           x = x_true + h y_true                  h times the displacement north, in x
-    yaw offset a          yaw = yaw_true + a                     -a times the displacement, turned 90 deg to the left
+    yaw offset a          yaw = yaw_true + a                     -a times the displacement, rotated by +90 deg
     position lag T        p(t) = p_true(t - T)                   -T (V2 - V1),  V = R(yaw) v
     velocity lag T        v(t) = v_true(t - T), body axes        +T integral of R(yaw) dv/dt dt
-    reference a           p is that of a point a ahead           (R(yaw2) - R(yaw1)) (a, 0)
+    reference a           p is of a point a distance a ahead     (R(yaw2) - R(yaw1)) (a, 0)
     velocity bias b       v = v_true + b, one body axis          -integral of R(yaw) b dt
 """
 
@@ -46,12 +46,12 @@ ITERATIONS = 3
 MAX_RESIDUAL_LAG, MAX_RESIDUAL_LEAD = 0.5, 0.25
 MIN_LOSS_RATIO = 1.1  # ratio of the losses of two explanations above which the one with the smaller loss is preferred
 MIN_SIGN_GAIN = 0.01  # m; minimum reduction of the misfit by the opposite sign; RTK noise is 1 cm
-MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with another cause, if both fit
+MAX_SIGN_MISFIT_RATIO = 1.2  # largest ratio of the misfits with opposite sign and with a different cause, if both fit
 MIN_LATERAL_VELOCITY = 0.02  # m/s, root mean square
 SPHERICAL_EARTH_SCALE = 0.005  # largest scale error per axis of a projection on a spherical earth
 MIN_VELOCITY_BIAS = 0.05  # m/s; INS velocities are accurate to 0.03
-# Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, 0.25 m more change
-# velocity_y by 0.17 of its value.
+# Smallest reported relative error of velocity_y alone. At a point 1.5 m ahead of the rear axle, an error of 0.25 m
+# changes velocity_y by 0.17 of its value.
 MIN_LATERAL_SCALE_ERROR = 0.15
 AXIS_SCALES = ("x_scale", "y_scale")
 VELOCITY_SCALES = ("velocity_scale", "velocity_y_scale")
@@ -66,7 +66,7 @@ MIN_REPORTED = {"s": LIMITS.lag, "m": LIMITS.ins_position, "m/s": MIN_VELOCITY_B
 """Smallest reported value of a cause, by its name or unit."""
 LATERAL_CAUSES = {"velocity_y_scale": ("position_reference", "yaw_offset"), "position_reference": ("velocity_y_scale",),
                   "yaw_offset": ("velocity_y_scale",)}
-"""Other causes by which a drive at one speed may explain the same residual, by the cause found."""
+"""Causes that may explain the same residual in a drive at one speed, by the cause found."""
 
 
 class Cause(NamedTuple):
@@ -81,9 +81,9 @@ class Cause(NamedTuple):
 
 CAUSES = {
     "x_scale": Cause(("x",), "x", "scale", "1", "x is {value:.4f} ± {half:.4f} times the integrated velocity: scaled "
-                     "by the cosine of another latitude?"),
+                     "by the cosine of a different latitude?"),
     "y_scale": Cause(("y",), "y", "scale", "1", "y is {value:.4f} ± {half:.4f} times the integrated velocity: "
-                     "projected with another earth radius?"),
+                     "projected with a different earth radius?"),
     "map_shear": Cause(("x",), "", "", "1", "x {change} by {size:.4f} ± {half:.4f} m per metre north: projected far "
                        "from its origin?"),
     "velocity_scale": Cause(("velocity_x", "velocity_y"), "velocity", "scale", "1",
@@ -203,7 +203,7 @@ def positions_confirm_yaw_lag(motion: Motion, corrected: Motion, lag: float) -> 
 
 
 def check_lateral_sign(motion: Motion) -> tuple[Motion, list[Finding]]:
-    """(motion, findings), with the sign of velocity_y reversed if that explains positions better than any cause."""
+    """(motion, findings), with velocity_y of opposite sign if this explains the positions better than any cause."""
     problem, mirrored = make_residual_regression(motion), replace(motion, velocity_y=-motion.velocity_y)
     if len(problem.time) < MIN_WINDOWS or float(np.sqrt(np.mean(motion.velocity_y**2))) < MIN_LATERAL_VELOCITY:
         return motion, []
@@ -229,7 +229,7 @@ def make_lateral_sign_finding() -> Finding:
 
 def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
                        estimates: dict[str, Estimate]) -> list[Finding]:
-    """All findings, with only one if both sign and scale of velocity_y are certainly wrong.
+    """All findings, with only one if both sign and scale of velocity_y are significantly wrong.
 
     sign: of `check_lateral_sign`. findings, estimates: for the motion with the sign corrected; the estimate gets the
     sign of the recorded velocity_y.
@@ -248,8 +248,8 @@ def merge_lateral_sign(sign: list[Finding], findings: list[Finding],
 
 def _add_lateral_alternative(findings: list[Finding], problem: Regression,
                              causes: dict[str, Estimate]) -> list[Finding]:
-    """The findings; those of causes that a scale of velocity_y explains equally well, or the reverse, lose their
-    correction. problem: of the motion corrected for the causes."""
+    """The findings, without the correction of causes that a scale of velocity_y explains equally well, or vice versa.
+    problem: regression for the motion corrected for the causes."""
     found = [name for name in LATERAL_CAUSES if name in causes]
     if not found or {*found} > {"velocity_y_scale"}:
         return findings
@@ -257,9 +257,9 @@ def _add_lateral_alternative(findings: list[Finding], problem: Regression,
     if found[0] == "velocity_y_scale":  # the column has the corrected velocity_y
         sizes = {name: value / (1.0 + value) for name, value in sizes.items()}
     recorded = Regression(problem.time, 2.0 * problem.y - problem.compute_residual(sizes), problem.columns)
-    explained, others = (*AXIS_SCALES, *found), (*AXIS_SCALES, *LATERAL_CAUSES[found[0]])
-    _, scale, _ = recorded.fit(explained)
-    if recorded.compute_loss(others, scale) > MIN_LOSS_RATIO * recorded.compute_loss(explained, scale):
+    fitted, others = (*AXIS_SCALES, *found), (*AXIS_SCALES, *LATERAL_CAUSES[found[0]])
+    _, scale, _ = recorded.fit(fitted)
+    if recorded.compute_loss(others, scale) > MIN_LOSS_RATIO * recorded.compute_loss(fitted, scale):
         return findings
     alternative = "the reference point of the positions and the yaw offset are wrong"
     if others[-1] == "velocity_y_scale":
@@ -305,15 +305,15 @@ def _refine_causes(problem: Regression, causes: dict[str, Estimate], min_values:
             alternative = _find_causes(problem, others, min_values, tuple(causes))
             loss_of_alternative = problem.compute_loss((*causes, *alternative), scale)
             if (rare in alternative and MIN_LOSS_RATIO * loss_of_alternative < loss
-                    and (rare in CONFOUNDED or _is_scaled(problem, (*causes, *alternative)))):
+                    and (rare in CONFOUNDED or _has_lateral_scale_error(problem, (*causes, *alternative)))):
                 further, loss = alternative, loss_of_alternative
     estimates = problem.estimate((*causes, *further))
     return {name: _add_refinement(name, causes[name].value, estimate) if name in causes else estimate
             for name, estimate in estimates.items()}
 
 
-def _is_scaled(problem: Regression, causes: tuple[str, ...]) -> bool:
-    """Whether the error of velocity_y is a scale, rather than noise or drift.
+def _has_lateral_scale_error(problem: Regression, causes: tuple[str, ...]) -> bool:
+    """Whether the error of velocity_y is a scale error, rather than noise or drift.
 
     Errors in variables: noise in velocity_y biases the regression of the displacements from positions on those from
     velocity_y, but not the reverse regression, whose slope is the scale and must differ from 1 as well.
@@ -325,18 +325,18 @@ def _is_scaled(problem: Regression, causes: tuple[str, ...]) -> bool:
     return is_relevant(error, MIN_LATERAL_SCALE_ERROR) and error.value * problem.fit(causes)[0][name] < 0.0
 
 
-def _add_refinement(name: str, found: float, refinement: Estimate) -> Estimate:
-    """Estimate of a cause from its value found so far and the estimate for the motion corrected by it."""
-    factor = 1.0 + found if name in VELOCITY_SCALES else 1.0
-    return refinement.scaled(factor).shifted(found)
+def _add_refinement(name: str, value: float, refinement: Estimate) -> Estimate:
+    """Estimate of a cause from its previous value and the estimate for the motion corrected by that value."""
+    factor = 1.0 + value if name in VELOCITY_SCALES else 1.0
+    return refinement.scaled(factor).shifted(value)
 
 
 def _find_causes(problem: Regression, candidates: list[str], min_values: dict[str, float],
-                 always: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of further causes among the candidates. min_values: smallest reported value by cause. always: causes found
-    so far."""
-    causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, always,
-                                   () if "velocity_scale" in always else AXIS_SCALES)
+                 required: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of further causes among the candidates. min_values: smallest reported value by cause. required: causes
+    found so far."""
+    causes = problem.select_causes([name for name in candidates if name != "velocity_scale"], min_values, required,
+                                   () if "velocity_scale" in required else AXIS_SCALES)
     axes = [name for name in AXIS_SCALES if name in causes]
     if "velocity_scale" not in candidates or not axes or (
             max(abs(causes[name].value) for name in axes) < SPHERICAL_EARTH_SCALE):
@@ -347,10 +347,10 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
         x, y = (1.0 + causes[name].value for name in AXIS_SCALES)
         is_velocity = abs(x - y) < SPHERICAL_EARTH_SCALE * abs(y)
     else:
-        _, scale, _ = problem.fit([*always, *causes])
+        _, scale, _ = problem.fit([*required, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
-        is_velocity = (problem.compute_loss([*always, *others, "velocity_scale"], scale)
-                       <= MIN_LOSS_RATIO * problem.compute_loss([*always, *causes], scale))
+        is_velocity = (problem.compute_loss([*required, *others, "velocity_scale"], scale)
+                       <= MIN_LOSS_RATIO * problem.compute_loss([*required, *causes], scale))
     return (*others, "velocity_scale") if is_velocity else tuple(causes)
 
 
@@ -398,7 +398,7 @@ def _correct_causes(motion: Motion, causes: dict[str, Estimate]) -> Motion:
 
 
 def make_distance_panel(motion: Motion, factors: Mapping[str, float]) -> Comparison:
-    """Distance per second in the recorded units, for a figure. factors: divided out of the motion, by finding."""
+    """Distance per second in the recorded units, for a figure. factors: already divided out, by name of the finding."""
     windows = motion.make_windows(WINDOW)
     measured, derived = np.abs(windows.change(motion.position)), np.abs(windows.integral(motion.velocity_map))
     return Comparison("position", "distance per second: positions versus velocity", "m", "from x, y",
@@ -408,18 +408,18 @@ def make_distance_panel(motion: Motion, factors: Mapping[str, float]) -> Compari
 
 
 OUTLIER_SIGMAS = 6.0  # number of robust standard deviations above which a step is not noise
-MIN_JUDGED_STEPS = 50  # minimum number of steps from which jitter, stale samples and noise are judged
+MIN_JUDGED_STEPS = 50  # minimum number of steps for judging jitter, stale samples and noise
 MIN_NOISE = 0.05  # m per axis; white noise is 2 cm for RTK positions, and far less for INS positions
 MIN_JUMP = 0.2  # m; the distance in 10 ms at 20 m/s
 MAX_LISTED_JUMPS = 50  # largest number of jumps that are listed and left out
 JUMP_MARGIN = 0.5 * MAX_GAP + 0.01  # s; time left out on each side of a jump, so that a gap results
 MIN_STALE_SAMPLES = 5
-WARNING_STALE_SHARE = 0.05  # fraction of stale samples above which the finding is a warning
+STALE_WARNING_FRACTION = 0.05  # fraction of stale samples above which their finding is a warning
 MIN_AGE, MAX_AGE = 0.15, 1.2  # limits of the age of a stale sample divided by the sampling interval
 MIN_AGE_RATIO, MAX_AGE_RATIO = 0.5, 1.6  # limits of the age of a stale sample divided by the median age
 MAX_AGE_SPREAD = 0.35  # largest robust standard deviation of the ages of stale samples, divided by their median
 MIN_STEP_BALANCE = 0.5  # minimum ratio between the numbers of forward and backward steps
-MAX_CROSS_TRACK_SHARE = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
+MAX_CROSS_TRACK_FRACTION = 0.3  # largest cross-track component of the step of a stale sample, divided by the step
 
 
 def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
@@ -475,29 +475,29 @@ def _check_stale(motion: Motion, errors: np.ndarray, along: np.ndarray,
     large = (known & (np.abs(step) > max(OUTLIER_SIGMAS * spread, MIN_AGE * spacing))
              & (np.abs(step) * speed > OUTLIER_SIGMAS * noise))
     # Stale samples cause steps along the track only, whereas jumps have any direction.
-    if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_SHARE * np.median(
+    if large.sum() < MIN_STALE_SAMPLES or np.median(across[large]) > MAX_CROSS_TRACK_FRACTION * np.median(
             np.abs(errors[large])):
         return no_steps, []
-    delay = float(np.median(np.abs(step[large])))
-    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - delay))) < MAX_AGE_SPREAD * delay
-    back, forward = known & (step < -MIN_AGE_RATIO * delay), known & (step > MIN_AGE_RATIO * delay)
+    age = float(np.median(np.abs(step[large])))
+    similar = SIGMA_PER_MAD * float(np.median(np.abs(np.abs(step[large]) - age))) < MAX_AGE_SPREAD * age
+    back, forward = known & (step < -MIN_AGE_RATIO * age), known & (step > MIN_AGE_RATIO * age)
     balanced = MIN_STEP_BALANCE < forward.sum() / max(back.sum(), 1) < 1.0 / MIN_STEP_BALANCE
-    if not similar or not balanced or delay > MAX_AGE * spacing or (
+    if not similar or not balanced or age > MAX_AGE * spacing or (
             float(np.median(np.abs(errors[large]))) < 3.0 * rounding):
         return no_steps, []
-    share = float(back.sum() / known.sum())
+    fraction = float(back.sum() / known.sum())
     trials = max(round(float(known.sum()) * spacing), 1)  # errors of neighbouring samples are not independent
-    ends = binomtest(round(share * trials), trials).proportion_ci(method="wilson")
-    interval = min(float(ends.low), share), max(float(ends.high), share)
-    text = (f"{100 * share:.3g} % of the positions are stale: they step back to where the car was "
-            f"{delay * 1e3:.0f} ms earlier, and the next ones step forward again")
-    severity = Severity.WARNING if share > WARNING_STALE_SHARE else Severity.NOTE
-    is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * delay)
-                & (across < MAX_CROSS_TRACK_SHARE * np.abs(errors)))
-    where = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED]
+    ends = binomtest(round(fraction * trials), trials).proportion_ci(method="wilson")
+    interval = min(float(ends.low), fraction), max(float(ends.high), fraction)
+    text = (f"{100 * fraction:.3g} % of the positions are stale: they step back to where the car was "
+            f"{age * 1e3:.0f} ms earlier, and the next ones step forward again")
+    severity = Severity.WARNING if fraction > STALE_WARNING_FRACTION else Severity.NOTE
+    is_stale = ((back | forward) & (np.abs(step) < MAX_AGE_RATIO * age)
+                & (across < MAX_CROSS_TRACK_FRACTION * np.abs(errors)))
+    times = find_time_intervals(motion.time[1:][back], 5.0)[:MAX_LISTED]
     return is_stale, [Finding(
-        "position_stale", severity, ("x", "y"), text, share, "1", interval, where,
-        delay * float(np.median(speed[known])),
+        "position_stale", severity, ("x", "y"), text, fraction, "1", interval, times,
+        age * float(np.median(speed[known])),
         Advice("look", "record each position with the time of its measurement, or leave out rows with a stale one"))]
 
 
@@ -509,24 +509,24 @@ def _check_jumps(motion: Motion, errors: np.ndarray, is_stale: np.ndarray, round
     count = int(large.sum())
     if not count:
         return []
-    where = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
+    times = tuple((float(motion.time[k]), float(motion.time[k + 1])) for k in np.flatnonzero(large))
     median, largest = float(np.median(size[large])), float(size[large].max())
     text = (f"positions jump {count} time{'s' if count > 1 else ''} without a matching velocity: median "
             f"{median:.2f} m, largest {largest:.2f} m")
-    share = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
-    effect = median * float(np.sqrt(share))
+    fraction = min(count * HORIZON / max(float(motion.time[-1] - motion.time[0]), 1.0), 1.0)
+    effect = median * float(np.sqrt(fraction))
     # Intervals with jumps become gaps, across which no prediction is scored.
     advice = Advice.for_run_yaml({"leave_out": [
         [round(begin - JUMP_MARGIN, 2), round(end + JUMP_MARGIN, 2)]
-        for begin, end in find_time_intervals(np.unique(where), 2.0 * JUMP_MARGIN)]})
+        for begin, end in find_time_intervals(np.unique(times), 2.0 * JUMP_MARGIN)]})
     if count > MAX_LISTED_JUMPS:
         advice = Advice("look", "too many jumps to leave out: record with RTK, or post-process the raw data of the INS")
     return [Finding("position_jumps", LIMITS.severity(effect, largest >= LIMITS.warning_effect), ("x", "y"), text,
-                    float(count), "1", None, where[:MAX_LISTED_JUMPS], effect, advice)]
+                    float(count), "1", None, times[:MAX_LISTED_JUMPS], effect, advice)]
 
 
 def _check_jitter(motion: Motion, along: np.ndarray) -> list[Finding]:
-    """Finding of uneven time stamps of a smooth motion, in which d / v = mean dt - dt."""
+    """Finding of uneven time stamps of a smooth motion, for which d / v = mean dt - dt."""
     spacing = np.diff(motion.time)
     median = float(np.median(spacing))
     inside = (spacing < MAX_GAP) & np.isfinite(along)

@@ -1,4 +1,4 @@
-"""Robust linear regression of a residual on its possible causes.
+"""Robust linear regression of a residual on possible causes of faults.
 
 Errors of neighbouring samples are correlated, so confidence intervals come from a bootstrap of blocks of driving
 (`st_core.regression`). Causes are found by forward selection: the cause that reduces the loss most is added and all are
@@ -26,7 +26,7 @@ class Estimate:
     """An estimated value with its uncertainty."""
 
     value: float
-    deviation: float  # standard error
+    standard_error: float
     half_width: float  # of the 95 % confidence interval
 
     def __str__(self) -> str:
@@ -35,7 +35,7 @@ class Estimate:
         return f"{self.value:.{decimals}f} ± {self.half_width:.{decimals}f}"
 
     def __abs__(self) -> "Estimate":
-        return Estimate(abs(self.value), self.deviation, self.half_width)
+        return Estimate(abs(self.value), self.standard_error, self.half_width)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -51,16 +51,16 @@ class Estimate:
         return abs(value - self.value) <= self.half_width
 
     def scaled(self, factor: float) -> "Estimate":
-        return Estimate(factor * self.value, abs(factor) * self.deviation, abs(factor) * self.half_width)
+        return Estimate(factor * self.value, abs(factor) * self.standard_error, abs(factor) * self.half_width)
 
     def inverse(self) -> "Estimate":
         """Estimate of 1 / value, by first-order error propagation; the exact interval may be unbounded."""
         value = 1.0 / float(np.copysign(max(abs(self.value), 1e-12), self.value))
-        return Estimate(value, self.deviation * value**2, self.half_width * value**2)
+        return Estimate(value, self.standard_error * value**2, self.half_width * value**2)
 
     def widened(self, half_width: float) -> "Estimate":
         """The estimate with a further uncertainty added in quadrature; half_width: of its 95 % interval."""
-        return Estimate(self.value, float(np.hypot(self.deviation, 0.5 * half_width)),
+        return Estimate(self.value, float(np.hypot(self.standard_error, 0.5 * half_width)),
                         float(np.hypot(self.half_width, half_width)))
 
     def shifted(self, change: float) -> "Estimate":
@@ -131,27 +131,27 @@ class Regression:
         sums = np.cumsum(np.vstack([np.zeros((1, column.shape[1])), column]), axis=0)
         return float(np.sqrt(np.square(sums[count:] - sums[:-count]).sum(axis=1).mean()))
 
-    def select_causes(self, candidates: Sequence[str], min_values: Mapping[str, float], always: Sequence[str],
-                      alongside: Sequence[str]) -> dict[str, Estimate]:
+    def select_causes(self, candidates: Sequence[str], min_values: Mapping[str, float], required: Sequence[str],
+                      nuisance: Sequence[str]) -> dict[str, Estimate]:
         """The significant and relevant causes, selected one at a time and fitted together.
 
-        min_values: smallest reported value by cause. always: causes that are fitted in any case. alongside: causes that
-        are also fitted if a candidate is insignificant without them, because they act as slow noise on it.
+        min_values: smallest reported value by cause. required: causes that are always fitted. nuisance: causes that are
+        also fitted if a candidate is insignificant without them, because they act as slow noise on it.
         """
         causes: list[str] = []
         remaining = [name for name in candidates if np.abs(self.columns[name]).max(initial=0.0) > 0.0]
         while remaining:
-            _, scale, _ = self.fit([*always, *causes])
-            losses = {name: self.compute_loss([*always, *causes, name], scale) for name in remaining}
+            _, scale, _ = self.fit([*required, *causes])
+            losses = {name: self.compute_loss([*required, *causes, name], scale) for name in remaining}
             cause = min(losses, key=losses.__getitem__)
             remaining.remove(cause)
             # A cause that makes a previous one insignificant is collinear with it and must not be added.
-            for extra in ((), [name for name in alongside if name not in (*always, *causes, cause)]):
-                joint = self.estimate([*always, *causes, cause, *extra])
+            for extra in ((), [name for name in nuisance if name not in (*required, *causes, cause)]):
+                joint = self.estimate([*required, *causes, cause, *extra])
                 if all(is_relevant(joint[name], min_values[name]) for name in (*causes, cause)):
                     causes.append(cause)
                     break
-        joint = self.estimate([*always, *causes])
+        joint = self.estimate([*required, *causes])
         return {name: joint[name] for name in causes}
 
 
@@ -163,5 +163,5 @@ def add_systematic_uncertainty(name: str, estimate: Estimate) -> Estimate:
 
 
 def is_relevant(estimate: Estimate, minimum: float) -> bool:
-    """Whether an estimate is significant and reaches the smallest reported value."""
+    """Whether an estimate is significant and at least as large as the smallest reported value."""
     return estimate.significant and abs(estimate.value) >= minimum

@@ -15,22 +15,22 @@ from .motion import MAX_GAP, MAX_LISTED, Motion, find_groups, find_spans, find_t
 UNITS = {"x": "m", "y": "m", "yaw": "rad", "velocity_x": "m/s", "velocity_y": "m/s", "yaw_rate": "rad/s",
          "acceleration_x": "m/s^2", "acceleration_y": "m/s^2", "road_wheel_angle": "rad"}
 STAMPED_CHANNELS = {"INS": ("time",), "steering": ("road_wheel_angle",)}  # channels that wrong stamps affect
-MIN_HELD_SHARE = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
+MIN_HELD_FRACTION = 0.7  # minimum fraction of the samples in sequences of equal values of the usual length
 MIN_HELD_RATE = 15.0  # Hz; at 15 m/s, positions held at this rate lag by up to 1 m, and by 0.5 m on average
 PREDICTION_GAP = PredictionSettings().maximum_gap
-MAX_LONG_SHARE = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
-MAX_GAP_SHARE = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
+MAX_LONG_FRACTION = 0.05  # fraction of intervals above PREDICTION_GAP; at 10 Hz, 92 % of 5 s horizons then contain one
+MAX_GAP_FRACTION = 0.05  # fraction of the time in gaps above which whole driving conditions may be missing
 MIN_ROWS_PER_SAMPLE = 1.5  # minimum sampling interval, in rows, of a sensor that is slower than the rows
-SPACING_TOLERANCE = 0.05  # largest relative deviation of its mean sampling interval from the expected one
+SPACING_TOLERANCE = 0.05  # largest relative deviation of the sensor's mean sampling interval from the expected one
 MIN_FREEZE_TIME = 1.5  # s; minimum duration of a frozen value
 MIN_CLIP_TIME = 0.3  # s; minimum duration of a clipped value
 MIN_CURVATURE_SPEED = 2.0  # m/s; at lower speeds, the curvature is not judged
 MIN_CURVATURE_CHANGE = 0.1  # minimum relative change of the curvature while a clipped steering angle is constant
-MIN_FROZEN_CURVATURE_CHANGE = 0.3  # the same while a frozen one is constant; saturating tyres cause 0.2
+MIN_FROZEN_CURVATURE_CHANGE = 0.3  # the same for a frozen steering angle; saturating tyres cause 0.2
 CLIP_RATIO = 8.0  # minimum number of samples at a clipped value, divided by the number at each adjacent value
 FREEZE_PAUSE_RATIO = 10.0  # minimum duration of a frozen value, divided by the channel's usual time without a change
 OPTIONAL_CHANNELS = ("velocity_y", "acceleration_x", "acceleration_y")  # not needed to score predicted paths
-MAX_STEP_RATIO = 1.5  # largest ratio of a sampling interval to the median; in a longer interval a sample was lost
+MAX_INTERVAL_RATIO = 1.5  # largest ratio of a sampling interval to the median; a longer one contains a lost sample
 MAX_SPEED_NOISE = 0.5  # m/s; reported by a receiver at standstill while the position is constant
 MAX_GYRO_BIAS = 0.02  # rad/s; a constant yaw counts as frozen only at a larger yaw rate
 LOCKED_STATUS = 4  # NCOM byte 21
@@ -67,7 +67,7 @@ def estimate_resolution(time: np.ndarray, values: np.ndarray) -> float:
     Steps across lost samples are ignored, because in uniform motion they are always multiples of one step.
     """
     spacing = np.diff(time)
-    steps = np.abs(np.diff(values))[spacing < MAX_STEP_RATIO * float(np.median(spacing))]
+    steps = np.abs(np.diff(values))[spacing < MAX_INTERVAL_RATIO * float(np.median(spacing))]
     all_change, steps = bool((steps > 0.0).all()), steps[steps > 0.0]
     if len(steps) < MIN_MEASURED_STEPS:
         return 0.0
@@ -88,7 +88,7 @@ def check_timing(motion: Motion, auxiliary: AuxiliaryData, excluded: Sequence[Fi
     for signal, stamps in auxiliary.stamps.items():
         findings += _check_stamps(signal, np.asarray(stamps, np.int64), start_ns)
     for signal, time in (("INS", motion.time), ("steering", motion.steering_time)):
-        findings += _check_gaps(signal, time, [interval for finding in excluded for interval in finding.where])
+        findings += _check_gaps(signal, time, [interval for finding in excluded for interval in finding.times])
     missing = [_make_missing_values_finding(channel, count, motion, auxiliary)
                for channel, count in auxiliary.missing.items() if count]
     return findings + merge_findings(missing)
@@ -98,26 +98,26 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
     time, signal = (motion.steering_time, "steering") if channel in STEERING else (motion.time, "INS")
     stamps = auxiliary.stamps.get(signal, auxiliary.stamps.get("INS", np.zeros(0)))
     keeps_row = channel.startswith("acceleration")  # a row that lacks only an acceleration is kept
-    share, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
+    fraction, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
     if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
         # Evenly spaced samples show a sensor that is slower than the rows; one interval in a hundred may deviate.
         row = float(np.median(row_spacing))
-        expected = row / max(1.0 - share, 1e-9)
+        expected = row / max(1.0 - fraction, 1e-9)
         within = np.abs(spacing - expected) <= 1.05 * row
-        if expected >= MIN_ROWS_PER_SAMPLE * row and np.mean(~within) <= LIMITS.note_share and (
+        if expected >= MIN_ROWS_PER_SAMPLE * row and np.mean(~within) <= LIMITS.max_note_fraction and (
                 abs(float(spacing[within].mean()) / expected - 1.0) <= SPACING_TOLERANCE):
             rate = 1.0 / expected
     if rate:
-        text = (f"{channel}: {100 * share:.3g} % of the rows have no value, and the others are evenly spaced: it was "
-                f"recorded at {rate:.3g} Hz")
+        text = (f"{channel}: {100 * fraction:.3g} % of the rows have no value, and the others are evenly spaced: it "
+                f"was recorded at {rate:.3g} Hz")
         advice = "no action is needed if that is the sensor's rate"
     else:
-        text = (f"{channel}: {count} rows have no usable value ({100 * share:.3g} %); they were "
+        text = (f"{channel}: {count} rows have no usable value ({100 * fraction:.3g} %); they were "
                 f"{'kept without it' if keeps_row else 'left out'}")
         advice = "check what the logger writes in these rows"
-    severity = Severity.NOTE if rate or share <= LIMITS.note_share else Severity.WARNING
-    return Finding("values_missing", severity, (channel,), text, share, advice=Advice("look", advice))
+    severity = Severity.NOTE if rate or fraction <= LIMITS.max_note_fraction else Severity.WARNING
+    return Finding("values_missing", severity, (channel,), text, fraction, advice=Advice("look", advice))
 
 
 def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> Finding:
@@ -125,13 +125,13 @@ def make_rejected_frames_finding(time: np.ndarray, frames: int, reason: str) -> 
 
     time: of the rejected frames, ascending [s since the first INS measurement]. frames: number of all frames.
     """
-    share = len(time) / frames
+    fraction = len(time) / frames
     text = (f"road_wheel_angle: {len(time)} of {frames} frames between {time[0]:.2f} and {time[-1]:.2f} s were "
             f"received but not used: {reason}")
-    severity = Severity.NOTE if share <= MAX_GAP_SHARE else Severity.WARNING
+    severity = Severity.NOTE if fraction <= MAX_GAP_FRACTION else Severity.WARNING
     advice = Advice("look", "check the steering sensor, and its range and max_rate in the signal table")
-    return Finding("values_missing", severity, ("road_wheel_angle",), text, share,
-                   where=find_time_intervals(time, MAX_GAP), advice=advice)
+    return Finding("values_missing", severity, ("road_wheel_angle",), text, fraction,
+                   times=find_time_intervals(time, MAX_GAP), advice=advice)
 
 
 def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Finding]:
@@ -145,20 +145,20 @@ def _check_stamps(signal: str, stamps: np.ndarray, start_ns: int) -> list[Findin
     for name, faulty, lost in (("time_order", step < 0, old), ("time_duplicates", step == 0, step == 0)):
         if not faulty.any():
             continue
-        count, share = int(lost.sum()), float(lost.sum()) / len(stamps)
+        count, fraction = int(lost.sum()), float(lost.sum()) / len(stamps)
         largest = -float(step.min()) * NANOSECOND
         was_reset = name == "time_order" and largest > MAX_GAP
-        where = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED] * NANOSECOND)
+        times = tuple((float(t), float(t)) for t in (newest[faulty] - start_ns)[:MAX_LISTED] * NANOSECOND)
         if was_reset:
             text = (f"the stamps of the {signal} go back {int(faulty.sum())} time{'s' if faulty.sum() > 1 else ''}, by "
-                    f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * share:.3g} %) are not used")
+                    f"up to {largest:.4g} s: {count} of {len(stamps)} rows ({100 * fraction:.3g} %) are not used")
             advice = "check the logger: its clock was set back, or it restarted; split the recording there into runs"
         else:
             text = (f"{count} of {len(stamps)} stamps of the {signal} "
                     f"{'go back' if name == 'time_order' else 'are duplicates'}; those rows were left out")
             advice = "check how the rows were stamped and merged"
-        severity = Severity.WARNING if was_reset or share > LIMITS.note_share else Severity.NOTE
-        findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, share, where=where,
+        severity = Severity.WARNING if was_reset or fraction > LIMITS.max_note_fraction else Severity.NOTE
+        findings.append(Finding(name, severity, STAMPED_CHANNELS[signal], text, fraction, times=times,
                                 advice=Advice("look", advice)))
     return findings
 
@@ -168,11 +168,12 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
         return []
     spacing = np.diff(time)
     typical = float(np.median(spacing))
-    long_share = float((np.round(spacing, 9) > PREDICTION_GAP).mean())
+    long_fraction = float((np.round(spacing, 9) > PREDICTION_GAP).mean())
     # At twice the required rate or above, long intervals are gaps, which are listed with their times below.
-    if typical > 0.5 * PREDICTION_GAP and long_share > MAX_LONG_SHARE:
-        text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_share:.0f} % of the intervals "
-                f"exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are scored")
+    if typical > 0.5 * PREDICTION_GAP and long_fraction > MAX_LONG_FRACTION:
+        text = (f"the {signal} has one sample every {typical:.3g} s, and {100.0 * long_fraction:.0f} % of the "
+                f"intervals exceed {PREDICTION_GAP:g} s, across which nothing is predicted: few or no starts are "
+                "scored")
         return [Finding("time_gaps", Severity.WARNING, STAMPED_CHANNELS[signal], text, typical, "s",
                         advice=Advice("look", f"record the {signal} at a higher rate, or find out why most of its "
                                       "samples are not used"))]
@@ -181,12 +182,12 @@ def _check_gaps(signal: str, time: np.ndarray, excluded_times: Sequence[tuple[fl
     if not gaps:
         return []
     missing = float((spacing[gaps] - typical).sum())
-    where = tuple((float(time[k]), float(time[k + 1])) for k in gaps)
-    share = missing / max(float(time[-1] - time[0]), 1e-9)
-    severity = Severity.WARNING if share > MAX_GAP_SHARE else Severity.NOTE
+    times = tuple((float(time[k]), float(time[k + 1])) for k in gaps)
+    fraction = missing / max(float(time[-1] - time[0]), 1e-9)
+    severity = Severity.WARNING if fraction > MAX_GAP_FRACTION else Severity.NOTE
     text = (f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of the {signal}, {missing:.2f} s in all, longest "
             f"{spacing[gaps].max():.2f} s: nothing is scored there")
-    return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", where=where,
+    return [Finding("time_gaps", severity, STAMPED_CHANNELS[signal], text, missing, "s", times=times,
                     advice=Advice("look", "check the logger: lost packets, a full buffer, a restart"))]
 
 
@@ -201,7 +202,7 @@ def find_stuck_channels(motion: Motion, channels: Mapping[str, Sampling]) -> lis
 
 
 def find_coarse_channels(motion: Motion, stuck: Sequence[Finding]) -> list[Finding]:
-    """Findings of channels rounded so coarsely that the initial state has a relevant error; held ones are excluded."""
+    """Findings of channels rounded so coarsely that the initial state has a relevant error, except held channels."""
     held = {channel for finding in stuck if finding.name == "samples_repeated" for channel in finding.channels}
     speed = float(np.median(motion.speed))
     findings = []
@@ -225,8 +226,8 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
     if len(lengths) < MIN_MEASURED_STEPS:
         return []
     median = float(np.median(lengths))
-    regular_share = float(lengths[np.abs(lengths - median) <= max(0.1 * median, 0.5)].sum() / lengths.sum())
-    if median < 2.0 or regular_share < MIN_HELD_SHARE:
+    regular_fraction = float(lengths[np.abs(lengths - median) <= max(0.1 * median, 0.5)].sum() / lengths.sum())
+    if median < 2.0 or regular_fraction < MIN_HELD_FRACTION:
         return []
     rate = 1.0 / (median * float(np.median(np.diff(time))))
     text = f"{name} changes only once in {median:g} samples: it was recorded at {rate:.3g} Hz and held"
@@ -235,7 +236,7 @@ def _check_held(name: str, time: np.ndarray, values: np.ndarray) -> list[Finding
                     advice=Advice("look", f"log {name} at its own rate, or interpolate it first"))]
 
 
-def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
+def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
     """Finding of a channel that stays at its largest or smallest value several times, while other channels change.
 
     A rounded signal also repeats its maximum, but repeats the adjacent value almost as often.
@@ -247,30 +248,30 @@ def _check_clipped(name: str, time: np.ndarray, values: np.ndarray, motion: Moti
         long = 1 + np.flatnonzero((values[first[1:-1]] == limit) & (
             lengths[1:-1] > CLIP_RATIO * np.maximum(lengths[:-2], lengths[2:])))
         held = [int(k) for k in long if time[last[k]] - time[first[k]] > MIN_CLIP_TIME
-                and _should_change(name, time[first[k]], time[last[k]], motion, step)]
+                and _should_change(name, time[first[k]], time[last[k]], motion, resolution)]
         clipped += held if len(held) > 1 else []
     if not clipped:
         return []
-    where = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
+    times = tuple(sorted((float(time[first[k]]), float(time[last[k]])) for k in clipped))
     limits = " and ".join(f"{limit:.4g}" for limit in sorted({float(values[first[k]]) for k in clipped}))
     text = f"{name} stays at {limits} {UNITS[name]} {len(clipped)} times while other channels change: it is clipped"
     advice = Advice("look", f"increase the range of the sensor or of its signal: the true {name} is larger there"
                     + (", unless the steering is at its stop" if name == "road_wheel_angle" else ""))
     return [Finding("channel_clipped", Severity.WARNING, (name,), text, float(np.abs(values[first[clipped]]).max()),
-                    UNITS[name], where=where, advice=advice)]
+                    UNITS[name], times=times, advice=advice)]
 
 
-def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, step: float) -> list[Finding]:
-    """Finding of a channel that stays at any value, much longer than usual, while other channels change."""
+def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motion, resolution: float) -> list[Finding]:
+    """Finding of a channel that is constant for much longer than usual while other channels change."""
     first, last = find_groups(np.diff(values) != 0.0)
     duration = time[last] - time[first]
     usual_pause = float(np.sort(duration)[max(int(0.98 * len(duration)) - 1, 0)]) if len(duration) > 5 else 0.0
     frozen = [k for k in np.flatnonzero(duration > max(MIN_FREEZE_TIME, FREEZE_PAUSE_RATIO * usual_pause))
-              if _should_change(name, time[first[k]], time[last[k]], motion, step, MIN_FROZEN_CURVATURE_CHANGE)]
+              if _should_change(name, time[first[k]], time[last[k]], motion, resolution, MIN_FROZEN_CURVATURE_CHANGE)]
     if not frozen:
         return []
     seconds = float(duration[frozen].sum())
-    where = tuple((float(time[first[k]]), float(time[last[k]])) for k in frozen)
+    times = tuple((float(time[first[k]]), float(time[last[k]])) for k in frozen)
     text = f"{name} is constant for {seconds:.1f} s while the car moves"
     if name == "velocity_y" and not values.any():
         text = "velocity_y is missing or 0 throughout, so the sideslip at each start is unknown"
@@ -281,14 +282,14 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
     elif name == "road_wheel_angle":
         advice = Advice("look", "check the steering sensor: its frames repeat one value")
     else:
-        frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in where]
+        frozen_times = [[round(begin, 2), round(end, 2)] for begin, end in times]
         advice = Advice.for_run_yaml({"leave_out": frozen_times})
-    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", where=where, advice=advice)]
+    return [Finding("channel_frozen", severity, (name,), text, seconds, "s", times=times, advice=advice)]
 
 
-def _should_change(name: str, begin: float, end: float, motion: Motion, step: float,
+def _should_change(name: str, begin: float, end: float, motion: Motion, resolution: float,
                    min_curvature_change: float = MIN_CURVATURE_CHANGE) -> bool:
-    """Whether the other channels show that this one should have changed by more than its resolution `step`.
+    """Whether the other channels show that this one should have changed by more than its resolution.
 
     min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
     """
@@ -300,7 +301,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
     if name in RATES:
         rate, bias, min_change = RATES[name]
         change = max(abs(float(rate(motion)[in_interval].mean())) - bias, 0.0) * (end - begin)
-        return change > max(ROUNDING_STEPS * step, min_change)
+        return change > max(ROUNDING_STEPS * resolution, min_change)
     related, min_change = RELATED_QUANTITIES[name]
     expected = related(motion)[in_interval]
     change = np.ptp(np.percentile(expected, [5, 95]))
@@ -310,12 +311,12 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, step: fl
         residual = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
         return bool(change > min_change and np.ptp(np.percentile(residual, [5, 95]))
                     > min_curvature_change * np.median(np.abs(curvature)))
-    rounding = ROUNDING_STEPS * step if name in CHANNELS_WITH_RELATED_UNIT else 0.0
+    rounding = ROUNDING_STEPS * resolution if name in CHANNELS_WITH_SAME_UNIT else 0.0
     return bool(change > max(min_change, rounding))
 
 
 def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mean rate of change in the half second after each sample; the last rate is repeated up to the end."""
+    """Mean rate of change in the half second after each sample; within half a second of the end, the last rate."""
     count = max(round(0.5 / float(np.median(np.diff(time)))), 1)
     rate = (values[count:] - values[:-count]) / (time[count:] - time[:-count])
     return np.concatenate([rate, np.full(len(time) - len(rate), rate[-1] if len(rate) else 0.0)])
@@ -325,7 +326,7 @@ def _compute_mean_rate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 POSITION_EFFECT = {
     "x": (1.0, False), "y": (1.0, False), "yaw": (HORIZON, True), "velocity_x": (HORIZON, False),
     "velocity_y": (LIMITS.yaw_settling_time * HORIZON, False), "yaw_rate": (LIMITS.yaw_settling_time * HORIZON, True)}
-# By channel: its rate from other channels, the largest bias of that rate, and the smallest expected change.
+# By channel: its rate of change from other channels, the largest bias of that rate, and the smallest expected change.
 RATES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float, float]] = {
     "x": (lambda m: m.velocity_map.real, MAX_SPEED_NOISE, 1.0),
     "y": (lambda m: m.velocity_map.imag, MAX_SPEED_NOISE, 1.0),
@@ -339,7 +340,7 @@ RELATED_QUANTITIES: Mapping[str, tuple[Callable[[Motion], np.ndarray], float]] =
     "yaw_rate": (lambda m: _compute_mean_rate(m.time, m.yaw), 0.05),
     "road_wheel_angle": (lambda m: m.yaw_rate, 0.05),
 }
-CHANNELS_WITH_RELATED_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")
+CHANNELS_WITH_SAME_UNIT = ("velocity_x", "acceleration_x", "acceleration_y", "yaw_rate")  # as the related quantity
 
 
 def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
@@ -349,7 +350,7 @@ def drop_frozen_samples(motion: Motion, findings: Sequence[Finding]) -> Motion:
             continue
         for is_steering in {channel == "road_wheel_angle" for channel in finding.channels}:
             time = motion.steering_time if is_steering else motion.time
-            usable = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.where], axis=0)
+            usable = ~np.any([(time >= begin) & (time <= end) for begin, end in finding.times], axis=0)
             if usable.sum() > 0.5 * len(usable):
                 motion = motion.select_ins(usable) if not is_steering else replace(
                     motion, steering_time=time[usable], steering=motion.steering[usable])
@@ -372,10 +373,10 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     for bad, condition in ((without_rtk, "without RTK"), (not_locked, "not locked")):
         if not bad.any():
             continue
-        share = float(bad.mean())
-        text = f"the INS is {condition} for {100 * share:.0f} % of the time: its positions drift then"
-        severity = Severity.WARNING if share > LIMITS.note_share else Severity.NOTE
-        findings.append(Finding("ins_mode", severity, ("ins",), text, share, where=list_times(bad), advice=Advice(
+        fraction = float(bad.mean())
+        text = f"the INS is {condition} for {100 * fraction:.0f} % of the time, in which its positions drift"
+        severity = Severity.WARNING if fraction > LIMITS.max_note_fraction else Severity.NOTE
+        findings.append(Finding("ins_mode", severity, ("ins",), text, fraction, times=list_times(bad), advice=Advice(
             "look", "leave out these intervals, or post-process the raw data of the INS")))
     accuracy = quality.position_accuracy
     known = np.isfinite(accuracy)
@@ -383,6 +384,6 @@ def check_quality(quality: InsQuality | None, start_ns: int) -> list[Finding]:
     if typical >= LIMITS.warning_effect:
         text = f"the median standard deviation of position reported by the INS is {typical:.2f} m"
         findings.append(Finding("ins_accuracy", LIMITS.severity(typical), ("ins",), text, typical, "m",
-                                where=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=typical,
+                                times=list_times(known & (accuracy >= LIMITS.warning_effect)), effect=typical,
                                 advice=Advice("look", "record with RTK, or post-process the raw data of the INS")))
     return findings

@@ -36,7 +36,7 @@ MAX_ERROR_RATIO, ERROR_NOISE = 1.1, 0.02
 GAIN_STEP, OFFSET_STEP = 0.03, 0.003  # 1, rad; steps of the difference quotients
 MAX_GAIN, MAX_OFFSET = LIMITS.steering_unit_ratio - 1.0, 0.1  # 1, rad at the road wheels; larger than in any car
 MIN_STARTS = 4
-REDUCED_STARTS = 100  # of many starts, 100 to 199 are used; more would change the error by less than 1 %
+MIN_REDUCED_STARTS = 100  # many starts are reduced to 100 to 199; more would change the error by less than 1 %
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 MAX_TRIAL_SUBSTEPS = 50  # steps of 1 ms
 SPEED_COUNT = 40  # number of speeds, from the lowest to the highest of the run, at which the stability is computed
@@ -102,7 +102,7 @@ def _compute_prediction_error(run: Run | None) -> float | None:
         return None
     log, vehicle = run
     starts = regular_starts(log, HORIZON)
-    starts = starts[::max(len(starts) // REDUCED_STARTS, 1)]
+    starts = starts[::max(len(starts) // MIN_REDUCED_STARTS, 1)]
     angle = log.road_wheel_angle
     default = PredictionSettings()
     speeds = (float(log.velocity_x.min()), float(log.velocity_x.max()))
@@ -153,8 +153,8 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
                       step: float) -> Finding | None:
     """Finding of integration steps that are too long for any of the models; None if the step [s] is short enough.
 
-    Its value is the minimum_slip_speed [m/s] that makes the step stable, or else the longest stable step [s], or None.
-    For a small car, no speed above its median speed is proposed, since that would soften the tyres throughout.
+    The value of the finding is the minimum_slip_speed [m/s] that makes the step stable, else the longest stable step
+    [s], else None. For a small car, no speed above the median is proposed: that would soften the tyres throughout.
     """
     resolved = [get_model(model) for model in models]
     speed = np.abs(log.velocity_x)
@@ -182,5 +182,5 @@ def check_step_length(models: Sequence[str | Model], vehicle: VehicleParameters,
     text = (f"integration steps of {1e3 * step:g} ms are too long for the {' and '.join(unstable_models)} model of "
             f"{vehicle.name} at {affected.min():.1f} to {affected.max():.1f} m/s: the lateral motion is wrong")
     seconds = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
-    where = () if unstable.all() else find_time_intervals(seconds[unstable], MERGE_GAP)
-    return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, where=where, advice=advice)
+    times = () if unstable.all() else find_time_intervals(seconds[unstable], MERGE_GAP)
+    return Finding("step_too_long", Severity.WARNING, ("velocity_x",), text, value, unit, times=times, advice=advice)

@@ -23,21 +23,21 @@ MIN_YAW_RANGE = 0.2  # rad; minimum range of yaw in the drive
 MAX_CONSISTENT_MISFIT = 0.02  # largest misfit of consistent positions, yaw and velocities, divided by the distance
 MAX_MAP_MISFIT = 0.1  # largest ratio of the misfit in map axes to the distance, and to the misfit in body axes
 UNIT_TOLERANCE = 1.06  # factor by which a ratio may differ from that of its unit
-COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, which has an error of ten per cent in one short bend
+COURSE_TOLERANCE = 1.2  # the same for a ratio to the course, whose change in one short bend is inaccurate by 10 %
 MIN_YAW_OFFSET = 0.35  # rad; smaller angles are sideslip, or an offset that `position` estimates
 MAX_SCALE_ERROR = 0.005  # largest relative scale error of a sound gyroscope or projection
 MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate; a crystal is accurate to 0.0001
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
 TIE_MISFIT_RATIO = 0.97  # ratio of two misfits above which velocity_y is too small to determine its own unit
-DEGREE, GON = 180.0 / np.pi, 200.0 / np.pi
-ANGLES = {DEGREE: "degrees", GON: "gon", 1000.0: "mrad"}
+DEG_PER_RAD, GON_PER_RAD = 180.0 / np.pi, 200.0 / np.pi
+ANGLES = {DEG_PER_RAD: "degrees", GON_PER_RAD: "gon", 1000.0: "mrad"}
 SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
 LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
 TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
-EXCHANGED = {"x": "y", "y": "x"}  # columns of run.yaml
-MIRRORED, FROM_EAST = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml, the second of yaw
+EXCHANGE_X_Y = {"x": "y", "y": "x"}  # columns of run.yaml
+MIRROR, COMPASS_TO_YAW = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml
 MotionAndFinding = tuple[Motion, Finding | None]
 
 
@@ -59,7 +59,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
         motion, finding = step(motion)
         findings += [finding] if finding else []
     by_name = {finding.name: finding for finding in findings}
-    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # one finding for a clockwise yaw that is not from north
+    if {"yaw_convention", "yaw_offset"} <= by_name.keys():  # merged for a clockwise yaw not measured from north
         clockwise, offset = by_name["yaw_convention"], by_name.pop("yaw_offset")
         corrections = [finding.advice.entry["correct"] for finding in (clockwise, offset) if finding.advice]
         correct = {channel: dict(values) for channel, values in corrections[0].items()}
@@ -72,7 +72,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
 
 def _correct(motion: Motion, name: str, channels: tuple[str, ...], text: str, value: float | None, advice: Advice,
              unit: str = "1") -> tuple[Motion, Finding]:
-    """(the motion with the correction in the advice, finding of an error)."""
+    """(the motion with the correction in the advice applied, finding with the severity error)."""
     return motion.apply_entry(advice.entry), Finding(name, Severity.ERROR, channels, text, value, unit, advice=advice)
 
 
@@ -137,7 +137,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
     if not np.isfinite(ratios.yaw_to_rate) or _matches(ratios.yaw_to_rate, 1.0):
         return motion, None
     rate_to_yaw = 1.0 / ratios.yaw_to_rate
-    if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEGREE)
+    if (_matches(ratios.yaw_to_course, 1.0) or _positions_follow_yaw(motion) or is_near(rate_to_yaw, DEG_PER_RAD)
             or _matches(ratios.rate_to_course, rate_to_yaw)):
         return _scale_yaw_rate(motion, rate_to_yaw)
     if (_matches(ratios.rate_to_course, -1.0) and not _matches(ratios.yaw_to_course, -1.0)
@@ -172,7 +172,7 @@ def _correct_north_east(motion: Motion) -> MotionAndFinding:
         return motion, None
     text = ("x, y and yaw turn in the opposite direction to yaw rate and steering: is x north, y east and yaw a "
             "compass heading? Expected: x east, y north, yaw from east, counter-clockwise")
-    entry = {"columns": EXCHANGED, "correct": {"yaw": FROM_EAST}}
+    entry = {"columns": EXCHANGE_X_Y, "correct": {"yaw": COMPASS_TO_YAW}}
     return _correct(motion, "position_axes", ("x", "y", "yaw"), text, None, Advice.for_run_yaml(entry))
 
 
@@ -213,7 +213,7 @@ def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> fl
 
 
 def _remove_wraps(motion: Motion) -> np.ndarray:
-    """The yaw, with the integrated yaw rate in place of steps that remain if another unit was unwrapped as rad."""
+    """The yaw, with the integrated yaw rate in place of steps that remain if a different unit was unwrapped as rad."""
     step = np.diff(motion.yaw)
     expected = np.diff(cumulative_trapezoid(motion.yaw_rate, motion.time, initial=0.0))
     error = np.abs(step - expected)
@@ -232,13 +232,13 @@ def _correct_position_axes(motion: Motion) -> MotionAndFinding:
     if motion.geographic and quarter % 2:  # even: a longitude positive to the west, or a latitude positive to the south
         text = ("yaw and yaw_rate are positive clockwise: is yaw a compass heading from north, and does the "
                 "gyroscope's axis point down? Expected: left positive, yaw from east")
-        advice = Advice.for_run_yaml({"correct": {"yaw": FROM_EAST, "yaw_rate": MIRRORED}})
+        advice = Advice.for_run_yaml({"correct": {"yaw": COMPASS_TO_YAW, "yaw_rate": MIRROR}})
         return _correct(motion, "yaw_convention", ("yaw", "yaw_rate"), text, ratios.yaw_to_course, advice)
     axes: dict[int, tuple[str, dict[str, Any]]] = {
-        0: ("y is mirrored (it should increase to the north)", {"correct": {"y": MIRRORED}}),
-        1: ("x and y are exchanged (x should be east, y north)", {"columns": EXCHANGED}),
-        2: ("x is mirrored (it should increase to the east)", {"correct": {"x": MIRRORED}}),
-        3: ("x and y are exchanged and mirrored", {"columns": EXCHANGED, "correct": {"x": MIRRORED, "y": MIRRORED}}),
+        0: ("y is mirrored (it should increase to the north)", {"correct": {"y": MIRROR}}),
+        1: ("x and y are exchanged (x should be east, y north)", {"columns": EXCHANGE_X_Y}),
+        2: ("x is mirrored (it should increase to the east)", {"correct": {"x": MIRROR}}),
+        3: ("x and y are exchanged and mirrored", {"columns": EXCHANGE_X_Y, "correct": {"x": MIRROR, "y": MIRROR}}),
     }
     text, entry = axes[quarter]
     return _correct(motion, "position_axes", ("x", "y"),
@@ -317,7 +317,7 @@ def _correct_velocity_axes(motion: Motion) -> MotionAndFinding:
 
 
 def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
-    """Correct a yaw measured from another axis, or a reversed yaw or velocity_x, by the direction of travel."""
+    """Correct a yaw measured from a wrong axis, or a reversed yaw or velocity_x, by the direction of travel."""
     measured, derived = _compute_displacements(motion, motion.velocity_map)
     total, size = np.sum(derived * np.conj(measured)), float(np.abs(measured * derived).sum())
     angle = float(np.angle(total))
@@ -333,5 +333,5 @@ def _correct_yaw_offset(motion: Motion) -> MotionAndFinding:
         1.0: ": is it measured from north?", -1.0: ": is it measured from north or south?",
         2.0: ": does it point backwards?", -2.0: ": does it point backwards?"}
     question = questions.get(round(exact / (np.pi / 2), 3), "")
-    text = f"yaw differs by {angle:+.2f} rad ({angle * DEGREE:+.0f} deg) from the direction of travel{question}"
+    text = f"yaw differs by {angle:+.2f} rad ({angle * DEG_PER_RAD:+.0f} deg) from the direction of travel{question}"
     return _correct(motion, "yaw_offset", ("yaw",), text, angle, Advice.correct("yaw", add=-exact), "rad")

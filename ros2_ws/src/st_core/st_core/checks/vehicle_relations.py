@@ -7,8 +7,8 @@ Rear axle: at low speed it moves in the direction of the heading, so the lateral
 
     v_y = -a v_x + d r - s v_x^2 r - e d(v_x r)/dt
 
-a: misalignment [rad], + if the heading points too far left; d: distance of the point ahead of the rear axle [m]; s, e:
-slip of the rear axle [rad s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
+a: misalignment [rad], > 0 if the heading points too far left; d: distance of the point ahead of the rear axle [m];
+s, e: slip of the rear axle [rad s^2/m] and lateral shift of the point by body roll [s^2] per lateral acceleration.
 """
 
 from dataclasses import replace
@@ -24,7 +24,7 @@ from .inertial import MAX_LAG, MIN_COMMON_TIME, NO_BIAS, Agreement, CheckResult,
 from .motion import MAX_LISTED, MIN_MOVING_SPEED, Motion, correlate, has_varying_speed
 from .position import make_lateral_sign_finding
 from .regression import Estimate, Regression, add_systematic_uncertainty
-from .units_and_axes import DEGREE
+from .units_and_axes import DEG_PER_RAD
 
 CUTOFF = 1.5  # Hz
 MIN_SPEED, MAX_LATERAL_ACCELERATION = 2.0, 4.0  # m/s, m/s^2; range of linear rear slip
@@ -39,8 +39,8 @@ MIN_UNRELATED_SPREAD = 0.01  # rad at the road wheels; minimum standard deviatio
 MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering is constant and reported as frozen
 
 
-def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: bool) -> CheckResult:
-    """Compare steering with curvature. wheel_measured: whether the steering wheel angle was recorded."""
+def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
+    """Compare steering with curvature. has_steering_wheel: whether the steering wheel angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -53,14 +53,14 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
     # weighted with the squared angle, is computed for K of the vehicle file (0 or more) and for the largest K of cars.
     weight, expected = np.square(np.nan_to_num(derived)), max(stability_factor(vehicle), 0.0)
     mean_square = float(np.average(motion.velocity_x**2, weights=weight)) if weight.any() else 0.0
-    largest = max(expected, MAX_UNDERSTEER / DEGREE / (vehicle.wheelbase * GRAVITY))
+    largest = max(expected, MAX_UNDERSTEER / DEG_PER_RAD / (vehicle.wheelbase * GRAVITY))
     understeer = 1.0 + expected * mean_square, 1.0 + largest * mean_square
     if agreement is None or not agreement.correlates:
         cause = _make_unrelated_finding(motion, derived) or (
-            gain and _make_unit_finding(gain, understeer, vehicle, wheel_measured))
+            gain and _make_unit_finding(gain, understeer, vehicle, has_steering_wheel))
         return [cause] if cause else [], {}, None
     # In one long bend, gain and offset are confounded.
-    if gain is not None and (agreement.scale.deviation > 0.2 * abs(agreement.scale.value)
+    if gain is not None and (agreement.scale.standard_error > 0.2 * abs(agreement.scale.value)
                              or abs(float(agreement.derived.mean())) > agreement.spread):
         agreement = replace(agreement, scale=gain, bias=NO_BIAS)
     gain = add_systematic_uncertainty("steering_scale", agreement.scale)
@@ -68,9 +68,9 @@ def check_steering(motion: Motion, vehicle: VehicleParameters, wheel_measured: b
         "steering_lag", agreement.lag.shifted(response).widened(_compute_response_uncertainty(vehicle, speed)))
     # If correlation and gain differ in sign, the driver countersteers (crosswind, bank), and the lag is undetermined.
     has_lag, lateral_shift = agreement.correlation * gain.value >= 0.0, _compute_lateral_shift(speed, vehicle)
-    findings = (_make_unit_finding(gain, understeer, vehicle, wheel_measured),
+    findings = (_make_unit_finding(gain, understeer, vehicle, has_steering_wheel),
                 _make_lag_finding(lag, agreement, response, lateral_shift) if has_lag else None,
-                _make_offset_finding(agreement, vehicle, wheel_measured, lateral_shift))
+                _make_offset_finding(agreement, vehicle, has_steering_wheel, lateral_shift))
     estimates = {"steering_scale": gain, "steering_sign": gain,
                  "steering_offset": add_systematic_uncertainty("steering_offset", agreement.bias)}
     estimates |= {"steering_lag": lag} if has_lag and agreement.determines_lag else {}
@@ -90,8 +90,8 @@ def _make_unrelated_finding(motion: Motion, derived: np.ndarray) -> Finding | No
     correlation = correlate(angle[known], derived[known])
     if abs(correlation) >= LIMITS.min_correlation:
         return None
-    text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it another signal, the "
-            f"steering of another drive, stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
+    text = (f"the steering does not follow the car's motion (correlation {correlation:.2f}): is it a different signal, "
+            f"from a different drive, or stamped more than {MAX_LAG:g} s too early or too late, or does its sign "
             "change during the drive?")
     advice = Advice("look", "compare steering and yaw rate over time; predictions with this steering are invalid")
     return Finding("steering_unrelated", Severity.WARNING, ("road_wheel_angle",), text, correlation, advice=advice)
@@ -102,9 +102,9 @@ def _estimate_steering_gain(motion: Motion, derived: np.ndarray) -> Estimate | N
     car hardly turns. Smaller angles suffice for a negative gain, since only its sign is reported."""
     angle = motion.steering_at_ins()
     known = np.flatnonzero(np.isfinite(derived) & np.isfinite(angle))[::10]
-    size = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
-    shows_sign = size > MIN_ANGLE_FOR_SIGN and correlate(derived[known], angle[known]) < MAX_OPPOSITE_CORRELATION
-    if size < MIN_STEERING_ANGLE and not shows_sign:
+    rms = float(np.sqrt(np.mean(derived[known] ** 2))) if len(known) >= 50 else 0.0
+    shows_sign = rms > MIN_ANGLE_FOR_SIGN and correlate(derived[known], angle[known]) < MAX_OPPOSITE_CORRELATION
+    if rms < MIN_STEERING_ANGLE and not shows_sign:
         return None
     problem = Regression(motion.time[known], angle[known, None], {"scale": derived[known, None]})
     return problem.estimate(("scale",))["scale"]
@@ -143,8 +143,8 @@ def _compute_lateral_shift(speed: float, vehicle: VehicleParameters) -> float:
 
 
 def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle: VehicleParameters,
-                       wheel_measured: bool) -> Finding | None:
-    """Finding of a steering gain that only a wrong unit or sign explains; None for a plausible gain.
+                       has_steering_wheel: bool) -> Finding | None:
+    """Finding of a steering gain that only a wrong unit or sign can explain; None for a plausible gain.
 
     understeer: expected and largest plausible gain; a gain of 1 is plausible too, since stiffnesses may be inaccurate.
     """
@@ -152,9 +152,10 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
     if abs(value) < MIN_GAIN or (gain.interval[1] > 1.0 / limit and gain.interval[0] < limit * largest):
         return None
     ratio = f"steering ratio {vehicle.steering_ratio:g} of the vehicle file"
-    reasons = {DEGREE: "is it in degrees", vehicle.steering_ratio: f"is it the angle of the steering wheel ({ratio})",
-               DEGREE * vehicle.steering_ratio: f"is it the angle of the steering wheel in degrees ({ratio})",
-               1.0 / DEGREE: "was it converted to rad twice",
+    reasons = {DEG_PER_RAD: "is it in degrees",
+               vehicle.steering_ratio: f"is it the angle of the steering wheel ({ratio})",
+               DEG_PER_RAD * vehicle.steering_ratio: f"is it the angle of the steering wheel in degrees ({ratio})",
+               1.0 / DEG_PER_RAD: "was it converted to rad twice",
                1.0 / vehicle.steering_ratio: "was it divided by the steering ratio twice", 1.0: ""}
     size = abs(value) / expected
     nearest = min(reasons, key=lambda factor: abs(np.log(size / factor)))
@@ -164,13 +165,13 @@ def _make_unit_finding(gain: Estimate, understeer: tuple[float, float], vehicle:
     text = (f"road_wheel_angle is {value:.3g} times the angle from yaw rate and speed"
             + (f": {reason}?" if reason else ""))
     advice = Advice.correct("road_wheel_angle", scale=float(f"{1.0 / np.copysign(exact, value):.6g}"))
-    if wheel_measured and exact == 1.0 / vehicle.steering_ratio:  # the offset of the steering wheel was also subtracted
+    if has_steering_wheel and exact == 1.0 / vehicle.steering_ratio:  # its offset was also subtracted
         advice = Advice.correct("road_wheel_angle", scale=vehicle.steering_ratio,
                                 add=float(f"{vehicle.steering_wheel_offset:.5g}"))
     name = "steering_scale"
     if exact == 1.0:
         name = "steering_sign"
-        advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the other steering_sign in car.yaml")
+        advice = replace(advice, line=f"{advice.line}  # or, for CAN logs, the opposite steering_sign in car.yaml")
     return Finding(name, Severity.ERROR, ("road_wheel_angle",), text, value, "1", gain.interval, advice=advice)
 
 
@@ -189,20 +190,20 @@ def _make_lag_finding(lag: Estimate, agreement: Agreement, response: float, late
                          replace(advice, line=f"{advice.line}  # or --steering-latency"))
 
 
-def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, wheel_measured: bool,
+def _make_offset_finding(agreement: Agreement, vehicle: VehicleParameters, has_steering_wheel: bool,
                          lateral_shift: float) -> Finding | None:
     size = abs(agreement.scale.value)
     bias = agreement.bias.scaled(1.0 / size) if size > LIMITS.steering_unit_ratio else agreement.bias
     offset = add_systematic_uncertainty("steering_offset", bias)
     if not offset.significant or abs(offset.value) < LIMITS.steering_offset:
         return None
-    text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEGREE:.1f} deg) too far "
+    text = (f"road_wheel_angle reads {abs(offset)} rad ({abs(offset.value) * DEG_PER_RAD:.1f} deg) too far "
             f"{'left' if offset.value > 0.0 else 'right'} when driving straight: the steering offset is wrong")
     effect = lateral_shift * abs(offset.value)
     signed_offset = offset.value * float(np.sign(agreement.scale.value))  # after correction of a wrong sign
-    if wheel_measured:
+    if has_steering_wheel:
         wheel = vehicle.steering_wheel_offset + signed_offset * vehicle.steering_ratio
-        line = f"steering_wheel_offset: {{value: {wheel * DEGREE:.2f}, unit: deg, source: st check}}"
+        line = f"steering_wheel_offset: {{value: {wheel * DEG_PER_RAD:.2f}, unit: deg, source: st check}}"
         advice = Advice("vehicle", f"{line}  # check with st identify steering-offset",
                         {"steering_wheel_offset": wheel})
     else:
@@ -240,7 +241,7 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     findings = []
     if heading.significant and abs(heading.value) >= LIMITS.heading_misalignment:
         effect = abs(heading.value) * float(np.median(forward)) * HORIZON
-        text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEGREE:.2f} deg) to the "
+        text = (f"the heading points {abs(heading)} rad ({abs(heading.value) * DEG_PER_RAD:.2f} deg) to the "
                 f"{'left' if heading.value > 0.0 else 'right'} of the course when driving straight: the INS is mounted "
                 "at an angle, or the road is banked")
         advice = Advice.correct("heading", add=float(f"{-heading.value:.4g}"))
@@ -255,16 +256,16 @@ def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
     return findings, {"heading_misaligned": heading, "measuring_point": point}, panel
 
 
-def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, separable: bool) -> dict[str, Estimate]:
+def _fit_rear_axle(problem: Regression, vehicle: VehicleParameters, speed_varies: bool) -> dict[str, Estimate]:
     """Estimates of heading [rad], point [m ahead of the rear axle], slip [rad s^2/m] and roll [s^2].
 
-    separable: whether the speed varies. If it does not, or if the slip remains uncertain by more than 25 %, the slip
-    is that of the vehicle file +/- 50 %.
+    If the speed does not vary, or if the standard error of the slip is at least 25 %, the slip is that of the vehicle
+    file +/- 50 %.
     """
     expected = rear_slip_coefficient(vehicle)
-    if separable:
+    if speed_varies:
         free = problem.estimate(("heading", "point", "slip", "roll"))
-        if free["slip"].deviation < 0.25 * expected:
+        if free["slip"].standard_error < 0.25 * expected:
             return free
     middle, low, high = (
         Regression(problem.time, problem.compute_residual({"slip": slip}), problem.columns).estimate(
@@ -300,8 +301,8 @@ def _make_point_finding(point: Estimate, slip: Estimate, motion: Motion, vehicle
         advice = Advice("look", "check velocity_y; while the rear tyres slide, no measuring point can be found")
     elif slip.interval[1] < low or slip.interval[0] > high:
         text += ", but velocity_y does not fit the rear slip of the vehicle file"
-        advice = Advice("look", "measure the INS position: rear wheels that steer differently with speed, or another "
-                        "cornering_stiffness_rear, have the same effect")
+        advice = Advice("look", "measure the INS position: rear wheels that steer differently with speed, or a "
+                        "different cornering_stiffness_rear, have the same effect")
     else:
         text += ", or the rear wheels steer"
     return _make_finding("measuring_point", ("velocity_y", "x", "y"), text, point, "m", effect, advice)
@@ -317,9 +318,9 @@ def check_tyre_limit(motion: Motion) -> list[Finding]:
     largest = float(np.abs(lateral).max())
     text = (f"speed times yaw rate reaches {largest:.0f} m/s^2, but tyres reach about 10 m/s^2: speed or yaw rate is "
             "wrong")
-    where = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED])
+    times = tuple((float(t), float(t) + WINDOW) for t in windows.time[impossible][:MAX_LISTED])
     return [Finding("lateral_acceleration_impossible", Severity.ERROR, ("velocity_x", "yaw_rate"), text, largest,
-                    "m/s^2", where=where, advice=Advice("look", "check speed and yaw rate at these times"))]
+                    "m/s^2", times=times, advice=Advice("look", "check speed and yaw rate at these times"))]
 
 
 def check_standstill(motion: Motion) -> list[Finding]:
@@ -334,7 +335,7 @@ def check_standstill(motion: Motion) -> list[Finding]:
         value = float(np.median(means)) if len(means) >= 2 else 0.0
         if abs(value) >= minimum:
             text = f"{name} is {value:.3g} {unit} while position and yaw are constant"
-            where = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED])
-            findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, where=where,
+            times = tuple((float(t), float(t) + STANDSTILL_WINDOW) for t in windows.time[standstill][:MAX_LISTED])
+            findings.append(Finding("standstill_motion", Severity.WARNING, (name,), text, value, unit, times=times,
                                     advice=Advice("look", f"check the bias of {name}")))
     return findings

@@ -69,7 +69,7 @@ class Axles:
             covariance, scale = np.zeros((len(self.model.vector),) * 2), problem.space.scale[indices]
             covariance[np.ix_(indices, indices)] = joint_fit.covariance[np.ix_(in_model, in_model)] * np.outer(
                 scale, scale) * max(noise_ratio, 1.0) ** 2
-            model_error = np.array([p.model_error for _, p in self.model.free])[indices]
+            model_error = np.array([p.model_error for _, p in self.model.free_parameters])[indices]
             covariance[indices, indices] += np.square(model_error)
             self.draws = draw_models(self.model, covariance, vehicle, DRAWS)
 

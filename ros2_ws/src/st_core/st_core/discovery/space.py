@@ -44,7 +44,7 @@ class Space:
         values = {n: dict(v) for n, v in base.values.items()} if isinstance(base, AugmentedModel) else {}
         self.model = set_effects_to_null(augment(equations, [*usable, *not_searched])).with_values(values)
         self.null = np.append(self.model.vector, 0.0)
-        self.free = self.model.free
+        self.free = self.model.free_parameters
         self.scale = np.array([*(typical_size(e, p.unit) for e, p in self.free), TYPICAL_GAIN])
         self.sign = np.array([*(1.0 if p.initial > p.null else -1.0 for _, p in self.free), 1.0])
         self.low, self.high = np.array([*(p.bounds for _, p in self.free), GAIN_BOUNDS]).T

@@ -369,7 +369,7 @@ def draw_models(model: AugmentedModel, covariance: np.ndarray, vehicle: VehicleP
     covariance: (p, p) of `model.vector` [SI]; rows of zeros for constants. vehicle: draws that take its
     values beyond the limits of a vehicle file are dropped. Raises StCoreError if fewer than MIN_DRAWS draws are left.
     """
-    low, high = np.array([p.bounds for _, p in model.free]).T.reshape(2, -1)
+    low, high = np.array([p.bounds for _, p in model.free_parameters]).T.reshape(2, -1)
     values = np.random.default_rng(0).multivariate_normal(model.vector, covariance, count, method="eigh")
     models = select_valid_models([model.with_vector(row.tolist()) for row in np.clip(values, low, high)], vehicle)
     if len(models) < MIN_DRAWS:

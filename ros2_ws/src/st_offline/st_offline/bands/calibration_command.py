@@ -87,7 +87,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
     hashes = {name: hash_configuration(task.vehicle, settings, digest)
               for name, digest in collect_model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 CalibrationDomain.of([run.conditions for run in samples]), calibrated, hashes)
+                 CalibrationDomain.from_runs([run.conditions for run in samples]), calibrated, hashes)
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:

@@ -37,7 +37,7 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
         axes.plot(*line, color=colour, lw=width, label=label)
     shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
     for finding in findings:
-        for start, end in finding.where:
+        for start, end in finding.times:
             for axes in (upper, lower):
                 axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
     lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
@@ -48,7 +48,7 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     figure.align_ylabels()
     figure.legend(loc="outside lower left", ncols=2)
     output = drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-")
-    shaded = ", shaded where a finding applies" if any(finding.where for finding in findings) else ""
+    shaded = ", shaded where a finding applies" if any(finding.times for finding in findings) else ""
     caption = f"Grey: {comparison.measured_label}; blue: {comparison.derived_label}; below, grey minus blue{shaded}."
     size = f"{residual_rms(comparison):.2g} {check_report.unit_symbol(comparison.unit)}".strip()
     found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"

@@ -100,11 +100,11 @@ def format_quantity(name: str, value: Sequence[float]) -> str:
 
 def describe_intervals(finding: Finding) -> str:
     """Time intervals of a finding, or "whole run"."""
-    if not finding.where:
+    if not finding.times:
         return "whole run"
     text = ", ".join(f"{start:.1f}{f' to {end:.1f}' if end - start >= 0.05 else ''} s"
-                      for start, end in finding.where[:MAX_INTERVALS])
-    more = len(finding.where) - MAX_INTERVALS
+                      for start, end in finding.times[:MAX_INTERVALS])
+    more = len(finding.times) - MAX_INTERVALS
     return text + (f" and {more} more" if more > 0 else "")
 
 

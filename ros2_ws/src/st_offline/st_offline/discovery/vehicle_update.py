@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy import stats
-from st_core.augmented import AugmentedModel, fold
+from st_core.augmented import AugmentedModel, fold_effects
 from st_core.batch import LogBatch
 from st_core.discovery import Discovery
 from st_core.discovery.result import Run
@@ -95,7 +95,7 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
     for effect in (e for e in discovery.named.effects if e.fold and e.name in named):
         candidate = (*folded, effect)
         try:
-            car = fold(request.vehicle, candidate, discovery.named.values)
+            car = fold_effects(request.vehicle, candidate, discovery.named.values)
             errors = _final_errors(without_effects(discovery.named, candidate), car, drives)
         except StCoreError:  # values outside the limits of a vehicle file, or failed predictions
             continue
@@ -103,11 +103,11 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
                for a, b in zip(errors, expected, strict=True)):
             folded = candidate
         else:
-            alone = fold(request.vehicle, (effect,), discovery.named.values)
+            alone = fold_effects(request.vehicle, (effect,), discovery.named.values)
             not_folded[effect.name] = _find_changes(request.vehicle, alone)
     if not folded:
         return _without_file(request.vehicle, discovery.model, not_folded)
-    car = fold(request.vehicle, folded, discovery.named.values)
+    car = fold_effects(request.vehicle, folded, discovery.named.values)
     model = _adapt_model(discovery, car, folded, drives, request.vehicle)
     required = _required_slip_speed(car, model)
     if required > car.minimum_slip_speed:  # the written file must keep the model stable
@@ -152,7 +152,7 @@ def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Se
     for drive in drives:
         values = {**discovery.named.values, **discovery.leave_one_out.get(drive.name, {})}
         try:
-            car = fold(vehicle, folded, values)
+            car = fold_effects(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
         pair = np.stack([np.hypot(*_final_errors(discovery.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
@@ -196,7 +196,7 @@ def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], value
     if not effect.fold:
         return {}
     try:
-        pairs = _find_changes(vehicle, fold(vehicle, (effect,), {effect.name: values}))
+        pairs = _find_changes(vehicle, fold_effects(vehicle, (effect,), {effect.name: values}))
     except StCoreError:  # outside the limits of a vehicle file
         return {}
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
@@ -225,7 +225,7 @@ def _confidence_interval(discovery: Discovery, vehicle: VehicleParameters, folde
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
     assert discovery.named is not None  # because there are named effects
     values = {name: dict(entry) for name, entry in discovery.named.values.items()}
-    centre = value_of(fold(vehicle, folded, values), key)
+    centre = value_of(fold_effects(vehicle, folded, values), key)
     below = above = 0.0  # sums of squares
     names = {effect.name for effect in folded}
     for effect in (e for e in discovery.effects if e.name in names):
@@ -235,7 +235,7 @@ def _confidence_interval(discovery: Discovery, vehicle: VehicleParameters, folde
             for end in p.interval:
                 limited = float(np.clip(fitted[name] + end - p.value, *bounds[name]))
                 changed = {**values, effect.name: {**fitted, name: limited}}
-                ends.append(value_of(fold(vehicle, folded, changed), key))
+                ends.append(value_of(fold_effects(vehicle, folded, changed), key))
             below += (centre - min(ends)) ** 2
             above += (max(ends) - centre) ** 2
     return centre - math.sqrt(below), centre + math.sqrt(above)
