@@ -217,7 +217,7 @@ class AdaptiveBands:
     time: (points,) ahead, without the start [s]. bands: calibrated bands of forecast and hindsight. Without them, and
     for the modes plan and course, bands are estimated from the scores alone and are issued after WARM_UP.
 
-    half_widths: as in `CalibratedBands`. coverages: by (model, mode), of the scored windows with a band.
+    half_widths: as in `CalibratedBands`.
     """
 
     def __init__(self, time: np.ndarray, models: Sequence[str], modes: Sequence[str] = MODES,
@@ -228,8 +228,6 @@ class AdaptiveBands:
         self.half_widths: Mapping[str, HalfWidths] = {
             model: {(mode, level): np.zeros((len(time) + 1, 3), np.float32) for mode in modes for level in LEVELS}
             for model in models}
-        self.coverages: dict[ModelMode, BandCoverage] = {}
-        self._first_ns: dict[ModelMode, int] = {}  # start of the first prediction with a band [ns]
 
     @property
     def remaining_warm_up(self) -> float:
@@ -255,18 +253,13 @@ class AdaptiveBands:
                 widths = band.issue(start_ns, scale)
                 if not band.remaining_warm_up:
                     issued.add(pair)
-                    self._first_ns[pair] = min(self._first_ns.get(pair, start_ns), start_ns)  # time may jump back
                     for level, level_widths in widths.items():
                         half_widths[mode, level][1:] = level_widths
         return issued, reason
 
     def observe(self, score: Score) -> None:
-        """Update a band and its coverage by the score of an earlier prediction. Call in order of time for each band."""
-        pair = score.model, score.mode
-        inside = self._bands[pair].observe(score.start_ns, _compute_errors(score))
-        if inside and score.start_ns >= self._first_ns.get(pair, math.inf):
-            coverage = self.coverages.setdefault(pair, BandCoverage())
-            coverage.add(score.start_ns, float(score.horizon[-1]), inside)
+        """Update a band by the score of an earlier prediction. Call in order of time for each band."""
+        self._bands[score.model, score.mode].observe(score.start_ns, _compute_errors(score))
 
 
 def _compute_errors(score: Score) -> np.ndarray:

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from st_core.bands import AdaptiveBands, BandCoverage, Bands, CalibratedBands, CoverageMonitor, conditions_now
-from st_core.bands.calibration import ModelMode
+from st_core.bands import AdaptiveBands, Bands, CalibratedBands, CoverageMonitor, conditions_now
 from st_core.bands.live import HalfWidths
 from st_core.evaluation import Evaluator, Mode
 from st_core.log_evaluation import MODES, PLANNED_MODES, EvaluationSettings
@@ -100,11 +99,10 @@ class PredictionBands:
             return Check("bands", diagnostics.OK, f"{levels}, {self._calibration}")
         if self._adaptive is None:
             return Check("bands", diagnostics.OK, "off (bands_file is empty, adaptive_bands is false)")
-        values = _list_coverages(self._adaptive.coverages)
         if (seconds := self._adaptive.remaining_warm_up) > 0.0:
             return Check("bands", diagnostics.OK, "adaptive, learning: no band yet", {"driving required [s]": seconds})
-        text = f"adaptive, {self._calibration or 'estimated from the errors of this run'}"
-        return Check("bands", diagnostics.OK, text, values)
+        return Check("bands", diagnostics.OK,
+                     f"adaptive, {self._calibration or 'estimated from the errors of this run'}")
 
 
 class BandMessages:
@@ -145,15 +143,11 @@ def read_bands(message: Prediction) -> HalfWidths:
 
 def make_coverage_check(coverages: CoverageMonitor) -> Check:
     """Diagnostic check of the evaluator: observed coverage of the bands."""
-    values = _list_coverages(coverages.by_pair)
+    values = {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
+              for (model, mode), coverage in coverages.by_pair.items() for level in sorted(coverage.inside_counts)}
     if warning := coverages.describe_warnings():
         return Check("bands", diagnostics.WARN, warning, values)
     return Check("bands", diagnostics.OK, "coverage as expected" if values else "no prediction with a band yet", values)
-
-
-def _list_coverages(coverages: Mapping[ModelMode, BandCoverage]) -> dict[str, str]:
-    return {f"{model} {mode} {100 * level:g} %": f"{coverage.coverage_at(level):.3f} of {coverage.n}"
-            for (model, mode), coverage in coverages.items() for level in sorted(coverage.inside_counts)}
 
 
 def add_coverage(message: ErrorStatistics, coverages: CoverageMonitor) -> ErrorStatistics:
