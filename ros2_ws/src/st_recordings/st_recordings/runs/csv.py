@@ -92,7 +92,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
                 advice = "export it as plain numbers"
         elif len(table.is_usable) > 1:
             later = format_share(int(table.is_usable.sum()), len(table.is_usable), "rows")
-            reason, advice = f": only {later} have a time later than all rows before them", "sort its rows by time"
+            reason, advice = f": only {later} have a time later than all rows before", "export the time of each row"
         raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
     values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])

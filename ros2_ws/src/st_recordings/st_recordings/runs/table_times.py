@@ -9,8 +9,8 @@ import numpy as np
 
 from .can_formats import month_number
 from .columns import UNITS, ColumnSource
-from .errors import RunError
-from .ins_log import LATEST_TIME, select_usable_rows
+from .errors import RunError, format_share
+from .ins_log import LATEST_TIME, MAX_LOST_SHARE, select_usable_rows
 
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
 # Spreadsheets write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless
@@ -181,6 +181,11 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
     rows, notes = select_usable_rows(time_ns, "rows") if len(time_ns) else (np.empty(0, np.int64), [])
     is_usable = np.zeros(len(time_ns), dtype=bool)
     is_usable[rows] = True
+    n_backward = int(np.sum(np.diff(time_ns) < 0))
+    if 2 * len(rows) < len(time_ns) and n_backward > MAX_LOST_SHARE * len(time_ns):
+        raise RunError(file, f"the times in column {source.name} are not in order: "
+                       f"{format_share(n_backward, len(time_ns), 'rows')} have an earlier time than the row before",
+                       "sort its rows by time; if these are time steps, export their sum")
     warnings += [f"{file}: {note}" for note in notes]
     if 2 * is_usable.sum() < len(is_usable) and not (time_ns % 10**9).any():
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
