@@ -263,6 +263,14 @@ def test_slow_velocity_is_no_scale_of_both_axes_if_the_projection_is_spherical(l
     assert "velocity_scale" in findings_by_name(wrong, leaf)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_scale_of_the_velocity_is_no_scale_of_both_axes_if_these_differ_only_by_noise(log, leaf, seed):
+    noise = lfilter([0.2], [1.0, -0.98], np.random.default_rng(seed).normal(size=(2, len(log.x))))  # 1 m, 0.5 s
+    wrong = scaled(1.04, *VELOCITY)(replace(log, x=log.x + noise[0], y=log.y + noise[1]))
+    found = findings_by_name(wrong, leaf)
+    assert "velocity_scale" in found and not found.keys() & {"x_scale", "y_scale"}
+
+
 def test_sign_and_scale_of_the_lateral_velocity_are_one_finding(log, leaf):
     low, high = findings_by_name(scaled(-2.0, "velocity_y")(log), leaf)["velocity_y_scale"].interval
     assert low <= -2.0 <= high

@@ -344,8 +344,9 @@ def _find_causes(problem: Regression, candidates: list[str], min_values: dict[st
     # In satellite positions, an equal scale error of both axes is far rarer than a scale error of the velocity.
     others = [name for name in causes if name not in axes]
     if len(axes) == 2:
-        x, y = (1.0 + causes[name].value for name in AXIS_SCALES)
-        is_velocity = abs(x - y) < SPHERICAL_EARTH_SCALE * abs(y)
+        x, y = (causes[name] for name in AXIS_SCALES)
+        is_velocity = abs(x.value - y.value) < max(SPHERICAL_EARTH_SCALE * abs(1.0 + y.value),
+                                                   float(np.hypot(x.half_width, y.half_width)))
     else:
         _, scale, _ = problem.fit([*required, *causes])
         # On a drive along one axis, the motion along the other axis decides between both explanations.
