@@ -39,9 +39,9 @@ def write_bag(folder: Path, seconds: float, synced: bool) -> dict:
     used = (time.process_time() - processor) / (time.monotonic() - began)
     syncer = bag.syncer
     bag.close()
-    result = {"cpu_percent": 100.0 * used, "bytes_per_s": bag.path.stat().st_size / seconds, "lost": bag.lost,
+    result = {"cpu_percent": 100.0 * used, "bytes_per_s": bag.path.stat().st_size / seconds, "lost": bag.lost_count,
               "busy_ms": np.array(busy) * 1e3}
-    return result | ({"syncs": syncer.count, "slowest_sync_ms": syncer.longest * 1e3} if syncer else {})
+    return result | ({"syncs": syncer.call_count, "slowest_sync_ms": syncer.longest_call * 1e3} if syncer else {})
 
 
 def _pool() -> bytes:

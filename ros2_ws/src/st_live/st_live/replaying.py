@@ -11,10 +11,10 @@ from rich.console import Console
 from st_recordings.results import find_configuration
 from st_recordings.runs import ReadSettings
 from st_recordings.runs.bag import read_bag, was_interrupted
-from st_recordings.runs.bag_storage import recorded_text
+from st_recordings.runs.bag_storage import find_file_text
 from st_recordings.runs.cdr import ODOMETRY, STEERING
 from st_recordings.runs.errors import RunError
-from st_recordings.runs.reconstruct import RECONSTRUCTED
+from st_recordings.runs.reconstruct import RECONSTRUCTED_SUFFIX
 
 from . import session
 from .configuration import REPLAY_NODES, TRUNCATION_WARNING, make_replay_parameters, set_bands_and_course
@@ -33,7 +33,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     """
     steering = settings.steering
     drive = read_bag(bag, steering=steering, odometry=settings.odometry)
-    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED)]
+    reconstructed = [name for name in (ODOMETRY, STEERING) if drive.topics[name].endswith(RECONSTRUCTED_SUFFIX)]
     if reconstructed:
         raise RunError(bag, f"cannot be played: no {' and no '.join(reconstructed)}",
                        "st evaluate and st verify reconstruct them from raw packets and frames")
@@ -47,7 +47,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     files = {"vehicle": folder / "vehicle.yaml"}
     files["vehicle"].write_text(car.to_yaml())
     for name in ("model", "course"):  # the files named in the recording may have moved or changed
-        if text := recorded_text(drive.records, recorded_predictor.get(f"{name}_file", "")):
+        if text := find_file_text(drive.records, recorded_predictor.get(f"{name}_file", "")):
             files[name] = folder / f"{name}.yaml"
             files[name].write_text(text)
     parameters = make_replay_parameters(folder, files["vehicle"], recorded, files.get("model"))

@@ -92,9 +92,9 @@ def load_vehicle(values: SimpleNamespace) -> VehicleParameters:
 
 
 def load_model(values: SimpleNamespace, vehicle: VehicleParameters) -> ModelFile | None:
-    """Load `effects_directory`, then the model of the parameter `model_file`; None without a model file.
+    """Load the effects in `effects_directory`, then return the model in `model_file`; None without a model file.
 
-    Raises ConfigurationError naming the file and the key, also if the model belongs to another car than `vehicle`.
+    Raises ConfigurationError naming the file and the key, also if the model belongs to a car other than `vehicle`.
     """
     if values.effects_directory:
         translate_errors(values, lambda: load_folder(values.effects_directory), "effects_directory: ")

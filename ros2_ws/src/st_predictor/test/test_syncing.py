@@ -91,7 +91,7 @@ def test_nothing_is_synced_without_the_option(disk: Disk, tmp_path: Path) -> Non
 def test_sync_rate_is_limited_for_many_chunks(disk: Disk, tmp_path: Path) -> None:
     bag, written = record(tmp_path / "bag", 1.2, padding="x" * 50_000)  # a chunk of 1 MiB every 40 ms
     assert bag.syncer is not None
-    assert 3 <= bag.syncer.count <= 1.2 / mcap.SHORTEST_SYNC_PERIOD + 3
+    assert 3 <= bag.syncer.call_count <= 1.2 / mcap.MIN_SYNC_PERIOD + 3
     bag.close()
     assert read_numbers(tmp_path / "bag")["/a"] == list(range(len(written)))
 
@@ -127,7 +127,7 @@ def test_threads_and_files_are_released(tmp_path: Path) -> None:
     bag.directory.rename(tmp_path / "elsewhere")
     time.sleep(0.6)
     bag.flush_when_due()
-    assert bag.moved
+    assert bag.was_moved
     bag.close()
     assert threading.active_count() == threads and len(os.listdir("/proc/self/fd")) == files
 

@@ -50,5 +50,5 @@ def test_every_tick_of_the_grid_is_counted_once(ticks: list[tuple[int, str | Non
     counts = counter.as_dict()
     assert counts["due"] == expected
     assert counts["predicted"] <= sum(result is None for _, result in ticks)
-    assert counter.take_new_overruns() == counts["skipped_overrun"]
-    assert counter.take_new_overruns() == 0
+    assert counter.count_new_overruns() == counts["skipped_overrun"]
+    assert counter.count_new_overruns() == 0

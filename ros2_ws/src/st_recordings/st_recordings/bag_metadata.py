@@ -14,7 +14,7 @@ import yaml
 from .paths import replace_file
 
 FILE_NAME = "metadata.yaml"
-INFINITE_NS = 2**63 - 1  # [ns], stored for a duration that is not set and as the start of an empty bag or file
+INFINITE_NS = 2**63 - 1  # ns, stands for a duration that is not set and for the start of an empty bag or file
 MAX_CUSTOM_DATA_LENGTH = 200  # characters; longer texts stay in the MCAP metadata records only
 TYPE_SEPARATOR = "=" * 80  # between the types of a `ros2msg` definition
 PRIMITIVE_TYPES = {"bool", "byte", "char", "float32", "float64", "string", "wstring", "int8", "uint8", "int16",
@@ -33,7 +33,7 @@ Qos = dict[str, Any]
 def make_qos(reliability: str = "reliable", durability: str = "volatile", history: str = "keep_last", depth: int = 50,
              deadline_ns: int = INFINITE_NS, lifespan_ns: int = INFINITE_NS, liveliness: str = "automatic",
              liveliness_lease_ns: int = INFINITE_NS) -> Qos:
-    """Quality of service in the terms of rosbag2. A duration of INFINITE_NS is not set."""
+    """Quality of service as rosbag2 describes it. INFINITE_NS stands for a duration that is not set."""
     return {"history": history, "depth": depth, "reliability": reliability, "durability": durability,
             "deadline": _format_duration(deadline_ns), "lifespan": _format_duration(lifespan_ns),
             "liveliness": liveliness, "liveliness_lease_duration": _format_duration(liveliness_lease_ns),

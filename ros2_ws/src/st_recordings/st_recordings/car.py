@@ -42,10 +42,10 @@ class Car:
 
 
 def load_car(text: str) -> Car:
-    """Loads a car by the name of its folder in config/car, or by the path of another folder. car.yaml is optional.
+    """Loads a car by the name of its folder in config/car, or by the path of any folder. car.yaml is optional.
 
     Raises RunError for a file, for a folder that does not exist or has no vehicle file, and for a car.yaml with
-    anything but steering_sign (1 or -1) and steering_latency (0 to 1 s).
+    keys other than steering_sign (1 or -1) and steering_latency (0 to 1 s), or other values.
     """
     folder = Path(text) if "/" in text or Path(text).is_dir() else config("car") / text
     if folder.is_file():
@@ -82,10 +82,10 @@ def read_vehicle(file: Path) -> VehicleParameters:
 
 def read_model(name: str, vehicle: VehicleParameters, origin: str,
                vehicle_is_given: bool = True) -> tuple[Model, VehicleParameters]:
-    """(model with this name or from this model file, its car: the car embedded in the file, else `vehicle`).
+    """(model with this name or from this model file, its vehicle: the one in the model file, else `vehicle`).
 
     origin: source of `vehicle`, for error messages. vehicle_is_given: whether the user named `vehicle`. Raises
-    ConfigurationError for an unknown or invalid model, a model of another car, or an unreadable file.
+    ConfigurationError for an unknown or invalid model, a model of a different car, or an unreadable file.
     """
     if not name.endswith((".yaml", ".yml")):
         if name not in MODELS:

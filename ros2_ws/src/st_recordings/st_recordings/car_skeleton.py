@@ -37,18 +37,18 @@ MEASUREMENT_HINTS = {
     "cg_to_front_axle": "wheelbase * mass on the rear axle / total mass",
     "cg_to_ins_x": "tape measure, from the CG to the unit's measurement point; behind the CG is negative",
     "steering_ratio": "turntables, mean of both front wheels",
-    "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: share of the drive torque on the front axle",
+    "drive_front": "1: front-wheel drive, 0: rear-wheel drive, between: fraction of the drive torque on the front axle",
     "cornering_stiffness_front": "value of a comparable car at first; identify it later",
     "cornering_stiffness_rear": "value of a comparable car at first; identify it later",
 }
 """Quantity that must be given for each car -> how to obtain it."""
 ASSUMED_UNCERTAINTIES = {"cg_height": 0.1}
-"""Quantity -> standard deviation [SI] of a value from another car; CG heights of passenger cars are 0.45 to 0.65 m."""
+"""Quantity -> standard deviation [SI] of a value of the Leaf; CG heights of passenger cars are 0.45 to 0.65 m."""
 STABILITY_SPEEDS = tuple(0.5 * k for k in range(1, 81))
 """Speeds [m/s] at which the numerical integration of the models must be stable."""
 ASSUMED_ZERO = ("cg_to_ins_y", "steering_wheel_offset")  # quantities that the template sets to 0
 # Quantities that st discover never fits
-NOT_FITTED = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
+FIXED_QUANTITIES = ("wheelbase", "minimum_slip_speed", "length", "width", *OPTIONAL_QUANTITIES)
 _VEHICLE_ROW = re.compile(r'^(?P<indent> *)(?P<key>\w+): \{value: (?P<value>\S+), unit: (?P<unit>.+?), source: ".*"\}$')
 
 SIGNALS_TEMPLATE = """\
@@ -61,7 +61,7 @@ messages:
     # checksum: {signal: NAME, rule: sum8_id, check: drop}
     signals:
       # unit: as in the DBC, or the true one where the DBC gives none. Leave sign at 1: the sign of the sensor is
-      # steering_sign in car.yaml. sign_signal: NAME of the signal that is 1 for negative, if the sign has its own.
+      # steering_sign in car.yaml. sign_signal: NAME of a separate signal of the sign, if any (1: negative).
       FILL_IN_signal: {name: steering_wheel_angle, unit: deg, sign: 1, range: [-900, 900], max_rate: 2000}
 
   # The speed of the car or of its wheels (vehicle_speed, wheel_speed_rear_left, ...), if it is on the bus: it aligns
@@ -87,15 +87,15 @@ BU_: CAR RT LOGGER
 // If the OxTS RT sends on the same bus, append its messages: cat rt.dbc >> can.dbc
 """
 CAR_TEMPLATE = """\
-# road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, left positive.
+# road_wheel_angle = (steering_sign * sensor - steering_wheel_offset) / steering_ratio, positive to the left.
 # steering_wheel_offset and steering_ratio are values of vehicle.yaml.
 steering_sign: 1         # 1: the sensor, as can.dbc and signals.yaml decode it, is positive to the left; -1: right
 steering_latency: 0.0    # s, delay from steering wheel motion to the stamp of its frame (0 to 1)
 """
 VEHICLE_TEMPLATE = """\
 # Every value has a unit and a source. FILL_IN marks the values and sources that only you know.
-# The other values are assumptions to start with. uncertainty: one standard deviation, in the unit of the value;
-# st discover uses it as a prior of the value. Without it, a default or no prior is used; st car check prints which.
+# The other values are initial assumptions. uncertainty: one standard deviation, in the unit of the value;
+# st discover uses it as a prior of the value. Without it, a default or no prior is used (see st car check).
 name: FILL_IN
 """
 
@@ -157,45 +157,45 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
     """
     quantities = {**VEHICLE_QUANTITIES,
                   **{f"{tyre}.{key}": quantity for tyre in TYRES for key, quantity in TYRE_QUANTITIES.items()}}
-    lines, without = [], []
+    lines, keys_without = [], []
     for key, quantity in quantities.items():
         uncertainty = vehicle.uncertainty(key)
         if uncertainty is None:
-            without.append(key)
+            keys_without.append(key)
             continue
-        stated = vehicle.provenance.get(key)
+        provenance = vehicle.provenance.get(key)
         unit = "" if quantity.si_unit == "1" else f" {quantity.si_unit}"
         default = DEFAULT_UNCERTAINTIES.get(key)
-        if stated is not None and stated.uncertainty:
+        if provenance is not None and provenance.uncertainty:
             lines.append(f"{key} +/- {uncertainty:.3g}{unit} (from the file)")
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
             lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
-    free = [key for key in without if "." not in key and key not in NOT_FITTED]
-    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(free)}"] if free else lines
+    fitted = [key for key in keys_without if "." not in key and key not in FIXED_QUANTITIES]
+    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(fitted)}"] if fitted else lines
 
 
 def _find_vehicle_problems(file: Path) -> list[str]:
     try:
-        if empty := _find_unfilled_keys(read_yaml_mapping(file)):
+        if unfilled_keys := _find_unfilled_keys(read_yaml_mapping(file)):
             entries = {key: "value, source and uncertainty" if key in DEFAULT_UNCERTAINTIES else "value and source"
                        for key in VEHICLE_QUANTITIES}
             return [f"{file}: {key}: not filled in"
                     + (f", {entries[key]}; {VEHICLE_QUANTITIES[key].limits}" if key in entries else "")
-                    for key in empty]
+                    for key in unfilled_keys]
         vehicle = read_vehicle(file)
     except (RunError, StCoreError) as error:
         return [str(error)]
     step = PredictionSettings().step
-    needed = required_slip_speed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
-    if needed is None:
+    slip_speed = required_slip_speed(("linear", "nonlinear"), vehicle, STABILITY_SPEEDS, step)
+    if slip_speed is None:
         return [f"{file}: mass, yaw_inertia, cornering_stiffness_front, cornering_stiffness_rear: the "
                 f"numerical integration is unstable at any minimum_slip_speed with steps of {1e3 * step:g} ms; is one "
-                "of them in another unit?"]
-    if needed <= vehicle.minimum_slip_speed:
+                "of them in a different unit?"]
+    if slip_speed <= vehicle.minimum_slip_speed:
         return []
     return [f"{file}: minimum_slip_speed: {vehicle.minimum_slip_speed:g} m/s is too low for integration steps of "
-            f"{1e3 * step:g} ms; {needed:g} m/s or more is stable, or shorter steps (st evaluate --step)"]
+            f"{1e3 * step:g} ms; {slip_speed:g} m/s or more is stable, or shorter steps (st evaluate --step)"]
 
 
 def _find_bus_problems(car: Car) -> list[str]:
@@ -222,8 +222,7 @@ def _find_bus_problems(car: Car) -> list[str]:
 
 
 def _list_bus_remarks(car: Car) -> list[str]:
-    """A line for each used signal with an unknown unit in the DBC, and one if none of the speed signals there is used.
-    """
+    """A line for each used signal with an unknown unit in the DBC, and one if its speed signals are all unused."""
     if not car.signals.exists():
         return []
     table = load_table(car.dbc, car.signals)
@@ -254,8 +253,8 @@ def _make_template_row(line: str) -> str:
     if key in MEASUREMENT_HINTS:
         uncertainty = f", uncertainty: {FILL_IN}" if key in DEFAULT_UNCERTAINTIES else ""
         return f"{key}: {{value: {FILL_IN}, unit: {unit}, source: {FILL_IN}{uncertainty}}}  # {MEASUREMENT_HINTS[key]}"
-    value, why = (0.0, "none") if key in ASSUMED_ZERO else (row["value"], "as a Nissan Leaf ZE0")
+    value, reason = (0.0, "none") if key in ASSUMED_ZERO else (row["value"], "as a Nissan Leaf ZE0")
     uncertainty = f", uncertainty: {ASSUMED_UNCERTAINTIES[key]}" if key in ASSUMED_UNCERTAINTIES else ""
-    return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {why}"{uncertainty}}}'
+    return f'{row["indent"]}{key}: {{value: {value}, unit: {unit}, source: "assumed: {reason}"{uncertainty}}}'
 
 

@@ -32,8 +32,8 @@ CHUNK_SIZE = 1024 * 1024
 FLUSH_PERIOD = 0.5
 """Period [s] of writes. A killed process loses up to 1 s of data: this period plus the delay of flush_when_due."""
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors in writing the index after which the newest chunks are dropped until it fits; other errors drop none."""
-SHORTEST_SYNC_PERIOD = 0.25
+"""If writing the index fails with one of these errors, the newest chunks are dropped until it fits; otherwise none."""
+MIN_SYNC_PERIOD = 0.25
 """Minimum time [s] between the starts of two synchronisations, so that frequent writes do not occupy the disk."""
 _MESSAGE_RECORD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_HEAD_LENGTH = 22  # bytes of the head after opcode and length
@@ -44,8 +44,8 @@ class BagWriter:
 
     message_count: number of messages, including those not yet written to the file. syncer: synchronises file and disk;
     None if not requested. A full or failing disk does not raise an error: the bag is closed after its last complete
-    chunk, `error` gives the reason, and `lost` counts the messages that are not in the file. If the directory is
-    renamed or deleted, the file is closed with its index, `error` reports this, and `moved` is set.
+    chunk, `error` gives the reason, and `lost_count` is the number of messages not in the file. If the directory is
+    renamed or deleted, the file is closed with its index, `error` reports this, and `was_moved` is set.
     """
 
     def __init__(self, directory: Path | str, records: Mapping[str, Mapping[str, str]] | None = None,
@@ -64,8 +64,8 @@ class BagWriter:
         """
         self.directory = Path(directory).absolute()
         self.error = ""
-        self.message_count = self.lost = 0
-        self.closed = self.moved = False
+        self.message_count = self.lost_count = 0
+        self.is_closed = self.was_moved = False
         self.syncer: Syncer | None = None
         self._custom = collect_custom_data(records or {})
         self._topics: list[Topic] = []
@@ -96,25 +96,25 @@ class BagWriter:
         """
         definition = definition or bag_metadata.read_definition(type_name)
         type_hash = type_hash or bag_metadata.read_type_hash(type_name)
-        new: list[Schema | Channel] = []
+        new_records: list[Schema | Channel] = []
         if type_name not in self._schemas:
             number = self._schemas[type_name] = len(self._schemas) + 1
-            new.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
+            new_records.append(Schema(id=number, name=type_name, encoding="ros2msg", data=definition.encode()))
         self._topics.append(Topic(name, type_name, type_hash, list(qos)))
         metadata = {"offered_qos_profiles": format_qos(list(qos)), "topic_type_hash": type_hash}
-        new.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
-        if not (self.closed or self.error):
+        new_records.append(Channel(len(self._topics), name, "cdr", metadata, self._schemas[type_name]))
+        if not (self.is_closed or self.error):
             try:
                 # Definitions are outside of chunks, so that a damaged chunk loses only its own messages.
-                self._contents.append(self._file, *new)
+                self._contents.append(self._file, *new_records)
             except OSError as error:
                 self._stop(error)
         return len(self._topics)
 
     def write(self, topic: int, data: bytes, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """Adds a serialised (CDR) message. log_time_ns: time of reception. publish_time_ns: by default log_time_ns."""
-        if self.closed or self.error:
-            self.lost += 1
+        if self.is_closed or self.error:
+            self.lost_count += 1
             return
         if topic not in self._messages:
             self._messages[topic] = MessageIndex(topic, [])
@@ -134,7 +134,7 @@ class BagWriter:
         now = time.monotonic()
         if now >= self._next_flush:
             self.flush()
-        if now >= self._next_path_check and not (self.closed or self.error):
+        if now >= self._next_path_check and not (self.is_closed or self.error):
             self._next_path_check = now + FLUSH_PERIOD
             if not self._file.is_at(self.path):
                 self._close_moved_file()
@@ -142,7 +142,7 @@ class BagWriter:
     def flush(self) -> None:
         """Ends the chunk and writes it to the file."""
         self._next_flush = time.monotonic() + FLUSH_PERIOD
-        if self._messages and not (self.closed or self.error):
+        if self._messages and not (self.is_closed or self.error):
             try:
                 self._write_chunk()
             except OSError as error:
@@ -151,7 +151,7 @@ class BagWriter:
     def close(self) -> None:
         """Writes pending messages, index and metadata.yaml; does nothing after an error or a previous call."""
         self.flush()
-        if not (self.closed or self.error):
+        if not (self.is_closed or self.error):
             try:
                 description = {"serialized_metadata": self._build_information().to_yaml()}
                 self._contents.append(self._file, Metadata("rosbag2", description))
@@ -159,7 +159,7 @@ class BagWriter:
                 self._close_file(self.message_count)
             except OSError as error:
                 self._stop(error)
-        self.closed = True
+        self.is_closed = True
 
     def _start_chunk(self) -> None:
         self._chunk = RecordBuilder()
@@ -190,13 +190,13 @@ class BagWriter:
 
     def _close_file(self, count: int) -> None:
         """count: number of messages in the file; all others are lost."""
-        self.lost, self.message_count = self.lost + self.message_count - count, count
+        self.lost_count, self.message_count = self.lost_count + self.message_count - count, count
         if self.syncer:
             self.syncer.stop()
         os.close(self._file.descriptor)
 
     def _close_moved_file(self) -> None:
-        self.moved = True
+        self.was_moved = True
         current = Path(os.readlink(f"/proc/self/fd/{self._file.descriptor}"))
         folder = current.parent if self._file.is_at(current) else None
         state = "deleted" if folder is None else f"renamed to {folder}"
@@ -247,7 +247,7 @@ class _LockedFile:
         return len(data)
 
     def tell(self) -> int:
-        """The end of the last complete write."""
+        """Position after the last complete write [byte]."""
         return self._length
 
     def truncate(self, length: int) -> None:
@@ -264,41 +264,41 @@ class _LockedFile:
 
 
 class Syncer:
-    """Calls fdatasync on a growing file in a separate thread after `wake`, at most once per SHORTEST_SYNC_PERIOD. A
+    """Calls fdatasync on a growing file in a separate thread after `wake`, at most once per MIN_SYNC_PERIOD. A
     power failure then loses only the last data of the file.
 
     error: text of the last error, or "". It is never cleared, because data of a failed call may be missing even if
-    later calls succeed. count: number of calls, including failed ones. longest: duration of the longest call [s].
+    later calls succeed. call_count: number of calls, including failed ones. longest_call: its duration [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):
         """folders: directories to synchronise once, because a file without a directory entry is lost."""
-        # Duplicated, because the writer may close its descriptor, and its number may then be reused for another file.
+        # Duplicated, because the writer may close its descriptor, and the number may then be reused for another file.
         self._descriptor = os.dup(descriptor)
         self._folders = tuple(folders)
         self._condition = threading.Condition()
-        # Write times [s, monotonic] of the oldest data to be synchronised, and of the oldest data being synchronised.
-        self._waiting_since: float | None = None
-        self._syncing_since: float | None = None
+        # Write times [s, monotonic] of the oldest data awaiting synchronisation, and of the oldest being synchronised.
+        self._waiting_start: float | None = None
+        self._syncing_start: float | None = None
         self._stopped = False
         self.error = ""
-        self.count, self.longest = 0, 0.0
+        self.call_count, self.longest_call = 0, 0.0
         self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
         """Requests a synchronisation after a write. Returns at once."""
         with self._condition:
-            if self._waiting_since is None:
-                self._waiting_since = time.monotonic()
+            if self._waiting_start is None:
+                self._waiting_start = time.monotonic()
             self._condition.notify()
 
     @property
     def delay(self) -> float:
-        """Age of the oldest data whose synchronisation has not ended [s]; 0 if there is none."""
+        """Age of the oldest data that are not synchronised yet [s]; 0 if there are none."""
         with self._condition:
-            since = [t for t in (self._waiting_since, self._syncing_since) if t is not None]
-        return time.monotonic() - min(since) if since else 0.0
+            starts = [t for t in (self._waiting_start, self._syncing_start) if t is not None]
+        return time.monotonic() - min(starts) if starts else 0.0
 
     def stop(self) -> None:
         """Ends the thread and waits for it; remaining data is not synchronised."""
@@ -311,13 +311,13 @@ class Syncer:
         start = float("-inf")
         while True:
             with self._condition:
-                self._condition.wait_for(lambda: self._stopped or self._waiting_since is not None)
-                pause = start + SHORTEST_SYNC_PERIOD - time.monotonic()
+                self._condition.wait_for(lambda: self._stopped or self._waiting_start is not None)
+                pause = start + MIN_SYNC_PERIOD - time.monotonic()
                 if pause > 0.0:
                     self._condition.wait_for(lambda: self._stopped, pause)
                 if self._stopped:
                     break
-                self._syncing_since, self._waiting_since = self._waiting_since, None
+                self._syncing_start, self._waiting_start = self._waiting_start, None
             start = time.monotonic()
             try:
                 os.fdatasync(self._descriptor)
@@ -332,6 +332,7 @@ class Syncer:
             except OSError as error:
                 self.error = error.strerror or str(error)
             with self._condition:
-                self._syncing_since = None
-                self.count, self.longest = self.count + 1, max(self.longest, time.monotonic() - start)
+                self._syncing_start = None
+                self.longest_call = max(self.longest_call, time.monotonic() - start)
+                self.call_count += 1
         os.close(self._descriptor)

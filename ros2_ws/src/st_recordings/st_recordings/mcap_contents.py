@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, MessageIndex, MetadataIndex, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-DROPPABLE_CHUNKS = 100  # number of most recent chunks that can be dropped when the disk is full
+MAX_DROPPED_CHUNKS = 100  # number of most recent chunks that can be dropped when the disk is full
 MAGIC = b"\x89MCAP0\r\n"
 _LISTED_RECORDS = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA,
                    Opcode.ATTACHMENT)
@@ -76,10 +76,10 @@ class Contents:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self._chunks: deque[_ChunkEntry] = deque()  # the newest DROPPABLE_CHUNKS
+        self._chunks: deque[_ChunkEntry] = deque()  # the newest MAX_DROPPED_CHUNKS
         # Index entries of older chunks, serialised to save memory because a long recording has tens of thousands.
         self._older_indexes = bytearray()
-        self._older_count = 0
+        self._older_chunk_count = 0
         # Messages in older chunks or outside of chunks: number by channel id, first and last time.
         self._older_messages: Counter[int] = Counter()
         self._older_times: list[int] = []
@@ -152,8 +152,8 @@ class Contents:
         messages: dict[int, MessageIndex] = {}
         position = 0
         while position < size:
-            opcode, inner = _HEAD.unpack_from(data, position)
-            start, end = position + _HEAD.size, position + _HEAD.size + inner
+            opcode, length = _HEAD.unpack_from(data, position)
+            start, end = position + _HEAD.size, position + _HEAD.size + length
             if end > size:
                 raise ValueError("a record extends beyond the end of its chunk")
             if opcode == Opcode.MESSAGE:
@@ -180,10 +180,10 @@ class Contents:
             message_end_time=chunk.message_end_time, message_index_length=0, message_index_offsets={},
             message_start_time=chunk.message_start_time, uncompressed_size=chunk.uncompressed_size)
         self._chunks.append(_ChunkEntry(index, messages, {i: len(m.records) for i, m in messages.items()}))
-        if len(self._chunks) > DROPPABLE_CHUNKS:
+        if len(self._chunks) > MAX_DROPPED_CHUNKS:
             oldest = self._chunks.popleft()
             self._older_indexes += _serialise(oldest.index)
-            self._older_count += 1
+            self._older_chunk_count += 1
             self._add_older(oldest.counts, oldest.times())
 
     def _add_older(self, counts: Mapping[int, int], times: Sequence[int]) -> None:
@@ -203,7 +203,7 @@ class Contents:
     def drop_last_chunk(self) -> int | None:
         """Removes the newest chunk, and the metadata after it, from the inventory.
 
-        Returns the position of the chunk in the file; None if DROPPABLE_CHUNKS have been dropped or there is none.
+        Returns the position of the chunk in the file; None if MAX_DROPPED_CHUNKS have been dropped or there is none.
         """
         if not self._chunks:
             return None
@@ -218,13 +218,13 @@ class Contents:
             missing = newest.messages.keys() - newest.index.message_index_offsets.keys()
             self.append(stream, *(newest.messages[channel_id] for channel_id in missing))
         data_end = _serialise(mcap_records.DataEnd(0))
-        stream.write(data_end + self._summary(stream.tell() + len(data_end)) + MAGIC)
+        stream.write(data_end + self._make_summary(stream.tell() + len(data_end)) + MAGIC)
 
-    def _summary(self, summary_start: int) -> bytes:
+    def _make_summary(self, summary_start: int) -> bytes:
         counts, (start_ns, end_ns) = self.counts(), self.times()
         statistics = mcap_records.Statistics(
             attachment_count=len(self._attachment_indexes), channel_count=len(self.channels),
-            channel_message_counts=counts, chunk_count=self._older_count + len(self._chunks),
+            channel_message_counts=counts, chunk_count=self._older_chunk_count + len(self._chunks),
             message_count=counts.total(), metadata_count=len(self._metadata_indexes),
             message_start_time=start_ns, message_end_time=end_ns, schema_count=len(self.schemas))
         groups: dict[Opcode, Sequence[Any]] = {

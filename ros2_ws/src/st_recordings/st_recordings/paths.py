@@ -84,7 +84,7 @@ def replace_file(path: Path, text: str) -> None:
 
 
 def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[[Path], T]]:
-    """Decorator that caches a function of a file until size or modification time of the file change.
+    """Decorator that caches a function of a file until the size or modification time of the file changes.
 
     maxsize: number of files whose results are kept.
     """

@@ -28,14 +28,14 @@ DATA_END_LENGTH = 13  # bytes of the record that ends the data section
 
 
 class RecoveryError(ValueError):
-    """One-line reason why a file cannot be recovered. It is unchanged; earlier files of the bag may be repaired."""
+    """One-line reason why a file cannot be recovered. The file is unchanged; earlier files may be repaired."""
 
 
 @dataclass
 class FileReport(BagFile):
     """Outcome for one file; count, start_ns and end_ns refer to the messages kept."""
 
-    intact: bool = False  # closed and undamaged: left unchanged, or copied to the output
+    is_intact: bool = False  # closed and undamaged: left unchanged, or copied to the output
     lost_bytes: int = 0  # truncated or damaged
     damaged_records: int = 0
     original: Path | None = None  # new path of the damaged file, if it was repaired in place
@@ -47,9 +47,9 @@ class RecoveryReport:
     metadata_rebuilt: bool = False
 
     @property
-    def changed(self) -> bool:
+    def was_changed(self) -> bool:
         """Whether anything had to be repaired."""
-        return self.metadata_rebuilt or any(not f.intact for f in self.files)
+        return self.metadata_rebuilt or any(not f.is_intact for f in self.files)
 
     @property
     def messages(self) -> int:
@@ -60,7 +60,7 @@ class RecoveryReport:
         """One line per file, for a terminal."""
         lines = []
         for file in self.files:
-            state = "intact, unchanged" if file.intact else f"repaired, {file.lost_bytes} bytes could not be kept"
+            state = "intact, unchanged" if file.is_intact else f"repaired, {file.lost_bytes} bytes could not be kept"
             if file.damaged_records:
                 state += f", {file.damaged_records} damaged records left out"
             if file.original:
@@ -81,7 +81,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> RecoveryRepor
 
     Raises:
         RecoveryError: there is no valid MCAP file, one is still being recorded, the output exists, or the disk is full.
-            That file is unchanged; earlier files of a bag may already be repaired.
+            The file is unchanged; earlier files of a bag may already be repaired.
     """
     path = Path(path)
     target = Path(output) if output is not None else path
@@ -119,8 +119,8 @@ def _recover_file(source: Path, target: Path) -> tuple[FileReport, Contents]:
         _check_recoverable(stream, source, size)
         contents, report = Contents(), FileReport(target.name)
         end_of_data = len(MAGIC) + sum(map(len, _read_undamaged_records(stream, size, contents, report)))
-        report.intact = not report.damaged_records and _is_closed(stream, contents, end_of_data)
-        if not (report.intact and target == source):
+        report.is_intact = not report.damaged_records and _is_closed(stream, contents, end_of_data)
+        if not (report.is_intact and target == source):
             contents = _write_repaired(stream, size, source, target, report)
     report.count = contents.counts().total()
     report.start_ns, report.end_ns = contents.times()
@@ -147,13 +147,13 @@ def _is_closed(stream: BinaryIO, contents: Contents, end_of_data: int) -> bool:
     end_of_data: position of the byte after the data section.
     """
     stream.seek(end_of_data)
-    end = BytesIO(stream.read())
+    tail = BytesIO(stream.read())
     try:
-        data_end, *summary, footer = StreamReader(end, skip_magic=True).records
+        data_end, *summary, footer = StreamReader(tail, skip_magic=True).records
     except Exception:  # any, because the library does not check the bytes
         return False
-    crc = zlib.crc32(end.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
-    return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not end.read()
+    crc = zlib.crc32(tail.getvalue()[DATA_END_LENGTH : -len(MAGIC) - 4])
+    return (isinstance(data_end, DataEnd) and isinstance(footer, Footer) and not tail.read()
             and footer.summary_start == end_of_data + DATA_END_LENGTH and footer.summary_crc in (0, crc)
             and all(record.message_count == contents.counts().total() for record in summary
                     if isinstance(record, Statistics)))
@@ -214,8 +214,8 @@ def _write_repaired(stream: BinaryIO, size: int, source: Path, target: Path, rep
 
 def _build_information(files: Sequence[BagFile], contents: list[Contents], source: Path) -> BagInformation:
     topics: dict[tuple[str, str], Topic] = {}
-    previous = read_information(source).get("custom_data")
-    custom = {str(key): str(text) for key, text in previous.items()} if isinstance(previous, dict) else {}
+    previous_custom = read_information(source).get("custom_data")
+    custom = {str(key): str(text) for key, text in previous_custom.items()} if isinstance(previous_custom, dict) else {}
     for file_contents in contents:
         counts = file_contents.counts()
         custom.update(collect_custom_data(file_contents.metadata))

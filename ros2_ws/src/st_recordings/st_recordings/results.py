@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 
 from .car import read_vehicle
 from .paths import config, json_ready, source_version
-from .runs.bag_storage import Storage, open_bag, recorded_parameters, recorded_text
+from .runs.bag_storage import Storage, find_file_text, open_bag, parse_parameters
 from .runs.cdr import get_field
 from .runs.errors import RunError
 from .runs.ins_log import yaw_from_quaternion
@@ -66,7 +66,7 @@ class Scores:
     starts_ns: np.ndarray  # (n,)
     errors: np.ndarray  # (n, points, 3) longitudinal, lateral [m], yaw [rad]
     complete: np.ndarray  # (n,)
-    signal_ends: np.ndarray  # (n,) whether a score is incomplete because a signal ends, as at the end of the run
+    signal_ends: np.ndarray  # (n,) whether a score is incomplete because a signal ends, usually with the run
     has_jump: np.ndarray  # (n,) whether a score is incomplete because the position jumps within the horizon
 
     def at(self, starts_ns: np.ndarray) -> "Scores":
@@ -132,10 +132,10 @@ class Results:
         return sorted({start_ns for _, start_ns in self.segments})
 
 
-def recorded_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
+def parse_configuration(records: Mapping[str, Mapping[str, str]]) -> RecordedConfiguration:
     """Configuration from the metadata records of a recording (`BagDrive.records`); vehicle: None if not recorded."""
-    nodes = recorded_parameters(records)
-    vehicle = recorded_text(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
+    nodes = parse_parameters(records)
+    vehicle = find_file_text(records, str(nodes.get("predictor", {}).get("vehicle_file", "")))
     return RecordedConfiguration(vehicle or records.get("configuration", {}).get("vehicle"), nodes)
 
 
@@ -144,7 +144,7 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
     """(vehicle, recorded configuration, source of the vehicle). The vehicle is from the given file, or else from the
     recording, or else from config/car/leaf/vehicle.yaml. Raises RunError, ConfigurationError.
     """
-    recorded = recorded_configuration(records)
+    recorded = parse_configuration(records)
     if vehicle is None and recorded.vehicle is not None:
         return VehicleParameters.from_yaml(recorded.vehicle, "the vehicle in the recording"), recorded, "the recording"
     file = vehicle or config("car/leaf/vehicle.yaml")
@@ -152,7 +152,7 @@ def find_configuration(records: Mapping[str, Mapping[str, str]],
 
 
 def read_predictions(bag: Path, progress: Progress | None = None) -> dict[str, Predictions]:
-    """Forecasts by model. Raises RunError if the predictions of a model have different horizons or steps."""
+    """Reads forecasts by model. Raises RunError if the predictions of a model have different horizons or steps."""
     return {model: Predictions(*columns) for model, columns in _read_by_model(bag, PREDICTION, (), progress).items()}
 
 
@@ -316,7 +316,7 @@ def collect_versions() -> dict[str, str]:
 def format_band_lines(rows: Sequence[Any]) -> list[str]:
     """One line per mode: the observed coverage of each model's bands, and the number of scores.
 
-    rows: statistics of st_msgs/ErrorSummary. The models of a mode may differ in their number; the largest is given.
+    rows: statistics of st_msgs/ErrorSummary. The largest number of scores of the models of a mode is given.
     """
     lines = []
     for mode in BAND_MODES:

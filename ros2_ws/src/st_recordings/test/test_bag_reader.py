@@ -103,7 +103,7 @@ def test_bag_of_any_recorder_gives_the_drive(tmp_path: Path, storage: str) -> No
     else:
         write_rosbag2(folder, DRIVE, StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3)
     check_drive(folder)
-    (file,) = bag.storage_files(folder)
+    (file,) = bag.list_bag_files(folder)
     check_drive(file)
     without_metadata = tmp_path / f"drive #1 %41?{file.suffix}"
     without_metadata.write_bytes(file.read_bytes())
@@ -314,7 +314,7 @@ def test_topic_of_two_publishers_is_read_in_the_order_of_the_file(tmp_path: Path
 
 
 def test_unreadable_bags_are_refused_with_the_reason(tmp_path: Path) -> None:
-    complete = bag.storage_files(write_own(tmp_path / "drive", DRIVE))[0].read_bytes()
+    complete = bag.list_bag_files(write_own(tmp_path / "drive", DRIVE))[0].read_bytes()
     for name, content, message in (
         ("empty.mcap", b"", "the file is empty"),
         ("text.mcap", b"not a bag at all" * 10, "cannot be read as a bag"),

@@ -100,7 +100,7 @@ def test_only_implausible_frames_are_left_out(table: SignalTable, implausible: l
     angles = np.radians(np.concatenate([np.linspace(0, 50, 150), implausible, np.linspace(55, 60, 150)]))
     payloads = [bytes(encoder.encode("Leaf_Steering", {"steering_wheel_angle": angle}, k % 16).data)
                 for k, angle in enumerate(angles)]
-    steering = decode_signals(make_frames(10**7, [2] * len(angles), payloads), table).first_of("steering_wheel_angle")
+    steering = decode_signals(make_frames(10**7, [2] * len(angles), payloads), table).find_first("steering_wheel_angle")
     assert np.abs(steering.values).max() < np.radians(61) and len(steering.values) >= 299
 
 
@@ -109,7 +109,7 @@ def test_time_frames_give_utc(table: SignalTable) -> None:
     unix_time = 1_700_000_000.25
     sent = [encoder.encode(name, {"ins_unix_time": unix_time}) for name in ("RT_MilliTime", "RT_DateTime")]
     log = make_frames(10**9, [frame.arbitration_id for frame in sent], [bytes(frame.data) for frame in sent])
-    signals = decode_signals(log, table).all_of("ins_unix_time")
+    signals = decode_signals(log, table).find_all("ins_unix_time")
     assert [s.message for s in signals] == ["RT_DateTime", "RT_MilliTime"]
     assert [s.values[0] for s in signals] == pytest.approx([unix_time, unix_time], abs=1e-6)
 
@@ -126,7 +126,7 @@ def test_log_without_steering_is_refused_with_the_messages_it_contains(frames: F
 
 def test_remote_frames_give_no_signal(frames: Frames, table: SignalTable) -> None:
     flags = np.where(frames.id == 2, REMOTE, 0).astype(np.uint8)
-    assert decode_signals(replace(frames, flags=flags), table).first_of("steering_wheel_angle") is None
+    assert decode_signals(replace(frames, flags=flags), table).find_first("steering_wheel_angle") is None
 
 
 def test_multiplexed_steering_angle_is_read_from_its_own_frames(tmp_path: Path) -> None:
@@ -137,14 +137,14 @@ def test_multiplexed_steering_angle_is_read_from_its_own_frames(tmp_path: Path) 
     n = 400
     payloads = [bytes([3 + k % 2, k % 2 * 0x7F, k // 4, 0, 0, 0, 0, 0]) for k in range(n)]
     signals = decode_signals(make_frames(5_000_000, [37] * n, payloads), table)
-    steering = signals.first_of("steering_wheel_angle")
+    steering = signals.find_first("steering_wheel_angle")
     np.testing.assert_allclose(np.degrees(steering.values), 0.1 * (np.arange(0, n, 2) // 4))
     assert not signals.faults and not signals.rejected_times_ns
 
 
 def test_simultaneous_copies_of_a_frame_count_once(steering_frames: Frames, table: SignalTable) -> None:
     repeated = steering_frames.select(np.repeat(np.arange(len(steering_frames)), 2))
-    signal = decode_signals(repeated, table).first_of("steering_wheel_angle")
+    signal = decode_signals(repeated, table).find_first("steering_wheel_angle")
     assert np.array_equal(signal.time_ns, steering_frames.time_ns)
 
 
@@ -158,8 +158,8 @@ def test_identifier_on_two_buses_is_read_from_the_bus_that_matches_the_dbc(
     other_bus = replace(steering, time_ns=steering.time_ns + 150_000, bus=np.full(len(steering), 2, np.uint8),
                         payload=payload, length=np.full(len(payload), 8 if other == "longer" else 5, np.uint8))
     signals = decode_signals(merge_by_time([other_bus, steering]), table)
-    signal = signals.first_of("steering_wheel_angle")
-    expected = decode_signals(steering, table).first_of("steering_wheel_angle")
+    signal = signals.find_first("steering_wheel_angle")
+    expected = decode_signals(steering, table).find_first("steering_wheel_angle")
     assert signal.valid.all() and np.array_equal(signal.values, expected.values)
     assert set((signal.time_ns - expected.time_ns).tolist()) <= {0, 150_000}
     assert signals.faults["Leaf_Steering"] == f"{len(other_bus)} frames of this identifier on other buses are not used"
@@ -171,7 +171,7 @@ def test_halves_of_a_drive_on_two_buses_are_both_used(steering_frames: Frames, t
     payload = steering_frames.payload.copy()
     payload[100, 4] ^= 0x10
     signals = decode_signals(replace(steering_frames, bus=bus, payload=payload), table)
-    assert len(signals.first_of("steering_wheel_angle").time_ns) == n
+    assert len(signals.find_first("steering_wheel_angle").time_ns) == n
 
 
 def test_steering_that_the_dbc_decodes_incorrectly_is_refused(frames: Frames, table: SignalTable) -> None:

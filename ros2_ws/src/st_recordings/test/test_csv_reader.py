@@ -53,7 +53,7 @@ def test_yaw_of_quaternions_does_not_depend_on_their_length(length: float) -> No
 def test_table_without_positions_gives_an_ins_log_for_alignment() -> None:
     file = GOLDEN_DATA / "can/synthetic_rt_own_log.csv"
     ins = build_ins_log(read_table(file, Layout()), MOTION_SIGNALS)
-    assert not ins.absolute
+    assert not ins.is_utc
     yaw_rate = np.gradient(np.unwrap(ins.values["yaw"]), ins.time_ns * 1e-9)
     assert ins.values["yaw_rate"].max() == pytest.approx(yaw_rate.max(), rel=0.01)
     assert not has_drive_columns(file)
@@ -101,7 +101,7 @@ def test_times_in_days_of_a_spreadsheet(tmp_path: Path) -> None:
     first = datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=46146.43)
     assert drive.log.ins_time_ns[0] * 1e-9 == pytest.approx(first.timestamp(), abs=1e-4)
     assert np.diff(drive.log.ins_time_ns) == pytest.approx(0.02e9, abs=1e5)
-    assert "days of a spreadsheet" in drive.warnings[0]
+    assert "date numbers of a spreadsheet" in drive.warnings[0]
 
 
 def test_ins_log_for_alignment_keeps_rows_without_a_position(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_two_independent_readers_find_every_message(tmp_path: Path) -> None:
     assert read_numbers(tmp_path / "bag") == expected
     assert read_numbers_with_mcap(bag.path) == expected
     assert bag.message_count == 5500
-    assert (bag.error, bag.lost) == ("", 0)
+    assert (bag.error, bag.lost_count) == ("", 0)
 
 
 def test_file_contains_times_schema_and_metadata(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ WRITER = """
         {pause}
         if bag.error: break
     bag.close()
-    import json; print(json.dumps([bag.error, bag.message_count, bag.lost]))
+    import json; print(json.dumps([bag.error, bag.message_count, bag.lost_count]))
 """
 
 
@@ -186,7 +186,7 @@ def check_stopped_bag(process: subprocess.Popen, directory: Path) -> None:
     assert count == len(numbers) > 100
     assert lost > 0
     assert read_numbers_with_mcap(directory / f"{directory.name}_0.mcap") == {"/a": numbers}
-    assert not recover(directory).changed
+    assert not recover(directory).was_changed
 
 
 def test_file_size_limit_stops_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
@@ -221,10 +221,10 @@ def test_renamed_bag_is_detected_and_closed_under_its_new_name(tmp_path: Path, r
     bag.write(topic, numbered(2), 2)
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
-    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'renamed'}"
+    assert bag.was_moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was renamed to {tmp_path / 'renamed'}"
     bag.write(topic, numbered(3), 3)
     bag.close()
-    assert bag.lost == 1
+    assert bag.lost_count == 1
     assert read_numbers(tmp_path / "renamed") == {"/a": [1, 2]}
 
 
@@ -243,7 +243,7 @@ def test_messages_that_a_renamed_bag_cannot_hold_are_counted_as_lost(tmp_path: P
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
     bag.close()
-    assert bag.moved and (bag.message_count, bag.lost) == (1, 1)
+    assert bag.was_moved and (bag.message_count, bag.lost_count) == (1, 1)
 
 
 def test_deleted_bag_is_detected(tmp_path: Path) -> None:
@@ -252,8 +252,8 @@ def test_deleted_bag_is_detected(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "bag")
     time.sleep(FLUSH_PERIOD)
     bag.flush_when_due()
-    assert bag.moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was deleted"
+    assert bag.was_moved and bag.error == f"recording stopped: {tmp_path / 'bag'} was deleted"
     bag.write(topic, numbered(2), 2)
     bag.close()
-    assert bag.lost == 2
+    assert bag.lost_count == 2
     assert not (tmp_path / "bag").exists()

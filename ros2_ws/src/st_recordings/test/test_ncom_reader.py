@@ -70,7 +70,7 @@ def test_packets_without_a_fix_are_left_out(tmp_path: Path) -> None:
     log = read_ncom(file)
     assert len(log.time_ns) == 20
     assert "2 of 22 packets (9.1 %) have no fix, no time or an invalid value; they were left out" in log.warnings[0]
-    assert log.absolute
+    assert log.is_utc
 
 
 @pytest.mark.parametrize(("content", "message"), [

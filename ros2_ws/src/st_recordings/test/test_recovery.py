@@ -155,7 +155,7 @@ def test_recording_of_many_chunks_is_indexed_completely(tmp_path: Path) -> None:
     bag.close()
     assert read_numbers(tmp_path / "bag")["/a"] == list(range(1200))
     assert read_numbers_with_mcap(bag.path)["/a"] == list(range(1200))
-    assert not recover(tmp_path / "bag").changed
+    assert not recover(tmp_path / "bag").was_changed
     last = list_chunks(bag.path)[-1]
     directory = truncate(tmp_path / "bag", tmp_path / "truncated", last.offset + 5)
     report = recover(directory)
@@ -175,7 +175,7 @@ def test_complete_bag_is_not_changed(complete: Path, tmp_path: Path) -> None:
     directory = shutil.copytree(complete, tmp_path / "bag")
     before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in directory.iterdir()}
     report = recover(directory)
-    assert not report.changed
+    assert not report.was_changed
     assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in directory.iterdir()} == before
 
 
@@ -185,8 +185,8 @@ def test_second_recovery_changes_nothing_and_the_original_is_kept(complete: Path
     first = recover(directory)
     after = {p.name: p.read_bytes() for p in directory.iterdir()}
     second = recover(directory)
-    assert first.changed
-    assert not second.changed
+    assert first.was_changed
+    assert not second.was_changed
     assert second.messages == first.messages
     assert {p.name: p.read_bytes() for p in directory.iterdir()} == after
     assert (directory / "bag_0.mcap.cut").read_bytes() == original

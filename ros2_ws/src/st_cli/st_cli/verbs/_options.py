@@ -249,8 +249,8 @@ def report_default_car(verb: str, named_file: Path | None, file: Path | str) -> 
 def report_default_car_of_bag(verb: str, bag: Path, vehicle: Path | None) -> None:
     """Call `report_default_car` if neither user nor bag names a vehicle file. Raises RunError for an unreadable bag."""
     from st_live.configuration import find_bag
-    from st_recordings.results import recorded_configuration
+    from st_recordings.results import parse_configuration
     from st_recordings.runs.bag import read_metadata_records
 
-    if vehicle is None and recorded_configuration(read_metadata_records(find_bag(bag))).vehicle is None:
+    if vehicle is None and parse_configuration(read_metadata_records(find_bag(bag))).vehicle is None:
         report_default_car(verb, None, LEAF)

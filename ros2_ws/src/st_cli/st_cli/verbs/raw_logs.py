@@ -56,7 +56,7 @@ def align(
     (folder / "alignment.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
     results = {folder / "alignment.json": "offset and drift, with uncertainty"}
     if pair.shared_signals and alignment.method != "none":
-        title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.absolute)}"
+        title = f"{pair.name}: {describe_alignment(alignment, pair.can.start_ns, pair.ins.is_utc)}"
         draw_alignment(pair.shared_signals, alignment, title, folder / "alignment.png")
         results[folder / "alignment.png"] = "the signals of both recordings, aligned"
     list_files(results, console)
@@ -91,7 +91,7 @@ def print_alignment(pair: "RawRun") -> None:
         table = Table(box=None, padding=(0, 2), show_header=False)
         offset = _format_seconds(alignment.offset_at_ns(start_ns))
         table.add_row("INS minus CAN clock", f"{offset} s", "at the CAN log's start")
-        if not pair.ins.absolute:
+        if not pair.ins.is_utc:
             ins_time = _format_seconds(int(alignment.to_reference_ns(start_ns)))
             table.add_row("INS time", f"{ins_time} s", "at the CAN log's start")
         if alignment.method != "by hand":

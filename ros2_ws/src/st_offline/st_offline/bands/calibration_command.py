@@ -12,7 +12,7 @@ from st_core.log_evaluation import MODES
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import OutputError
-from st_recordings.results import recorded_configuration
+from st_recordings.results import parse_configuration
 from st_recordings.runs import LoadedRun, RunError, RunSource, find_runs, read
 
 from ..checking.gate import RUN_ERRORS, check_for_use, describe_problem
@@ -92,7 +92,7 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
     """Raise RunError if the recorded car has another name. Its parameters may differ, because updates change them."""
-    text = recorded_configuration(run.provenance.get("recorded", {})).vehicle
+    text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return
     name = VehicleParameters.from_yaml(text, f"the vehicle in {source.path}").name

@@ -22,7 +22,7 @@ from st_core.log import DriveLog
 from st_core.models import Model
 from st_core.vehicle import VehicleParameters
 from st_recordings.paths import json_ready
-from st_recordings.results import recorded_configuration
+from st_recordings.results import parse_configuration
 from st_recordings.runs import ReadSettings, RunSource, read
 
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
@@ -111,7 +111,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
             raise source.problem
         run = read(source, vehicle, settings)
         checked = check_log(run.log, vehicle, run.auxiliary)
-        recorded = recorded_configuration(run.provenance.get("recorded", {})).vehicle if source.kind == "bag" else None
+        recorded = parse_configuration(run.provenance.get("recorded", {})).vehicle if source.kind == "bag" else None
         try:
             car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
         except StCoreError:

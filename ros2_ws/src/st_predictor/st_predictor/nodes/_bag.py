@@ -39,9 +39,9 @@ def make_recording_check(bag: BagWriter, stop_reason: str = "", has_resumed: boo
 
     stop_reason: why an earlier bag of the same run ended. has_resumed: whether to warn that a new bag was just opened.
     """
-    values = {"messages": bag.message_count, "lost": bag.lost, "directory": bag.directory}
+    values = {"messages": bag.message_count, "lost": bag.lost_count, "directory": bag.directory}
     if bag.syncer:
-        values["slowest sync [s]"] = round(bag.syncer.longest, 3)
+        values["slowest sync [s]"] = round(bag.syncer.longest_call, 3)
     if stop_reason:
         values["previous bag"] = stop_reason
     if bag.error:

@@ -18,10 +18,10 @@ from .. import convert, params
 
 DRAIN_PERIOD, PUBLISH_PERIOD = 0.1, 1.0  # s
 QUEUE_DEPTH = 1000
-STATUS = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
+STATUS_CODES = {"unestimated": TrackedParameter.UNESTIMATED, "estimated": TrackedParameter.ESTIMATED,
           "invalid": TrackedParameter.INVALID}
 LEVELS = {"unestimated": diagnostics.OK, "estimated": diagnostics.OK, "invalid": diagnostics.WARN}
-MAX_DIFFERENCE = 3.0  # between estimate and vehicle file, in standard deviations; a larger one causes a warning
+MAX_DIFFERENCE = 3.0  # of estimate and vehicle file, in standard deviations; a larger difference causes a warning
 
 
 class IdentifierNode(Node):
@@ -37,7 +37,7 @@ class IdentifierNode(Node):
         self._fit: Future[OnlineFit] | None = None
         self._statuses: dict[str, str] = {}
         self._resets = 0
-        self._accepted = {"INS samples": 0, "steering samples": 0}
+        self._accepted_counts = {"INS samples": 0, "steering samples": 0}
         qos = QoSProfile(depth=QUEUE_DEPTH)
         self._odometry = PolledSubscription(self, Odometry, "ins/odometry", qos)
         self._steering = PolledSubscription(self, Steering, "vehicle/steering", qos)
@@ -51,10 +51,10 @@ class IdentifierNode(Node):
         for message, _, _ in self._odometry.take(QUEUE_DEPTH):
             sample = convert.read_ins_sample(message, self._values.map_frame)
             if not isinstance(sample, str):
-                self._accepted["INS samples"] += self._core.add_ins(sample)
+                self._accepted_counts["INS samples"] += self._core.add_ins(sample)
         for message, _, _ in self._steering.take(QUEUE_DEPTH):
             if message.valid and math.isfinite(message.steering_wheel_angle):
-                self._accepted["steering samples"] += self._core.add_steering(
+                self._accepted_counts["steering samples"] += self._core.add_steering(
                     to_nanoseconds(message.header.stamp), message.steering_wheel_angle)
         self._fit_in_background()
 
@@ -85,7 +85,7 @@ class IdentifierNode(Node):
         message.parameters = [TrackedParameter(
             parameter=estimate.parameter, unit=estimate.unit, value=estimate.value,
             standard_deviation=estimate.deviation, vehicle_file_value=self._find_file_value(estimate),
-            status=STATUS[estimate.status], reason=estimate.reason) for estimate in self._core.make_estimates()]
+            status=STATUS_CODES[estimate.status], reason=estimate.reason) for estimate in self._core.make_estimates()]
         self._publisher.publish(message)
 
     def _reload_vehicle_file(self) -> None:
@@ -99,9 +99,9 @@ class IdentifierNode(Node):
         except (OSError, UnicodeDecodeError, ConfigurationError) as error:
             self._problem = " ".join(str(error).split())
             return
-        changed = vehicle.hash != self._vehicle.hash
+        has_changed = vehicle.hash != self._vehicle.hash
         self._vehicle, self._file_text, self._problem = vehicle, text, ""
-        if changed:
+        if has_changed:
             self._core.reset(vehicle)
             self._fit = None  # a fit that is still running uses the previous values
             self._statuses = {}
@@ -114,8 +114,8 @@ class IdentifierNode(Node):
 
     def _make_checks(self) -> list[Check]:
         driving_time = self._core.driving_time
-        not_used = {f"not used, {reason} [s]": round(time, 1) for reason, time in driving_time.rejected.items()}
-        values = {"used [s]": round(driving_time.used, 1), **not_used, **self._accepted}
+        rejected_times = {f"not used, {reason} [s]": round(time, 1) for reason, time in driving_time.rejected.items()}
+        values = {"used [s]": round(driving_time.used, 1), **rejected_times, **self._accepted_counts}
         checks = [Check("driving", diagnostics.OK, f"{driving_time.used:.0f} s of driving used", values)]
         for estimate in self._core.make_estimates():
             value, deviation, file_value = estimate.value, estimate.deviation, self._find_file_value(estimate)

@@ -1,6 +1,6 @@
-"""Node markers: publishes track, car, earlier paths, bands and errors for RViz and Foxglove, and errors for plots.
+"""Node markers: publishes track, car, earlier paths, bands and errors for RViz and Foxglove, and plots of errors.
 
-It subscribes with best-effort reliability and short queues, so that no publisher waits for it.
+It subscribes with best-effort reliability and short queues, so that no publisher waits for this node.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ LIFETIME = Duration(sec=1)  # markers disappear this long after the suite has en
 TEXT_HEIGHT, OUTLINE_WIDTH, ERROR_WIDTH, GHOST_WIDTH, TRACK_WIDTH = 1.2, 0.15, 0.25, 0.1, 0.6  # m; widths of lines
 GHOST_ALPHA = 0.4
 RIBBON_ALPHA = {0.9: 0.15, 0.5: 0.3}  # by probability
-RIBBON_STRIDE = 4  # points of the path for each drawn one
+RIBBON_STRIDE = 4  # one of this many points of a path is drawn
 
 
 class MarkersNode(Node):
@@ -53,7 +53,7 @@ class MarkersNode(Node):
                 self._history.add_path(model, convert.read_ins_path(message))
         for message, _, _ in self._errors.take():
             if message.complete and message.mode == "forecast" and message.model in self._plots:
-                plot = Vector3Stamped(header=message.header)  # horizon means: longitudinal, lateral [m], yaw [rad]
+                plot = Vector3Stamped(header=message.header)  # mean errors: longitudinal, lateral [m], yaw [rad]
                 plot.vector.x, plot.vector.y, plot.vector.z = (
                     message.longitudinal_mean, message.lateral_mean, message.yaw_mean)
                 self._plots[message.model].publish(plot)
@@ -83,7 +83,7 @@ class MarkersNode(Node):
                 markers.append(self._make_line("errors", number, now_ns, [sample.x, point[0]], [sample.y, point[1]],
                                                colour_of(model), ERROR_WIDTH, z=0.1))
             if path := self._history.find_newest(model, now_ns):
-                markers.append(self._make_name(number, now_ns, model, path))
+                markers.append(self._make_label(number, now_ns, model, path))
         return markers
 
     def _make_ribbons(self, now_ns: int) -> list[Marker]:
@@ -119,7 +119,7 @@ class MarkersNode(Node):
         marker.points = [Point(x=float(px), y=float(py), z=z) for px, py in zip(x, y, strict=True)]
         return marker
 
-    def _make_name(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
+    def _make_label(self, number: int, time_ns: int, model: str, path: Path) -> Marker:
         marker = self._make_marker(Marker.TEXT_VIEW_FACING, "names", number, time_ns, colour_of(model), 1.0)
         index = label_index(model, path.step, len(path.x))
         marker.pose.position.x, marker.pose.position.y = float(path.x[index]), float(path.y[index])

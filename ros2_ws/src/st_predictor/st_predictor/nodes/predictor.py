@@ -26,20 +26,20 @@ from ._bands import PredictionBands
 from ._future_inputs import CourseInput, PlanInput
 from ._inputs import Inputs
 
-MAX_OVERRUN_NS = 10_000_000_000  # a longer time between ticks is not an overrun but a clock jump, as in a replay
+MAX_OVERRUN_NS = 10_000_000_000  # a longer time between ticks is a clock jump, as in a replay, and not an overrun
 DRAIN_PERIOD = 0.02  # s; queues are emptied between ticks, so that a tick has little input to process
 STATUS_PERIOD = 1.0  # s
 # Messages queued for a slow subscriber. Fast DDS resends the whole queue to a subscriber that was stopped: after a stop
 # of 3 s a recorder received nothing for 90 s at depth 50 (half a megabyte per topic), and for 3 s at depth 10.
 # In a replay at 100 predictions per second, a recorder delayed by 0.5 s lost 50 of 590 at depth 10, none at 1000.
 LIVE_DEPTH, REPLAY_DEPTH = 10, 1000
-MAX_WAIT_SHARE = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
+MAX_WAIT_FRACTION = 0.5  # longest wait for samples as a fraction of the period, so that the next tick is not late
 JUMP_WARNING_DURATION = 10.0  # s, of the warning about a position jump
-BUSY_TICK_SHARE = 0.5  # fraction of the period; a longer tick causes a warning
+BUSY_TICK_FRACTION = 0.5  # fraction of the period; a longer tick causes a warning
 
 
 class TickCounter:
-    """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops the ticks it missed."""
+    """Counts ticks from the first one with inputs. rclpy's timer keeps its time grid and drops missed ticks."""
 
     def __init__(self) -> None:
         self._counts = {"predicted": 0, "skipped_stale": 0, "skipped_overrun": 0, "skipped_slow": 0}
@@ -55,17 +55,17 @@ class TickCounter:
             return 0
         return max(0, round((next_due_ns - previous_ns) / period_ns) - 1)
 
-    def count(self, missed: int, skip_kind: str | None) -> None:
-        """Count a tick and the `missed` ticks dropped before it.
+    def count(self, missed_count: int, skip_kind: str | None) -> None:
+        """Count a tick and the `missed_count` ticks dropped before it.
 
         skip_kind: why it made no prediction, "stale" (inputs) or "slow" (below the minimum speed); None if it made one.
         """
         if self._has_counted or skip_kind != "stale":
-            self._counts["skipped_overrun"] += missed if self._has_counted else 0
+            self._counts["skipped_overrun"] += missed_count if self._has_counted else 0
             self._counts[f"skipped_{skip_kind}" if skip_kind else "predicted"] += 1
             self._has_counted = True
 
-    def take_new_overruns(self) -> int:
+    def count_new_overruns(self) -> int:
         """Number of overruns since the previous call."""
         reported, self._reported_overruns = self._reported_overruns, self._counts["skipped_overrun"]
         return self._reported_overruns - reported
@@ -94,14 +94,14 @@ class PredictorNode(Node):
         self._counter = TickCounter()
         self._skip: Skip | None = Skip("stale", "INS: nothing received yet")
         self._last_start_ns: int | None = None
-        self._diverged: set[str] = set()  # models whose newest prediction is not finite
+        self._diverged_models: set[str] = set()  # models whose newest prediction is not finite
         self._reported_jumps = 0
         self._slowest_tick = 0.0
         self._state_age = math.nan  # last published median [s]
         self._state_ages: list[float] = []  # age of each start state since the last status [s]
         self._period = 1.0 / values.rate
         # Simulated time advances only while the executor runs: no sample can arrive during a wait.
-        self._wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_SHARE * self._period)
+        self._max_wait = 0.0 if self._simulated else min(values.sample_wait, MAX_WAIT_FRACTION * self._period)
         create_steady_timer(self, DRAIN_PERIOD, self._inputs.drain)
         self._timer = self.create_timer(self._period, self._tick)
         self.create_timer(STATUS_PERIOD, self._publish_status)
@@ -146,20 +146,20 @@ class PredictorNode(Node):
     def _tick(self) -> None:
         period_ns = round(self._period / NANOSECOND)
         next_due_ns = self.get_clock().now().nanoseconds + self._timer.time_until_next_call()
-        missed = self._counter.count_missed(next_due_ns, period_ns)
+        missed_count = self._counter.count_missed(next_due_ns, period_ns)
         # Waiting for the next sample makes the start state of the prediction newer.
-        self._inputs.wait(next_due_ns - period_ns, self._wait)
+        self._inputs.wait(next_due_ns - period_ns, self._max_wait)
         tick_start = time.perf_counter()
         start = self._find_start(self.get_clock().now().nanoseconds)
         previous_skip, self._skip = self._skip, start if isinstance(start, Skip) else None
-        self._counter.count(missed, self._skip.kind if self._skip else None)
+        self._counter.count(missed_count, self._skip.kind if self._skip else None)
         if isinstance(start, Start):
             self._predict(start)
         self._bands.observe_scores()
         if self._skip and self._simulated:
             self._publish_status()  # the player of `st replay` waits for a message from every tick
-        changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
-        if changed or self._reported_jumps != self._core.history.jump_count:
+        has_changed = (previous_skip and previous_skip.kind) != (self._skip and self._skip.kind)
+        if has_changed or self._reported_jumps != self._core.history.jump_count:
             self._reported_jumps = self._core.history.jump_count
             self._diagnostics.publish()
         self._slowest_tick = max(self._slowest_tick, time.perf_counter() - tick_start)
@@ -178,28 +178,28 @@ class PredictorNode(Node):
     def _predict(self, start: Start) -> None:
         self._plan.drain()
         previous_state = bool(self._plan.problem), self._course.is_used
-        issued: dict[Mode, dict[str, Trajectory]] = {}
-        if planned := self._plan.find_inputs(self._core, start):
-            issued["plan"] = self._publish_predictions(start, "plan", *planned)
+        predictions: dict[Mode, dict[str, Trajectory]] = {}
+        if plan_inputs := self._plan.find_inputs(self._core, start):
+            predictions["plan"] = self._publish_predictions(start, "plan", *plan_inputs)
         if (inputs := self._course.find_inputs(self._core, start)) is not None:
-            issued["course"] = self._publish_predictions(start, "course", inputs)
-        issued["forecast"] = self._publish_predictions(start, "forecast", bands=self._bands.make_messages(
-            self._core.history, start.time_ns, ("forecast", "hindsight", *issued)))
+            predictions["course"] = self._publish_predictions(start, "course", inputs)
+        predictions["forecast"] = self._publish_predictions(start, "forecast", bands=self._bands.make_messages(
+            self._core.history, start.time_ns, ("forecast", "hindsight", *predictions)))
         # Paths are published last: only viewers read them, and filling one takes longer than running all models.
-        for model, trajectory in issued["forecast"].items():
+        for model, trajectory in predictions["forecast"].items():
             if np.isfinite(trajectory.states).all():
                 path = self._path_builder.fill(start.time_ns, trajectory, self._core.car(model))
                 self._path_publishers[model].publish(path)
-                self._diverged.discard(model)
+                self._diverged_models.discard(model)
             else:
-                self._diverged.add(model)  # viewers cannot draw such a path; the evaluator scores it as incomplete
-        self._bands.add_predictions(start, issued)
+                self._diverged_models.add(model)  # viewers cannot draw such a path; the evaluator scores it incomplete
+        self._bands.add_predictions(start, predictions)
         if previous_state != (bool(self._plan.problem), self._course.is_used):
             self._diagnostics.publish()
 
     def _publish_predictions(self, start: Start, mode: Mode, inputs: InputSequence | None = None, plan_ns: int = 0,
                              bands: Mapping[str, list[Band]] = MappingProxyType({})) -> dict[str, Trajectory]:
-        """Publish the predictions of all models; returns them by model. inputs: those of a plan or course; None: held.
+        """Publish the predictions of all models; returns them by model. inputs: of a plan or course; None: constant.
         """
         trajectories = {}
         for model in self._core.models:
@@ -239,14 +239,14 @@ class PredictorNode(Node):
             text = f"no prediction: {self._explain_skip()}"
         elif self._skip:
             level, text = diagnostics.ERROR, f"no prediction: {self._explain_skip()}"
-        elif self._diverged:
-            models = ", ".join(sorted(self._diverged))
+        elif self._diverged_models:
+            models = ", ".join(sorted(self._diverged_models))
             level, text = diagnostics.WARN, f"prediction not finite, path not published: {models}"
         ages = self._core.ages(self.get_clock().now().nanoseconds)
         known_ages = {f"age {signal} [s]": age for signal, age in ages.items() if math.isfinite(age)}
         slowest, self._slowest_tick = self._slowest_tick, 0.0
-        overruns = self._counter.take_new_overruns()
-        is_late = overruns > 0 or slowest > BUSY_TICK_SHARE * self._period
+        overruns = self._counter.count_new_overruns()
+        is_late = overruns > 0 or slowest > BUSY_TICK_FRACTION * self._period
         timing = f"slowest tick {slowest * 1e3:.1f} ms" + (f", {overruns} ticks skipped by overrun" if overruns else "")
         return [
             Check("prediction", level, text, {**counts, **known_ages}),

@@ -26,7 +26,7 @@ from st_ros.scheduling import BACKGROUND_NICE
 from .. import convert, params
 from ._bag import is_complete, make_recording_check, open_bag
 
-WORK_PERIOD = 0.05  # s between reads of the queues; each queued message has its time of arrival
+WORK_PERIOD = 0.05  # s between reads of the queues; a queued message keeps its time of arrival
 TOPIC_SCAN_PERIOD = 0.25  # s between searches for new topics
 RESUME_PERIOD = 5.0  # s between attempts to resume in a new bag, for example after a full disk
 RESUME_SPACE = 200_000_000  # bytes of free disk space required for a new bag
@@ -44,9 +44,9 @@ class PublisherWatchdog:
 
     def __init__(self, node: Node):
         self._node = node
-        self._topic_times: dict[str, float] = {}  # newest message of each topic, steady clock [s]
-        self._node_times: dict[str, float] = {}  # newest /diagnostics of each node [s]
-        self._discovery_times: dict[str, float] = {}  # when each node was discovered [s]
+        self._topic_times: dict[str, float] = {}  # time of the newest message of each topic, steady clock [s]
+        self._node_times: dict[str, float] = {}  # time of the newest /diagnostics of each node [s]
+        self._discovery_times: dict[str, float] = {}  # time of discovery of each node [s]
 
     def record_arrival(self, topic: str, data: bytes) -> None:
         now = time.monotonic()
@@ -68,8 +68,8 @@ class PublisherWatchdog:
                 node_topics.setdefault(names.pop(), []).append(topic)
         self._discovery_times = {name: self._discovery_times.get(name, now) for name in node_topics}
         silences = {name: now - max(self._discovery_times[name], self._node_times.get(name, 0.0),
-                                    *(self._topic_times.get(topic, 0.0) for topic in published))
-                    for name, published in sorted(node_topics.items())}
+                                    *(self._topic_times.get(topic, 0.0) for topic in own_topics))
+                    for name, own_topics in sorted(node_topics.items())}
         return {name: silence for name, silence in silences.items() if silence > SILENCE_TIMEOUT}
 
 
@@ -85,7 +85,7 @@ class RecorderNode(Node):
         self._values, self._records = values, make_metadata(values)
         self._bag = open_bag(values, self._records)
         self._stop_reason = ""  # why an earlier bag of this run ended
-        self._next_attempt, self._resumed_at = float("inf"), float("-inf")
+        self._next_attempt, self._resume_time = float("inf"), float("-inf")
         # By topic: subscription, channel of the bag, message type, and QoS of the publishers.
         self._recorded_topics: dict[str, tuple[PolledSubscription, int, str, list[Qos]]] = {}
         self._refusals: dict[str, str] = {}  # reason by topic
@@ -100,8 +100,8 @@ class RecorderNode(Node):
     def _subscribe_to_new_topics(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             is_new = topic not in self._recorded_topics and topic not in self._refusals
-            matches = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
-            if is_new and matches and (publishers := self.get_publishers_info_by_topic(topic)):
+            is_selected = any(fnmatchcase(topic, pattern) for pattern in self._patterns)
+            if is_new and is_selected and (publishers := self.get_publishers_info_by_topic(topic)):
                 self._subscribe(topic, types, publishers)
 
     def _subscribe(self, topic: str, types: list[str], publishers: list[TopicEndpointInfo]) -> None:
@@ -135,7 +135,7 @@ class RecorderNode(Node):
         """Resume in a new bag if the disk has space; at once if the directory was moved, else after RESUME_PERIOD."""
         now = time.monotonic()
         if self._next_attempt == float("inf"):
-            self._next_attempt = now if self._bag.moved else now + RESUME_PERIOD
+            self._next_attempt = now if self._bag.was_moved else now + RESUME_PERIOD
         if now < self._next_attempt:
             return
         self._next_attempt = now + RESUME_PERIOD
@@ -146,7 +146,7 @@ class RecorderNode(Node):
                 return
             bag = open_bag(self._values, self._records)
             self._next_attempt = float("inf")
-            self._stop_reason, self._bag, self._resumed_at = self._bag.error, bag, now
+            self._stop_reason, self._bag, self._resume_time = self._bag.error, bag, now
             for topic, (subscription, _, message_type, qos) in self._recorded_topics.items():
                 channel = bag.add_topic(topic, message_type, qos)
                 self._recorded_topics[topic] = subscription, channel, message_type, qos
@@ -160,16 +160,16 @@ class RecorderNode(Node):
         elif not self._recorded_topics:
             level, text = diagnostics.WARN, "none of the topics has a publisher yet"
         topics = Check("topics", level, text, {"topics": len(self._recorded_topics)})
-        has_resumed = time.monotonic() - self._resumed_at < RESUME_WARNING_DURATION
+        has_resumed = time.monotonic() - self._resume_time < RESUME_WARNING_DURATION
         return [make_recording_check(self._bag, self._stop_reason, has_resumed), topics, self._make_publishers_check()]
 
     def _make_publishers_check(self) -> Check:
         if DIAGNOSTICS not in self._recorded_topics:
             return Check("publishers", diagnostics.OK, f"not checked: {DIAGNOSTICS} is not recorded")
         self._record_messages()  # so that messages still queued, after a delay of this node, count as received
-        silent = self._watchdog.find_silent_nodes(self._recorded_topics)
-        if silent:
-            silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent.items())
+        silent_nodes = self._watchdog.find_silent_nodes(self._recorded_topics)
+        if silent_nodes:
+            silences = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in silent_nodes.items())
             return Check("publishers", diagnostics.WARN, f"nothing recorded from {silences}, not even /diagnostics")
         return Check("publishers", diagnostics.OK, "messages of all publishers arrive")
 
@@ -199,8 +199,8 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
             reason = error.strerror if isinstance(error, OSError) else "not a text file"
             raise ConfigurationError(f"{values.message_prefix}configuration_files: {name}: {reason}") from None
     if texts:
-        joined = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
-        records["configuration"] = {**texts, "hash": hashlib.sha256(joined.encode()).hexdigest()}
+        joined_text = "".join(f"{name}\n{text}" for name, text in sorted(texts.items()))
+        records["configuration"] = {**texts, "hash": hashlib.sha256(joined_text.encode()).hexdigest()}
     if values.metadata_json:
         try:
             metadata = json.loads(values.metadata_json)
@@ -215,7 +215,7 @@ def make_metadata(values: SimpleNamespace) -> dict[str, dict[str, str]]:
 
 
 def name_files(files: Sequence[str]) -> dict[str, str]:
-    """Unique name by file: its name, preceded by as many parent folders as necessary; empty entries are skipped."""
+    """File -> unique name: its own, preceded by as many parent folders as necessary; empty entries are skipped."""
     paths = {name: Path(name).absolute() for name in files if name}
     keys = {}
     for name, path in paths.items():

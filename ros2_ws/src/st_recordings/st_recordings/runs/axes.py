@@ -6,7 +6,7 @@ import numpy as np
 from st_core.types import map_to_body, wrap_angle
 
 MAP_FRAMES = {"map", "odom", "world", "enu", "ned", "gps", "gnss", "navsat"}
-"""Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure no other."""
+"""Words in the frame_id of a velocity over ground: map frames of REP-105, and receivers, which measure only these."""
 MIN_COURSE_SPEED = 1.0
 """Lowest speed [m/s] at which the course is used: 0.05 m/s of velocity noise then cause 3 degrees of course noise."""
 MIN_COMPARED_SAMPLES = 20
@@ -14,7 +14,7 @@ MIN_COMPARED_SAMPLES = 20
 MAX_COMPARED_SAMPLES = 10_000
 MAX_AGREEING_ANGLE = 0.1
 """[rad]. Two directions agree if their median difference, due to sideslip and noise, is smaller; of two
-interpretations, only one agrees if the difference of the other is larger by this."""
+interpretations, only one agrees if the difference of the other is larger by this much."""
 
 
 def find_words(frame_id: str) -> set[str]:
@@ -22,30 +22,30 @@ def find_words(frame_id: str) -> set[str]:
 
 
 def convert_odometry(values: dict[str, np.ndarray], frame_id: str) -> list[str]:
-    """Converts the INS channels of an odometry to a map with x to the east and to body axes with y to the left; changes
-    `values` and returns warnings.
+    """Converts INS channels of odometry messages to a map with x to the east and to body axes with y to the left;
+    changes `values` and returns warnings.
 
-    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The yaw rate then shows by its sign
-    whether the body axes, too, have z down.
+    If a word of frame_id is ned, x is north, y east and yaw a compass heading. The sign of the
+    yaw rate then shows whether z of the body axes also points down.
     """
     notes = []
     is_ned = "ned" in find_words(frame_id)
     if is_ned:
         values["x"], values["y"], values["yaw"] = values["y"], values["x"], np.pi / 2 - values["yaw"]
         notes.append(f"frame_id is {frame_id!r}: x, y and yaw were converted from north, east and clockwise")
-    over_ground = rotate_to_body_axes(values)
+    warning = rotate_to_body_axes(values)
     if is_ned and np.sum(np.diff(values["yaw"]) * values["yaw_rate"][1:]) < 0:
         values["yaw_rate"] = -values["yaw_rate"]
-        values["velocity_y"] = values["velocity_y"] if over_ground else -values["velocity_y"]
-        notes.append("the body axes have z down: the sign of yaw_rate and velocity_y was changed")
-    return [*notes, over_ground] if over_ground else notes
+        values["velocity_y"] = values["velocity_y"] if warning else -values["velocity_y"]
+        notes.append("z of the body axes points down: the sign of yaw_rate and velocity_y was changed")
+    return [*notes, warning] if warning else notes
 
 
 def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> str:
     """Rotates velocity_x and velocity_y into body axes if they are velocities over ground; changes `columns`.
 
-    The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground. If it does not, as on
-    a straight road to the east, frame_id does; without a map frame, body axes are assumed. Returns a warning if the
+    The direction of the velocity decides: it is about 0 in body axes, and about yaw over ground. If both fit, as on a
+    straight road to the east, frame_id decides; without a map frame, body axes are assumed. Returns a warning if the
     velocities do not have the axes that frame_id names, else "".
     """
     velocity = columns["velocity_x"] + 1j * columns["velocity_y"]
@@ -53,10 +53,10 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
     if len(rows) < MIN_COMPARED_SAMPLES:
         return ""
     rows = rows[:: max(len(rows) // MAX_COMPARED_SAMPLES, 1)]
-    east, yaw = velocity[rows], columns["yaw"][rows]
+    moving, yaw = velocity[rows], columns["yaw"][rows]
     body_error, *map_errors = (float(np.median(np.abs(wrap_angle(np.angle(direction) - yaw)))) for direction in (
-        east * np.exp(1j * yaw), east, 1j * east.conj()))
-    names_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
+        moving * np.exp(1j * yaw), moving, 1j * moving.conj()))
+    frame_is_map = is_map = not MAP_FRAMES.isdisjoint(find_words(frame_id))
     if min(body_error, *map_errors) < MAX_AGREEING_ANGLE < abs(body_error - min(map_errors)):
         is_map = min(map_errors) < body_error
     axes = "body axes"
@@ -66,6 +66,6 @@ def rotate_to_body_axes(columns: dict[str, np.ndarray], frame_id: str = "") -> s
         velocity = 1j * velocity.conj() if is_north_first else velocity
         columns["velocity_x"], columns["velocity_y"] = map_to_body(velocity.real, velocity.imag, columns["yaw"])
     frame = f" (frame_id is {frame_id!r})" if frame_id else ""
-    return "" if is_map == names_map else (
+    return "" if is_map == frame_is_map else (
         f"velocity_x and velocity_y agree with yaw only as velocities {'to ' if is_map else 'in '}{axes}{frame}"
         f"{'; they were rotated into body axes' if is_map else ''}")

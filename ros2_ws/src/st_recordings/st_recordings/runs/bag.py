@@ -13,21 +13,21 @@ from st_core.sideslip import derive_yaw_rate
 
 from ..bag_metadata import read_information
 from .axes import convert_odometry
-from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, open_bag, storage_files
+from .bag_storage import EXTENSIONS, ROS1_EXTENSION, Storage, Topic, describe_missing_files, list_bag_files, open_bag
 from .cdr import CAN_FRAMES, CAN_MSGS_FRAME, NCOM, ODOMETRY, READ_ERRORS, STEERING, read_summary
-from .errors import RunError, format_share
+from .errors import RunError, format_count
 from .ins_log import InsLog, select_usable_rows, yaw_from_quaternion
-from .reconstruct import RECONSTRUCTED, Reconstruction, find_steering_topic, read_steering_columns
+from .reconstruct import RECONSTRUCTED_SUFFIX, Reconstruction, find_steering_topic, read_steering_columns
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
-KNOWN_TOPICS = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
+KNOWN_TOPIC_PREFIXES = ("/ins/", "/can/", "/predictor/", "/evaluator/", "/identifier/", "/view/", "/tf",
                 "/diagnostics", "/clock", "/rosout", "/parameter_events", "/events/")
 """Prefixes of the topics that the suite or every ROS system publishes."""
 SUITE_RECORDS = {"recording", "configuration"}  # metadata records that the recorder and the evaluator write first
 CLOSING_RECORD = "rosbag2"  # metadata record that a recorder writes when it closes a recording
 PREFERRED_TOPICS = {ODOMETRY: "ins/odometry", STEERING: "vehicle/steering"}
 """Type -> ending of the topic name that is preferred if several topics have this type."""
-MAX_REPEATED_SHARE = 0.75
+MAX_REPEATED_FRACTION = 0.75
 """If a larger fraction of the stamps repeats the previous one, the stamps are meaningless."""
 _ODOMETRY_FIELDS = ("header.stamp", "pose.pose.position.x", "pose.pose.position.y", "pose.pose.orientation.x",
                     "pose.pose.orientation.y", "pose.pose.orientation.z", "pose.pose.orientation.w",
@@ -41,7 +41,7 @@ class BagDrive(LoadedRun):
     records: dict[str, dict[str, str]]  # metadata records, name -> {key: text}
     frame: str  # frame_id of the first odometry message, or of reconstructed odometry
     unknown_topics: tuple[str, ...]  # "topic (type)" of topics neither read nor published by the suite or ROS
-    conversions: tuple[str, ...]  # notes on odometry that differs from the recorded messages
+    conversions: tuple[str, ...]  # notes on odometry values that differ from the recorded messages
 
 
 def is_bag(path: Path) -> bool:
@@ -77,14 +77,14 @@ def lacks_steering(path: Path) -> bool:
 
 
 def may_need_can_frames(path: Path, files: Sequence[Path] = ()) -> bool:
-    """Whether the steering may be in CAN frames of another bridge (can_msgs/Frame). files: see `open_bag`."""
+    """Whether the steering may be in CAN frames of a different bridge (can_msgs/Frame). files: see `open_bag`."""
     types = _read_types(path, files)
     return types >= {ODOMETRY, CAN_MSGS_FRAME} and not types & {STEERING, CAN_FRAMES}
 
 
 def may_carry_steering(topic: Topic) -> bool:
     """Whether --steering-topic may name a topic: not odometry, CAN frames or text, nor a topic of the suite or ROS."""
-    return not topic.name.startswith(KNOWN_TOPICS) and not topic.type_name.startswith("st_msgs/") and (
+    return not topic.name.startswith(KNOWN_TOPIC_PREFIXES) and not topic.type_name.startswith("st_msgs/") and (
         topic.type_name not in (ODOMETRY, CAN_MSGS_FRAME, "std_msgs/msg/String"))
 
 
@@ -120,13 +120,13 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     topics = {topic.type_name: topic.name for topic in required}
     if not reads_odometry:
         columns[ODOMETRY] = reconstruction.reconstruct_odometry(_ODOMETRY_FIELDS)
-        topics[ODOMETRY] = storage.by_type[NCOM].name + RECONSTRUCTED
+        topics[ODOMETRY] = storage.by_type[NCOM].name + RECONSTRUCTED_SUFFIX
     if steering is not None:
         topic = find_steering_topic(storage, steering)
         columns[STEERING], topics[STEERING] = read_steering_columns(storage, topic, steering), topic.name
     elif STEERING not in columns:
         columns[STEERING] = reconstruction.reconstruct_steering()
-        topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED
+        topics[STEERING] = storage.by_type[CAN_FRAMES].name + RECONSTRUCTED_SUFFIX
     notes = [*describe_missing_files(path), *_replace_meaningless_stamps(storage, topics, columns, bool(steering))]
     frame = _read_frame_id(storage, topics[ODOMETRY]) if reads_odometry else reconstruction.map_frame()
     log, missing, row_notes, conversions = _build_drive_log(
@@ -135,7 +135,7 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
     auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
     unknown_topics = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
-        t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPICS)))
+        t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPIC_PREFIXES)))
     provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
     if (origin := reconstruction.read_origin()) is not None:
         latitude, longitude, altitude = origin
@@ -159,12 +159,12 @@ def read_odometry(path: Path, odometry: str | None, files: Sequence[Path]) -> In
 
 
 def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
-                                columns: dict[str, dict[str, np.ndarray]], is_foreign: bool = False) -> list[str]:
+                                columns: dict[str, dict[str, np.ndarray]], is_external: bool = False) -> list[str]:
     """Replaces meaningless stamps by the times of reception; returns a note on each replacement.
 
     A driver or simulator may leave header.stamp at a constant value such as 0, write whole seconds, or stamp two topics
     with unrelated clocks. The times of reception are correct nevertheless. Messages that are sent several times with
-    the same values and stamp have correct stamps. is_foreign: whether another system stamped the steering.
+    the same values and stamp have correct stamps. is_external: whether a different system stamped the steering.
     """
     notes = []
     for kind, topic in topics.items():
@@ -173,16 +173,16 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
         values = [np.nan_to_num(np.asarray(v, float)) for name, v in columns[kind].items() if name != "header.stamp"]
         changed = np.any([np.diff(value) != 0 for value in values], axis=0)
         are_resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
-        if (repeated > MAX_REPEATED_SHARE * len(stamps) and not are_resent) or (len(stamps) == 2 and repeated):
+        if (repeated > MAX_REPEATED_FRACTION * len(stamps) and not are_resent) or (len(stamps) == 2 and repeated):
             columns[kind]["header.stamp"] = storage.read_log_times(topic, stamps)
             problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
-                       else f"{format_share(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
+                       else f"{format_count(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{problem}; the times of reception are used")
-    if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED) for topic in topics.values()):
+    if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED_SUFFIX) for topic in topics.values()):
         by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
         if min(map(len, by_kind.values())) > 1:
             aligned, clock_notes = storage.align_stamps(
-                [(topics[kind], stamps) for kind, stamps in by_kind.items()], is_foreign)
+                [(topics[kind], stamps) for kind, stamps in by_kind.items()], is_external)
             for kind, stamps in zip(topics, aligned, strict=True):
                 columns[kind]["header.stamp"] = stamps
             notes += clock_notes
@@ -204,7 +204,7 @@ def was_interrupted(path: Path) -> bool:
 
 def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
     records: dict[str, dict[str, str]] = {}
-    for file in [path] if path.is_file() else storage_files(path):
+    for file in [path] if path.is_file() else list_bag_files(path):
         if file.suffix.lower() == ".mcap" and read_summary(file) is not None:
             try:
                 with file.open("rb") as stream:
@@ -273,10 +273,10 @@ def _build_drive_log(path: Path, name: str, odometry: Mapping[str, np.ndarray], 
     missing["road_wheel_angle"] = int((~is_usable).sum())
     steering_ns, steering_rows, steering_notes = _select_usable_messages(
         steering["header.stamp"], is_usable, "steering messages", {"the steering angle": missing["road_wheel_angle"]})
-    wheel = steering["steering_wheel_angle"][steering_rows]
+    wheel_angle = steering["steering_wheel_angle"][steering_rows]
     log = make_drive_log(path, name, ins_time_ns=ins_ns, **values, steering_time_ns=steering_ns,
                          road_wheel_angle=steering["road_wheel_angle"][steering_rows],
-                         steering_wheel_angle=wheel if np.isfinite(wheel).all() else None)
+                         steering_wheel_angle=wheel_angle if np.isfinite(wheel_angle).all() else None)
     return log, missing, [*notes, *steering_notes], conversions
 
 
@@ -292,6 +292,6 @@ def _select_usable_messages(time_ns: np.ndarray, is_usable: np.ndarray, noun: st
     if (lost := len(time) - len(rows)):
         reasons = [f"usable value of {', '.join(names)}"] if (names := [k for k, n in missing.items() if n]) else []
         reasons += ["stamp"] if (time == 0).any() else []
-        notes.append(f"{format_share(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
+        notes.append(f"{format_count(lost, len(time), noun)} have no {' or no '.join(reasons)}; they were left out")
     ascending, time_notes = select_usable_rows(time[rows], noun)
     return time[rows[ascending]], rows[ascending], [*notes, *time_notes]

@@ -27,12 +27,12 @@ from ..bag_metadata import read_information
 from ..mcap_contents import MAGIC
 from ..paths import natural_sort_key
 from .cdr import READ_ERRORS, Block, CdrLayout, add_definitions, get_field, load_typestore, read_blocks, read_summary
-from .errors import RunError, check_readable, format_share, shorten
+from .errors import RunError, check_readable, format_count, shorten
 
 EXTENSIONS, ROS1_EXTENSION = (".mcap", ".db3"), ".bag"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 COPY_ADVICE, RECOVERY_ADVICE = "copy it again", "if the recording was interrupted, repair it with `st recover`"
-MAX_DELAY_NS = 500_000_000  # from stamp to reception; if those of two topics differ by more, their clocks do
+MAX_SPREAD_NS = 500_000_000  # largest difference of delays (from stamp to reception) between stamps of one clock
 REINDEX_ADVICE = "if the recording was interrupted, repair it with `rosbag reindex`"
 
 
@@ -145,13 +145,13 @@ class Storage(ABC):
             return received, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
         delays = [times - each for times, each in zip(received, given, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
-        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_DELAY_NS for delay in delays)
-        if delays_vary or max(shifts) - min(shifts) <= MAX_DELAY_NS:
+        delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_SPREAD_NS for delay in delays)
+        if delays_vary or max(shifts) - min(shifts) <= MAX_SPREAD_NS:
             return given, []
-        ahead, behind = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
+        early, late = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
         return [each + shift - shifts[0] for each, shift in zip(given, shifts, strict=True)], [
-            f"compared with the times of reception, the clock of {ahead} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
-            f"ahead of that of {behind}; all stamps were moved to the clock of {stamps[0][0]}"]
+            f"compared with the times of reception, the clock of {early} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
+            f"ahead of that of {late}; all stamps were moved to the clock of {stamps[0][0]}"]
 
 
 def _overlap(times: Sequence[np.ndarray]) -> bool:
@@ -164,7 +164,7 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
     """Opens a bag directory or a single storage file. Raises RunError for a file that is missing, of another kind, not
     closed or damaged. files: the parts of a split recording in order, if there are two or more."""
     if len(files) < 2:
-        files = storage_files(path) if path.is_dir() else [path]
+        files = list_bag_files(path) if path.is_dir() else [path]
     for file in files:
         check_readable(file)
     if path.suffix.lower() == ROS1_EXTENSION or (path.is_dir() and read_information(path).get("compression_mode")):
@@ -185,7 +185,7 @@ def _read_listed_files(directory: Path) -> list[str]:
     return [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
 
 
-def storage_files(directory: Path) -> list[Path]:
+def list_bag_files(directory: Path) -> list[Path]:
     """Storage files of a bag directory, in the order of metadata.yaml if it lists them all, else by number."""
     files = sorted((f for f in directory.iterdir() if f.suffix.lower() in EXTENSIONS), key=natural_sort_key)
     order = {name: k for k, name in enumerate(_read_listed_files(directory))}
@@ -198,13 +198,13 @@ def describe_missing_files(path: Path) -> list[str]:
     listed = _read_listed_files(path)
     missing = [name for name in listed if not (path / name).is_file()]
     if missing:
-        count = format_share(len(missing), len(listed), "files")
+        count = format_count(len(missing), len(listed), "files")
         return [f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"]
     return [note] if path.is_file() and (note := _describe_missing_before(path)) else []
 
 
 def _describe_missing_before(file: Path) -> str:
-    """A note on files missing before this one (drive_1, drive_3); empty if the gap in time contradicts that."""
+    """A note on files missing before this one (drive_2 before drive_3); empty if the gap in time contradicts that."""
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
@@ -403,8 +403,8 @@ class RosbagsStorage(Storage):
     def definitions(self) -> dict[str, tuple[str, str]]:
         if not self._reader.is2:
             return {}
-        forms = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
-        return {c.msgtype: (forms.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
+        formats = {1: "ros2msg", 2: "ros2idl"}  # rosbags.interfaces.MessageDefinitionFormat
+        return {c.msgtype: (formats.get(c.msgdef.format.value, ""), c.msgdef.data) for c in self._reader.connections}
 
 
 class _FieldCollector:
@@ -436,7 +436,7 @@ class _FieldCollector:
         return {field: np.concatenate([part[field] for part in self.parts]) for field in self._fields}
 
 
-def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
+def parse_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, Any]]:
     """Node -> parameters, from the metadata records of a recording; empty if they contain none."""
     try:
         document = yaml.safe_load(records.get("configuration", {}).get("parameters.yaml", "")) or {}
@@ -445,7 +445,7 @@ def recorded_parameters(records: Mapping[str, Mapping[str, str]]) -> dict[str, d
         return {}
 
 
-def recorded_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
+def find_file_text(records: Mapping[str, Mapping[str, str]], file: str) -> str | None:
     """Text of a configuration file that the parameters name; None if the recording does not contain it."""
     parts = Path("/", file).parts
     # In the records, the key of a file is the shortest unique trailing part of its path.

@@ -20,7 +20,7 @@ from .run_types import LoadedRun, SteeringField
 ADVICE = (f"record {ODOMETRY}, for example from robot_localization, or export the topics as one CSV file with "
           "PlotJuggler and name the columns in a run.yaml")
 STAMP_FIELDS = ("header.stamp", "stamp")
-STEERING = (ROAD_WHEEL, STEERING_WHEEL)
+STEERING_ANGLES = (ROAD_WHEEL, STEERING_WHEEL)
 UNKNOWN_COVARIANCE = -1.0  # first element of orientation_covariance in a message without an orientation
 FIX_TYPES = ("sensor_msgs/msg/NavSatFix", "gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix")
 NO_FIX = -1
@@ -42,10 +42,10 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         topic = find_steering_topic(storage, steering)
         columns = read_steering_columns(storage, topic, steering)
         channel = ROAD_WHEEL if steering.quantity == "road" else STEERING_WHEEL
-        parts = [(name, stamps, {column: values for column, values in part.items() if column not in STEERING})
+        parts = [(name, stamps, {column: values for column, values in part.items() if column not in STEERING_ANGLES})
                  for name, stamps, part in parts]
         parts.append((topic.name, columns["header.stamp"], {channel: columns[ROAD_WHEEL]}))
-    for channel in STEERING:
+    for channel in STEERING_ANGLES:
         if len(topics := [name for name, _, part in parts if channel in part]) > 1:
             raise RunError(path, f"topics {' and '.join(topics)} may each contain the {channel}",
                            "name the right one with --steering-topic")
@@ -63,7 +63,7 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         return build_drive(table, vehicle, frame_id=frame_id)
     except RunError as error:
         problem = f"it contains no message of type {ODOMETRY}, and if it is read as a table, {error.problem}"
-        has_steering = {*STEERING} & table.sources.keys()
+        has_steering = {*STEERING_ANGLES} & table.sources.keys()
         raise RunError(path, problem, ADVICE if has_steering else "name the topic of the steering angle with "
                        f"--steering-topic; or {ADVICE}") from None
 
@@ -100,7 +100,7 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
 def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """(stamps [ns], columns) of fields that may be channels; no columns if the type is unknown or has no stamp.
 
-    An INS field that is 0 or NaN in every message is one that its driver does not fill.
+    An INS field that is 0 or NaN in every message is left out, because its driver does not fill it.
     """
     stamp, found, _ = _find_fields(storage, topic)
     if not found:
@@ -112,7 +112,8 @@ def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str,
         lacks_fix = columns[status[0]] == NO_FIX
         columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in found.values()}
     empty_channels = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
-    empty_channels -= {*STEERING, *(() if empty_channels.issuperset(QUATERNION_CHANNELS) else QUATERNION_CHANNELS)}
+    empty_channels -= {*STEERING_ANGLES, *(() if empty_channels >= {*QUATERNION_CHANNELS} else QUATERNION_CHANNELS)}
     channels = {channel: columns[field] for channel, (_, field, _) in found.items() if channel not in empty_channels}
-    return stamps, {**{found[channel][0]: values for channel, values in channels.items() if channel not in STEERING},
-                    **{channel: found[channel][2] * channels[channel] for channel in STEERING if channel in channels}}
+    steering = {channel: found[channel][2] * channels[channel] for channel in STEERING_ANGLES if channel in channels}
+    return stamps, {**{found[channel][0]: values for channel, values in channels.items() if channel not in steering},
+                    **steering}

@@ -28,7 +28,7 @@ SAMPLE_FIELDS = ("data", "value", "values")
 """Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
 NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit", "Units")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
-"""A channel name of raw frames directly after a block head, which ends with 0; in comments, the name may occur too."""
+"""A channel name of raw frames directly after a block head, which ends with 0; comments may contain the name, too."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
 
 
@@ -121,26 +121,26 @@ def _join_signals(signals: list[Signal]) -> Any:
 
 def _find_signals(value: Any, path: tuple[str, ...] = (), unit: str = "",
                   times: tuple[tuple[str, np.ndarray], ...] = ()) -> Iterator[Signal]:
-    """Signals in structs, arrays of structs and matrices. times: (name, times) of the surrounding structs."""
+    """Signals in structs, arrays of structs and matrices. times: (name, times) of the enclosing structs."""
     if isinstance(value, dict):
         vectors = [name for name, entry in value.items() if _is_vector(entry)]
         source, stamp = find_columns(Path(), vectors, Layout()).get("t"), find_stamp_columns(vectors)
-        own = [(vectors[source.column], value[vectors[source.column]])] if source else []
+        own_times = [(vectors[source.column], value[vectors[source.column]])] if source else []
         if source and stamp and source.column == stamp[0]:  # for example, sec and nanosec of a ROS stamp
             seconds, fraction = (value[vectors[column]] for column in stamp[:2])
             if len(seconds) == len(fraction):
-                own = [("t [s]", add_fraction(seconds, stamp[2] * fraction))]
+                own_times = [("t [s]", add_fraction(seconds, stamp[2] * fraction))]
         axes = value.get("X")  # dSPACE ControlDesk: one time vector, or one for each raster, of different lengths
         axes = [axis["Data"] for axis in (axes if isinstance(axes, list) else [axes])
                 if isinstance(axis, dict) and _is_vector(axis.get("Data"))]
         if axes and len(set(map(len, axes))) == len(axes):
-            own += [("time", axis) for axis in axes]
+            own_times += [("time", axis) for axis in axes]
             value = {name: entry for name, entry in value.items() if name != "X"}
         unit = next((value[name] for name in UNIT_FIELDS if isinstance(value.get(name), str)), "")
         for name, entry in value.items():
             is_sample_field = path and name.lower() in SAMPLE_FIELDS
             yield from _find_signals(entry, path if is_sample_field else (*path, name),
-                                     unit if is_sample_field else "", (*own, *times))
+                                     unit if is_sample_field else "", (*own_times, *times))
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.kind == "O"):
         for number, entry in enumerate(value, 1):
             labels = [label for name in NAME_FIELDS

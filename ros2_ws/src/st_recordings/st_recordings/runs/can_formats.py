@@ -14,7 +14,7 @@ from typing import Any
 
 from .binary_table import is_signal_table
 from .columns import normalise
-from .errors import COMPRESSED_MAGIC, format_share, shorten
+from .errors import COMPRESSED_MAGIC, format_count, shorten
 from .mf4 import MF4_EXTENSIONS, VENDOR_EXTENSIONS, is_mdf
 
 _BLF_HEAD_LENGTH = 16  # bytes: "LOBJ", header size, header version, object size, object type
@@ -49,8 +49,8 @@ codecs.register_error(_CP1252_FALLBACK, lambda error: (
 class Lines:
     """Iterates over the lines of a text log in any encoding; python-can uses it as a file.
 
-    position: number of the last line that was read. last: its text. `unread` puts a line back, to be read next. header:
-    line that replaces the header when a reader restarts after an unreadable line; empty if it parses none.
+    number: of the last line that was read. last: its text. `unread` puts a line back, to be read next. header:
+    line that replaces the header when a reader restarts after an unreadable line; empty if the reader parses none.
     """
 
     header = ""
@@ -63,7 +63,7 @@ class Lines:
         is_utf8 = head.startswith(head.decode("utf-8", "ignore").encode())
         codec = "utf-16" if head[:2] in _UTF16_BOMS else "utf-8-sig" if is_utf8 else "cp1252"
         self._stream = file.open(encoding=codec, errors=_CP1252_FALLBACK)
-        self.position, self.last = 0, ""
+        self.number, self.last = 0, ""
 
     def __iter__(self) -> "Lines":
         return self
@@ -73,7 +73,7 @@ class Lines:
             self.last = self._unread.pop()
         else:
             self.last = self.convert(next(self._stream))
-            self.position += 1
+            self.number += 1
         return self.last
 
     def convert(self, line: str) -> str:
@@ -103,25 +103,25 @@ def _read_text(file: Path, notes: list[str], make_reader: Callable[[Lines, list[
 
     make_reader: creates the python-can reader from the lines and the notes.
     """
-    unreadable: list[int] = []
+    unreadable_lines: list[int] = []
     with closing(lines_type(file)) as lines:
         reader = make_reader(lines, notes)
-        remaining = iter(reader)
+        messages = iter(reader)
         while True:
             try:
-                yield next(remaining)
+                yield next(messages)
             except StopIteration:
                 break
             except Exception:  # any, from int() or indexing in python-can
-                if unreadable and unreadable[-1] == lines.position:
+                if unreadable_lines and unreadable_lines[-1] == lines.number:
                     break  # no progress: the file ends within its header
-                unreadable.append(lines.position)
+                unreadable_lines.append(lines.number)
                 if lines.header:
                     lines.unread(lines.header)
-                remaining = iter(reader)
-        if unreadable:
-            notes.insert(0, f"{format_share(len(unreadable), lines.position, 'lines')} cannot be read and were "
-                         f"skipped; the first is line {unreadable[0]}")
+                messages = iter(reader)
+        if unreadable_lines:
+            notes.insert(0, f"{format_count(len(unreadable_lines), lines.number, 'lines')} cannot be read and were "
+                         f"skipped; the first is line {unreadable_lines[0]}")
 
 
 def month_number(name: str) -> int | None:
@@ -270,13 +270,13 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
     except Exception as error:
         offset = min(reader.file.tell(), size) if not reader.file.closed else size
         notes.append(f"is damaged after frame {count} ({shorten(error)}); the remaining "
-                     f"{format_share(size - offset, size, 'bytes')} are not used")
+                     f"{format_count(size - offset, size, 'bytes')} are not used")
     finally:
         reader.stop()
     if not reader.file_size:
         notes.append("was not closed by its logger; its end may be missing")
     elif size < reader.file_size:
-        notes.append(f"is truncated: {format_share(reader.file_size - size, reader.file_size, 'bytes')} are missing")
+        notes.append(f"is truncated: {format_count(reader.file_size - size, reader.file_size, 'bytes')} are missing")
 
 
 def _is_csv(head: bytes) -> bool:
@@ -318,9 +318,9 @@ EXTENSIONS = frozenset({e for f in FORMATS for e in f.extensions}.difference(_TA
 
 
 def is_can_log(file: Path) -> bool:
-    """Whether a file is a CAN log, by its extension, or by its content if other programs use the extension too.
+    """Whether a file is a CAN log, by its extension, or by its content if other programs also use the extension.
 
-    A .log or .asc file that is empty, compressed or unreadable is taken as a CAN log, so that its reader reports that.
+    A .log or .asc file that is empty, compressed or unreadable counts as a CAN log, whose reader reports the problem.
     """
     extension = file.suffix.lower()
     if extension in MF4_EXTENSIONS:

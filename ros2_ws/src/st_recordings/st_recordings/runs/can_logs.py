@@ -25,8 +25,8 @@ _BAG_FIELDS = ("header.stamp", "id", "is_rtr", "is_extended", "is_error", "dlc",
 BLOCK_SIZE = 65536  # messages converted to columns at a time
 MAX_TIME_JUMP_NS = 86400 * 10**9  # 1 day; a time that is earlier or later than both neighbours by more is damaged
 FIRST_ABSOLUTE_TIME = 1_000_000_000  # s since 1970; smaller times are relative to the start of the log
-MIN_DECREASING_SHARE = 0.2
-"""A candump that begins at 0 has times since the previous frame if a larger fraction decreases, or all are equal."""
+MIN_DECREASING_FRACTION = 0.2
+"""Times of a candump that begin at 0 are since the previous frame if a larger fraction decreases, or all are equal."""
 
 
 def read_can_logs(files: Sequence[Path]) -> CanLog:
@@ -44,7 +44,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     if not logs:
         raise errors[0] if errors else RunError("CAN log", "no file given")
     used_files = tuple(log.files[0] for log in logs)
-    if len({log.absolute for log in logs}) > 1:
+    if len({log.is_utc for log in logs}) > 1:
         raise RunError(used_files[0], "some logs of the run have UTC times, but the times of others are relative to "
                        "the start", "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
@@ -52,7 +52,7 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
     if repeated:
         warnings.append(f"{used_files[0]}: {repeated} frames are in the logs more than once; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
-    return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].absolute, tuple(warnings),
+    return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))
 
 
@@ -139,13 +139,13 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
         frames = replace(frames, time_ns=np.cumsum(frames.time_ns))
         format_notes.append("its times are relative to the previous frame (candump -t d); they were summed")
     log = can_frames.build_log(file, [frames], [*notes, *format_notes])
-    return replace(log, absolute=log.start_ns >= FIRST_ABSOLUTE_TIME * 10**9)
+    return replace(log, is_utc=log.start_ns >= FIRST_ABSOLUTE_TIME * 10**9)
 
 
 def _are_time_steps(time_ns: np.ndarray) -> bool:
     """Whether the times of a candump are since the previous frame: first 0, then often decreasing or all equal."""
     steps = np.diff(time_ns[1:])
-    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_SHARE or not steps.any()))
+    return bool(time_ns[0] == 0 and len(steps) and ((steps < 0).mean() > MIN_DECREASING_FRACTION or not steps.any()))
 
 
 def _build_frames(messages: Sequence[can.Message]) -> Frames:

@@ -12,7 +12,7 @@ from canedge_bridge.plausibility import find_plausible
 from canedge_bridge.signals import MessageSpec, SignalTable, load_table
 from st_core.checks import Series
 
-from .errors import RunError, format_share
+from .errors import RunError, format_count
 from .frames import ERROR, EXTENDED, REMOTE, Frames
 from .ins_log import SPEEDS, compute_car_speed, make_series
 
@@ -38,10 +38,10 @@ class CanSignals:
     faults: Mapping[str, str]  # message -> description of its faults, with their counts
     rejected_times_ns: Mapping[str, np.ndarray] = field(default_factory=dict)  # by message, of rejected frames
 
-    def all_of(self, name: str) -> list[Signal]:
+    def find_all(self, name: str) -> list[Signal]:
         return [signal for signal in self.signals.values() if signal.name == name]
 
-    def between(self, start_ns: int, end_ns: int) -> "CanSignals":
+    def select_interval(self, start_ns: int, end_ns: int) -> "CanSignals":
         """The signals with start_ns <= time < end_ns."""
         parts = {}
         for key, signal in self.signals.items():
@@ -52,8 +52,8 @@ class CanSignals:
         rejected_times_ns = {name: t[(t >= start_ns) & (t < end_ns)] for name, t in self.rejected_times_ns.items()}
         return CanSignals(parts, self.faults, rejected_times_ns)
 
-    def first_of(self, name: str) -> Signal | None:
-        return next(iter(self.all_of(name)), None)
+    def find_first(self, name: str) -> Signal | None:
+        return next(iter(self.find_all(name)), None)
 
 
 def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
@@ -142,7 +142,7 @@ def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _Dec
 
 def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: int) -> str:
     sizes = zip(*np.unique(lengths, return_counts=True), strict=True)
-    wrong_lengths = [f"{format_share(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
+    wrong_lengths = [f"{format_count(int(count), len(lengths), 'frames')} have {size} bytes" for size, count in sizes
                      if size != spec.dbc.length]
     if not wrong_lengths:
         return ""
@@ -154,7 +154,7 @@ def _describe_length_fault(spec: MessageSpec, lengths: np.ndarray, n_decoded: in
 def find_steering(signals: CanSignals, file: Path | str, table: SignalTable, notes: Sequence[str] = ()) -> Signal:
     """Finds the signal of the steering wheel angle. Raises RunError if it is not in the log, or if more of its frames
     were rejected than accepted, as with a wrong DBC. notes: warnings about the log."""
-    steering = signals.first_of("steering_wheel_angle")
+    steering = signals.find_first("steering_wheel_angle")
     if steering is not None and len(signals.rejected_times_ns.get(steering.message, ())) <= len(steering.time_ns):
         return steering
     source = table.find_source("steering_wheel_angle")
@@ -177,8 +177,8 @@ def collect_speeds(signals: CanSignals, to_reference: Callable[[np.ndarray], np.
     to_reference: converts log times [ns] to the clock of the result [ns].
     """
     speeds = {name: (to_reference(signal.time_ns[signal.valid]), signal.values[signal.valid])
-              for name in SPEEDS if (signal := signals.first_of(name)) is not None}
-    ins = signals.all_of("ins_velocity_x")  # the two axis conventions have different messages
+              for name in SPEEDS if (signal := signals.find_first(name)) is not None}
+    ins = signals.find_all("ins_velocity_x")  # the two axis conventions have different messages
     if not ins:
         return compute_car_speed(speeds), None
     order = np.argsort(np.concatenate([signal.rows[signal.valid] for signal in ins]), kind="stable")

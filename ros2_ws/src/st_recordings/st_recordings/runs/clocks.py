@@ -49,11 +49,11 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
     pairs, warning = pair_shared_signals(ins, can, latency), ""
     if not pairs:
         pairs, warning = pair_substitute_signals(ins, can, steering_sign)
-    time_frames = [signal for signal in can.all_of("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
+    time_frames = [signal for signal in can.find_all("ins_unix_time") if np.isfinite(signal.values).sum() > 1]
     if offset is not None:
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         result = manual_alignment(round(offset * 1e9), at_ns, pairs)
-    elif ins.absolute and time_frames:
+    elif ins.is_utc and time_frames:
         finest = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
         result = _align_by_checked_time_frame(finest, pairs if not warning else [], latency)
     elif not pairs:
@@ -61,7 +61,7 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         return refused_alignment(reason), pairs
     else:
         result = align(pairs, search=search)
-        if result.ambiguous and search is None and ins.absolute:
+        if result.ambiguous and search is None and ins.is_utc:
             result = _prefer_logger_clock(pairs, result)
         result = result.with_doubts(*filter(None, (warning, _describe_opposite_sign(pairs, result, search))))
     return replace(result, reasons=(*notes, *result.reasons)), pairs
@@ -73,14 +73,14 @@ def pair_shared_signals(ins: InsLog, can: CanSignals,
 
     latency: delay of INS values on CAN and its standard deviation [s].
     """
-    speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
+    speed = can.find_first("ins_velocity_x") or can.find_first("vehicle_speed")
     pairs = []
     for label, kind, channel in (("forward velocity", "speed", "velocity_x"), ("yaw rate", "rate", "yaw_rate"),
                                  ("yaw", "angle", "yaw")):
         if channel in ins.values:  # an INS may have no yaw
             values = _mask_ins_standstill(ins, ins.values[channel])
             pairs += [_make_pair(f"{label} ({signal.message})", kind, ins.time_ns, values, signal, speed, latency)
-                      for signal in can.all_of(f"ins_{channel}")]
+                      for signal in can.find_all(f"ins_{channel}")]
     return pairs
 
 
@@ -91,8 +91,8 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
     steering_sign: +1 if the decoded angle is positive to the left. ([], "") if the log has neither speed nor steering.
     """
     velocity_x, yaw_rate = ins.values["velocity_x"], ins.values["yaw_rate"]
-    speed = can.first_of("vehicle_speed") or can.first_of("wheel_speed_rear_left")
-    right = can.first_of("wheel_speed_rear_right")
+    speed = can.find_first("vehicle_speed") or can.find_first("wheel_speed_rear_left")
+    right = can.find_first("wheel_speed_rear_right")
     if speed is not None and speed.name != "vehicle_speed" and right and np.array_equal(speed.time_ns, right.time_ns):
         # The speed of a single wheel also depends on the yaw rate.
         speed = replace(speed, values=(speed.values + right.values) / 2.0)
@@ -105,7 +105,7 @@ def pair_substitute_signals(ins: InsLog, can: CanSignals, steering_sign: int = 1
                 f"{NO_INS_FRAMES}: aligned by the vehicle or wheel speed with an assumed delay of "
                 f"{1e3 * latency[0]:.0f} ms, standard deviation {1e3 * latency[1]:.0f} ms (delay and slip are "
                 "unknown)")
-    steering = can.first_of("steering_wheel_angle")
+    steering = can.find_first("steering_wheel_angle")
     if steering is None:
         return [], ""
     is_fast = np.abs(velocity_x) > MIN_CURVATURE_SPEED
@@ -127,23 +127,23 @@ def mask_implausible(ins: InsLog, can: CanSignals) -> tuple[InsLog, CanSignals, 
         if len(values) < 2:
             return values
         unwrapped = np.unwrap(np.nan_to_num(values)) if channel == "yaw" else values
-        bad, found = find_implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, moving)
+        bad, findings = find_implausible_samples(channel, (time_ns - time_ns[0]) * 1e-9, unwrapped, moving)
         if bad.any():
             largest = float(values[bad][np.argmax(np.abs(values[bad]))])
             notes.append(f"{bad.sum()} of {len(bad)} samples of {label} are implausible (up to {largest:.4g} "
-                         f"{found[0].unit}); the alignment does not use them")
+                         f"{findings[0].unit}); the alignment does not use them")
         return np.where(bad, np.nan, values)
 
-    speed = can.first_of("ins_velocity_x") or can.first_of("vehicle_speed")
-    masked = dict(can.signals)
+    speed = can.find_first("ins_velocity_x") or can.find_first("vehicle_speed")
+    masked_signals = dict(can.signals)
     for key, signal in can.signals.items():
         if signal.name in PLAUSIBILITY_CHANNELS:
             moving = (_is_moving(signal.time_ns, speed.time_ns, speed.values) if speed
                       else np.ones(len(signal.values), bool))
-            masked[key] = replace(signal, values=mask(
+            masked_signals[key] = replace(signal, values=mask(
                 PLAUSIBILITY_CHANNELS[signal.name], f"{signal.name} ({signal.message})", signal.time_ns, signal.values,
                 moving))
-    can = CanSignals(masked, can.faults)
+    can = CanSignals(masked_signals, can.faults)
     moving = _is_moving(ins.time_ns, ins.time_ns, ins.values["velocity_x"])
     values = {name: mask(name, f"{name} of the INS", ins.time_ns, ins.values[name], moving)
               for name in ("velocity_x", "yaw_rate", "yaw") if name in ins.values}

@@ -55,9 +55,9 @@ def normalise(text: str) -> str:
         unicodedata.category(c)[0] in "MS" and not c.isascii() and c not in "⋅−∕⁄"))
 
 
-_UNIT_OF = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
+_UNITS_BY_SPELLING = {kind: {normalise(text): unit for unit, (_, others) in units.items() for text in (unit, *others)}
             for kind, units in UNITS.items()}
-_BASE_UNITS = {**_UNIT_OF["length"], **_UNIT_OF["angle"], **_UNIT_OF["time"]}
+_BASE_UNITS = {**_UNITS_BY_SPELLING["length"], **_UNITS_BY_SPELLING["angle"], **_UNITS_BY_SPELLING["time"]}
 
 
 def find_unit(kind: str, text: str) -> str | None:
@@ -66,12 +66,12 @@ def find_unit(kind: str, text: str) -> str | None:
     text = text.translate(_SPELLINGS).replace("_", " ")
     words = set(re.findall("[a-z]+", text.lower())) - {"start", "time", "in"}
     if kind == "time" and words and not normalise(_CLOCK.sub("", text)):
-        return None if words & {"day", "week"} and "of" not in words else ""  # a count of days or weeks is no clock
+        return None if words & {"day", "week"} and "of" not in words else ""  # a count of days or weeks is not a clock
     text = re.sub(r"(?i)^\W*in (?=.)", "", _CLOCK.sub("", text) if kind == "time" else text)
     parts = (re.fullmatch(r"[^\w°]*(.*?)[^\w°]*([2²]|squared)?[^\w°]*", part) for part in re.split(
         r"(?i)[/∕⁄]|\bper\b", text))
     composed = "/".join(_BASE_UNITS.get(normalise(part[1]), part[1]) + "2" * bool(part[2]) for part in parts if part)
-    return _UNIT_OF[kind].get(normalise(text)) or _UNIT_OF[kind].get(normalise(composed))
+    return _UNITS_BY_SPELLING[kind].get(normalise(text)) or _UNITS_BY_SPELLING[kind].get(normalise(composed))
 
 
 @dataclass(frozen=True)
@@ -83,82 +83,82 @@ class Channel:
     names: tuple[str, ...]  # preferred ones first; compared by letters and digits only, ignoring case
 
 
-def _words(text: str) -> tuple[str, ...]:
+def _split(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
 COLUMNS: Mapping[str, Channel] = {
-    "t": Channel("time", "time", _words(
+    "t": Channel("time", "time", _split(
         "t time t_rt timestamp timestamps stamp time_boot sim_time log_time relative_time elapsed elapsed_time seconds "
         "unix_time utc_time gps_time time_utc time_gps gps_tow tow gps_seconds time_of_week itow datetime epoch "
         "epoch_time time_from_start zeit uhrzeit zeitstempel datum_zeit x_value")),
-    **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _words(
+    **{axis: Channel("length", f"position of the INS point, {direction} or along the map's {axis}", _split(
         f"{axis} pos_{axis} position_{axis} {axis}_pos {axis}_position p{axis} {direction} {direction}ing "
         f"{direction[0]}_pos {axis}_{direction} {axis}_enu {axis}_map local_{axis} utm_{axis} utm_{direction[0]} "
         f"utm_{direction}ing pos_local_{axis} car_t{axis} {axis}o {axis}_absolute location_{axis} pose_{axis} "
         f"pose_position_{axis} pose_pose_position_{axis}")) for axis, direction in (("x", "east"), ("y", "north"))},
-    "latitude": Channel("latitude or longitude", "north +; read with longitude if x and y are missing", _words(
+    "latitude": Channel("latitude or longitude", "positive to the north; read if x and y are missing", _split(
         "latitude lat latitude_deg pos_lat breitengrad")),
-    "longitude": Channel("latitude or longitude", "east +; the first fix is the origin of the map", _words(
+    "longitude": Channel("latitude or longitude", "positive to the east; the first fix is the map origin", _split(
         "longitude long lon lng pos_lon laengengrad")),
-    "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _words(
+    "yaw": Channel("angle", "from east (the map's x), counter-clockwise", _split(
         "yaw yaw_angle yaw_iso yaw_enu heading_enu psi psi_iso theta phi pose_theta gierwinkel")),
     "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
-                               "heading", _words(
+                               "heading", _split(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
         "compass azimuth yaw_ned")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
-                      "velocity_y", _words(
+                      "velocity_y", _split(
         "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
         "bearing angle_track kurs_ueber_grund")),
-    **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _words(
+    **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _split(
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
-    "velocity_x": Channel("speed", "forward, body axes, at the INS point", _words(
+    "velocity_x": Channel("speed", "forward, body axes, at the INS point", _split(
         "velocity_x vx vel_x velocity_forward vel_forward v_forward forward_velocity forward_vel vel_fwd v_fwd "
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
         "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit")),
-    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or else 0", _words(
+    "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or else 0", _split(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
         "linear_velocity_y y_velocity linear_vel_y linear_vels_y quergeschwindigkeit")),
-    **{f"velocity_{axis}": Channel("speed", meaning, _words(
+    **{f"velocity_{axis}": Channel("speed", meaning, _split(
         f"velocity_{axis} vel_{axis} v_{axis} {axis}_velocity velocity_{axis[0]} vel_{axis[0]} vel_ned_{axis[0]} "
         f"v{axis[0]}")) for axis, meaning in (("east", "read with velocity_north and yaw if velocity_y is missing"),
                                               ("north", "as velocity_east"))},
-    "yaw_rate": Channel("angular rate", "left turn +; if missing, the derivative of yaw", _words(
+    "yaw_rate": Channel("angular rate", "positive in left turns; if missing, the derivative of yaw", _split(
         "yaw_rate yaw_rate_iso yaw_velocity yaw_vel yaw_speed yaw_dot psi_dot psi_p d_psi r avz wz omega_z omega "
         "angular_velocity_z angular_rate_z z_angular_rate angle_rate_z ang_vel_z ang_vels_z angular_z rate_z gyro_z "
         "gyr_z twist_angular_z twist_twist_angular_z heading_rate gierrate giergeschwindigkeit")),
-    "acceleration_x": Channel("acceleration", "forward, body axes", _words(
+    "acceleration_x": Channel("acceleration", "forward, body axes", _split(
         "acceleration_x acceleration_forward acc_forward accel_forward acceleration_longitudinal "
         "longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal a_longitudinal a_long acc_long "
         "accel_long long_acc long_accel lon_acc laengsbeschleunigung linear_acceleration_x ax acc_x accel_x x_acc "
         "x_accel")),
-    "acceleration_y": Channel("acceleration", "to the left, body axes", _words(
+    "acceleration_y": Channel("acceleration", "to the left, body axes", _split(
         "acceleration_y acceleration_left acceleration_lateral lateral_acceleration lateral_accel lateral_acc "
         "acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel querbeschleunigung "
         "linear_acceleration_y ay acc_y accel_y y_acc y_accel")),
-    "road_wheel_angle": Channel("angle", "mean of the front wheels, left +", _words(
+    "road_wheel_angle": Channel("angle", "mean of the front wheels, positive to the left", _split(
         "road_wheel_angle delta delta_f delta_front df rwa front_wheel_angle front_steering_angle front_steer_angle "
         "steering_angle_front steer_angle_front road_steering_angle steering_angle_road wheel_angle tire_angle "
         "tyre_angle steering_tire_angle ackermann_angle radlenkwinkel")),
-    "steering_wheel_angle": Channel("angle", "steering wheel, left +, offset not removed", _words(
+    "steering_wheel_angle": Channel("angle", "steering wheel, positive to the left, offset not removed", _split(
         "steering_wheel_angle steering_wheel steering_wheel_position steering_wheel_pos steer_wheel_angle "
         "steering_wheel_angle_iso hand_wheel_angle hand_wheel handwheel_position swa delta_h delta_hand delta_sw "
         "dm_steer_ang steer_whl_ang steer_sw lenkradwinkel")),
-    **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", _words(
+    **{f"wheel_speed_{end}_{side}": Channel("speed", "rolling speed of a wheel; for checks", _split(
         f"wheel_speed_{end}_{side} wheel_speed_{end[0]}{side[0]} ws_{end[0]}{side[0]} v_{end[0]}{side[0]} "
         f"{end}_{side}_wheel_speed")) for end in ("front", "rear") for side in ("left", "right")},
-    "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _words(
+    "vehicle_speed": Channel("speed", "speed signal of the car; for checks", _split(
         "vehicle_speed car_speed can_speed speed_can abs_speed odometer_speed wheel_speed wheel_speeds")),
 }
 """All known columns; docs/csv_columns.md is generated from this table (test_csv_columns.py)."""
 
 AMBIGUOUS = {normalise(name) for name in
-             _words("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
+             _split("steering_angle steering steer steer_angle steered_angle steering_position steering_pos")}
 """Names that mean the steering wheel in some files and the road wheels in others."""
 
 MAX_NAME_LENGTH = 200  # characters; of a longer name, only the end counts
@@ -170,7 +170,7 @@ DOUBTFUL_RANK = 500
 _OTHER_QUANTITY = re.compile(
     r"(?i)(^|[^a-z])(ref|target|desired|set|cmd|command|request|control|goal|limit|plan|pred|std|cov|var|err|max|min|"
     r"engine|motor|wind|trailer|lead|object|obstacle|radar|fan|traffic|other)")
-"""Words in a path that show that the value is not a measured quantity of this car."""
+"""Words in a path which show that the value is not a measured quantity of this car."""
 _SOURCE = (r"(?:gps|gnss|ins|imu|ego|car|veh|vehicle|odom|odometry|can|chassis|state|est|estimated|meas|measured|act|"
            r"actual|raw|filt|filtered|sensor)")  # words that say where a value comes from, not what it is
 _PATH = re.compile(rf"(?i)^{_SOURCE}[ _-]+|[/.]+|::")
@@ -181,10 +181,10 @@ _FRACTION = re.compile(r"(.*?)(n|nano|u|micro|m|milli)(s|secs?|seconds?)")  # no
 _FRACTION_FACTORS = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6, "m": 1e-3, "milli": 1e-3}
 
 _STEERING = "steering"  # of the steering wheel or of the road wheels
-_KIND_OF = {**{channel: about.kind for channel, about in COLUMNS.items()}, _STEERING: "angle"}
-_CHANNEL_OF = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
-               **{normalise(name): (channel, rank) for channel, about in COLUMNS.items()
-                  for rank, name in enumerate(about.names)},
+_KINDS_BY_CHANNEL = {**{channel: definition.kind for channel, definition in COLUMNS.items()}, _STEERING: "angle"}
+_CHANNELS_BY_NAME = {**dict.fromkeys(AMBIGUOUS, (_STEERING, 0)),
+               **{normalise(name): (channel, rank) for channel, definition in COLUMNS.items()
+                  for rank, name in enumerate(definition.names)},
                **dict.fromkeys(("theta", "phi"), ("yaw", DOUBTFUL_RANK))}
 
 
@@ -205,7 +205,7 @@ class ColumnSource:
     name: str
     kind: str  # a key of UNITS
     unit: str
-    unit_stated: bool  # whether the file or the layout states the unit
+    has_stated_unit: bool  # whether the file or the layout states the unit
 
     @property
     def factor(self) -> float:
@@ -286,15 +286,15 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
     """Indices of the columns of a stamp in two parts, and the unit [s] of the second: header.stamp.sec (or secs) and
     nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms. None without such a pair."""
-    plain = [normalise(name) for name in names]
-    for number, name in enumerate(plain):
+    normalised = [normalise(name) for name in names]
+    for number, name in enumerate(normalised):
         if not (match := _FRACTION.fullmatch(name)):
             continue
         stem, unit, ending = match.groups()
-        is_time = _CHANNEL_OF.get(stem, ("", 0))[0] == "t"  # a_s and a_ms may be an acceleration
+        is_time = _CHANNELS_BY_NAME.get(stem, ("", 0))[0] == "t"  # a_s and a_ms may be an acceleration
         for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
-            if stem + seconds in plain:
-                return plain.index(stem + seconds), number, _FRACTION_FACTORS[unit]
+            if stem + seconds in normalised:
+                return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
     return None
 
 
@@ -310,7 +310,7 @@ def apply_units(file: Path, sources: dict[str, ColumnSource], layout: Layout) ->
         if channel not in sources:
             raise RunError(layout.source or file, f"units: {channel}: {file.name} has no column for this channel",
                            f"it has columns for {', '.join(sources)}")
-        sources[channel] = replace(sources[channel], unit=unit, unit_stated=True)
+        sources[channel] = replace(sources[channel], unit=unit, has_stated_unit=True)
     return sources
 
 
@@ -333,8 +333,8 @@ def _identify_channel(name: str, paths: Collection[str] = ()) -> _Meaning | None
     for start in _find_starts(name):
         for base, unit in _split_name_and_unit(name[start:]):
             for form in (base, _SUFFIX.sub("", base)):
-                channel, rank = _CHANNEL_OF.get(normalise(form), ("", 0))
-                known_unit = find_unit(_KIND_OF[channel], unit) if channel else None
+                channel, rank = _CHANNELS_BY_NAME.get(normalise(form), ("", 0))
+                known_unit = find_unit(_KINDS_BY_CHANNEL[channel], unit) if channel else None
                 if not channel or (unit and known_unit is None):
                     continue
                 if start == 0 and form == base:
@@ -358,16 +358,16 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
     messages = {}
     for name in names:
         base, unit = _split_name_and_unit(name)[0]
-        channel, _ = _CHANNEL_OF.get(normalise(base), ("", 0))
+        channel, _ = _CHANNELS_BY_NAME.get(normalise(base), ("", 0))
         if unit and channel and channel not in sources and not _identify_channel(name):
-            kind = _KIND_OF[channel]
+            kind = _KINDS_BY_CHANNEL[channel]
             messages[channel] = (f"column {name} is not used: {unit!r} is not a unit of {kind} (known units are "
                                  f"{', '.join(UNITS[kind])})")
     return messages
 
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
-    """All splits of a column name into name and unit, the whole name first; yaw_rate_deg_s: also yaw_rate, deg_s."""
+    """All splits of a column name into name and unit, the whole name first; yaw_rate_deg_s: also (yaw_rate, deg_s)."""
     bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
     if bracketed:
         base, unit = bracketed.groups()

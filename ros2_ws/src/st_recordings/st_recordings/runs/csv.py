@@ -15,7 +15,7 @@ from st_core.vehicle import VehicleParameters
 from .axes import MAX_AGREEING_ANGLE, MIN_COMPARED_SAMPLES, MIN_COURSE_SPEED, rotate_to_body_axes
 from .columns import UNITS, Layout, describe_unknown_units, find_ambiguous, find_ambiguous_steering, find_columns
 from .csv_table import Table, all_finite, differentiate_yaw, read_header, read_table
-from .errors import RunError, format_share
+from .errors import RunError, format_count
 from .ins_log import SPEEDS, InsLog, compute_car_speed, is_mostly_known, yaw_from_quaternion
 from .run_types import LoadedRun, SteeringField, make_drive_log
 
@@ -31,18 +31,18 @@ ALTERNATIVES = {ROAD_WHEEL: STEERING_WHEEL, "x": "longitude", "y": "latitude", "
 """Channel -> channels from which it can also be computed."""
 QUATERNION_CHANNELS = [f"orientation_{axis}" for axis in "xyzw"]
 MIN_DISAGREEING_ANGLE = 0.3
-"""[rad]. If the median difference of a heading and a course is larger, the heading has another unit or direction."""
-MAX_HELD_SHARE = 0.3
+"""[rad]. If the median difference of heading and course is larger, the heading has a different unit or direction."""
+MAX_HELD_FRACTION = 0.3
 """Positions have a lower rate than the rows if they repeat in a larger fraction of the rows with a moving car."""
 MIN_INTERVAL_RATIO = 1.5
 """A channel has a lower rate than another if the ratio of their median sample intervals exceeds this value."""
 MIN_SIMILAR_RATE = 0.9  # two channels have similar rates if one has more than this fraction of the samples of the other
 MIN_GAP_RATIO = 2.5  # rows are missing between two rows if their time difference exceeds this multiple of the median
-MAX_AFTER_GAP_SHARE = 0.1
+MAX_GAP_FRACTION = 0.1
 """If a larger fraction of new positions follows missing rows, the time stamps jitter and no row is missing."""
 MAX_ROUNDING_RATIO = 1.01
 """A change of position is one unit of the last decimal if their ratio (larger to smaller) is not above this."""
-MIN_REGULAR_SHARE = 0.9
+MIN_REGULAR_FRACTION = 0.9
 """Fraction of regular intervals between the samples of a channel, above which its blanks are due to a lower rate."""
 
 
@@ -83,16 +83,16 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
         if has_ins.sum() < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
             reason, advice = ": its channels have numbers at different times", "export them with times of one clock"
         elif missing:
-            worst = max(missing, key=lambda name: missing[name])
+            channel = max(missing, key=lambda name: missing[name])
             total = len(table.time_ns) + table.rows_without_time
-            reason = f": {worst} has no number in {format_share(missing[worst], total, 'rows')}"
-            if column := next((name for name in (worst, COMPUTED_FROM.get(worst, "")) if name in table.texts), ""):
+            reason = f": {channel} has no number in {format_count(missing[channel], total, 'rows')}"
+            if column := next((name for name in (channel, COMPUTED_FROM.get(channel, "")) if name in table.texts), ""):
                 reason = (f": column {table.sources[column].name} has no numbers, but text such as "
                           f"{table.texts[column]!r}")
                 advice = "export it as plain numbers"
         elif len(table.is_usable) > 1:
-            later = format_share(int(table.is_usable.sum()), len(table.is_usable), "rows")
-            reason, advice = f": only {later} have a time later than all rows before", "export the time of each row"
+            rows = format_count(int(table.is_usable.sum()), len(table.is_usable), "rows")
+            reason, advice = f": only {rows} have a time later than all rows before", "export the time of each row"
         raise RunError(file, f"it contains fewer than two usable rows{reason}", advice)
     values = {name: columns[name][has_ins] for name in INS_SIGNALS}
     values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
@@ -105,23 +105,23 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     first, last = np.flatnonzero(table.is_usable)[[0, -1]]
     extras = AuxiliaryData({"INS": table.time_ns[first : last + 1]}, missing, compute_car_speed(speeds),
                            geographic=origin is not None)
-    sources = {channel: f"{source.name} [{source.unit}{'' if source.unit_stated else ', assumed'}]"
+    sources = {channel: f"{source.name} [{source.unit}{'' if source.has_stated_unit else ', assumed'}]"
                for channel, source in table.sources.items()}
     provenance = {"columns": sources, **({"origin": list(origin)} if origin else {})}
     return LoadedRun(log, provenance, warnings=tuple(notes), auxiliary=extras)
 
 
-def build_ins_log(table: Table, needed: Sequence[str], yaw_scale: float = 1.0) -> InsLog:
+def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0) -> InsLog:
     """Builds the INS log of a table, for a run with the steering in a CAN log. Raises RunError.
 
-    needed: channels that must have a number in every sample, to which yaw is added if the table has it. Other channels
+    required: channels that must have a number in every sample, in addition to yaw if the table has it. Other channels
     may contain NaN. yaw_scale: as for `build_drive`.
     """
-    _require_columns(table, needed, ", `can: [CAN LOGS]`")
+    _require_columns(table, required, ", `can: [CAN LOGS]`")
     notes = list(table.warnings)
     columns, origin = _derive_channels(table, notes)
     channels = [name for name in INS_SIGNALS if name in columns
-                and (name in needed or (name == "yaw" and np.isfinite(columns[name]).any()))]
+                and (name in required or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.is_usable & all_finite(columns, channels)
     if rows.sum() < 2:
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
@@ -132,34 +132,34 @@ def build_ins_log(table: Table, needed: Sequence[str], yaw_scale: float = 1.0) -
     if "yaw" in values:
         values["yaw"] = np.unwrap(yaw_scale * values["yaw"])
     time_ns = table.time_ns[rows]
-    return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(notes), table.absolute)
+    return InsLog(table.file, time_ns, values, time_ns, origin, None, tuple(notes), table.is_utc)
 
 
 def has_drive_columns(file: Path) -> bool:
     """Whether the header names all channels of a drive, or channels from which they can be derived."""
-    return not _missing_in_header(file)
+    return not _find_missing_in_header(file)
 
 
 def lacks_steering(file: Path) -> bool:
     """Whether time and every INS channel have a column or can be derived, but there is no steering angle."""
-    return _missing_in_header(file) == [ROAD_WHEEL]
+    return _find_missing_in_header(file) == [ROAD_WHEEL]
 
 
 def looks_like_a_drive(file: Path) -> bool:
     """Whether the header names a position and lacks at most one INS channel."""
-    missing = _missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
+    missing = _find_missing_in_header(file, INS_SIGNALS, with_derived_motion=False)
     return len(missing) <= 1 and not {"x", "y"} & set(missing)
 
 
-def _missing_in_header(file: Path, needed: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
+def _find_missing_in_header(file: Path, required: Sequence[str] = ("t", *INS_SIGNALS, ROAD_WHEEL),
                        with_derived_motion: bool = True) -> list[str]:
     names = read_header(file)
-    return find_missing_channels(find_columns(file, names, Layout()), names, needed, with_derived_motion)
+    return find_missing_channels(find_columns(file, names, Layout()), names, required, with_derived_motion)
 
 
-def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: Iterable[str],
+def find_missing_channels(sources: Iterable[str], names: Iterable[str], required: Iterable[str],
                           with_derived_motion: bool = True) -> list[str]:
-    """Finds the needed channels that have no column and cannot be derived. with_derived_motion: whether
+    """Finds the required channels that have no column and cannot be derived. with_derived_motion: whether
     `_complete_motion` may derive velocity_y and yaw_rate."""
     channels = set(sources)
     if channels & {HEADING, COURSE} or channels.issuperset(QUATERNION_CHANNELS):
@@ -172,24 +172,24 @@ def find_missing_channels(sources: Iterable[str], names: Iterable[str], needed: 
         channels |= {"x", "y"}
     if STEERING_WHEEL in channels or find_ambiguous_steering(list(names)):
         channels.add(ROAD_WHEEL)
-    return [name for name in needed if name not in channels]
+    return [name for name in required if name not in channels]
 
 
-def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None:
+def _require_columns(table: Table, required: Sequence[str], can: str = "") -> None:
     """Raises RunError for missing or ambiguous columns. can: line of a run.yaml for CAN logs, as part of the advice."""
-    missing = find_missing_channels(table.sources, table.names, ("t", *needed))
-    if "yaw" in missing:  # do not list channels that can be computed from it
+    missing = find_missing_channels(table.sources, table.names, ("t", *required))
+    if "yaw" in missing:  # do not list channels that can be computed from yaw
         unknown = find_missing_channels({*table.sources, "yaw"}, table.names, missing)
         missing = [name for name in missing if name == "yaw" or name in unknown]
     if missing and 2 * sum(bool(re.fullmatch(r"[\d.eE+-]+", name)) for name in table.names) > len(table.names):
         raise RunError(table.file, "its first line contains numbers instead of the names of columns",
                        "add a header line with names from docs/csv_columns.md")
-    unclear = describe_unknown_units(table.names, table.sources)
+    unknown_units = describe_unknown_units(table.names, table.sources)
     candidates = [*missing, *(COMPUTED_FROM[name] for name in missing if name in COMPUTED_FROM),
                   *([STEERING_WHEEL] if ROAD_WHEEL in missing else []),
                   *(QUATERNION_CHANNELS if "yaw" in missing else [])]
-    if text := next((unclear[name] for name in candidates if name in unclear), ""):
-        raise RunError(table.file, text, "export it in another unit; or name the column in a run.yaml under "
+    if text := next((unknown_units[name] for name in candidates if name in unknown_units), ""):
+        raise RunError(table.file, text, "export it in a different unit; or name the column in a run.yaml under "
                        "`columns:`, and convert it with `correct:`")
     if missing and (channel := next((n for n in candidates if n in (found := find_ambiguous(table.names))), "")):
         raise RunError(table.file, f"columns {' and '.join(found[channel])[:200]} may each be {channel}",
@@ -202,7 +202,7 @@ def _require_columns(table: Table, needed: Sequence[str], can: str = "") -> None
                                             extension=(extension := table.file.suffix),
                                             key="vbo" if extension.lower() == ".vbo" else "csv"))
     doubtful = (find_ambiguous_steering(table.names) or "")[:60]
-    if ROAD_WHEEL in needed and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
+    if ROAD_WHEEL in required and ROAD_WHEEL not in table.sources and STEERING_WHEEL not in table.sources:
         raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
@@ -243,8 +243,8 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
                                "interchange latitude and longitude")
         has_fix = (latitude != 0.0) | (longitude != 0.0)  # loggers write zeros before the first fix
         if not has_fix.all():
-            without = format_share(int((~has_fix).sum()), len(has_fix), "rows")
-            notes.append(f"{table.file}: {without} have latitude and longitude 0, which means no fix")
+            count_text = format_count(int((~has_fix).sum()), len(has_fix), "rows")
+            notes.append(f"{table.file}: {count_text} have latitude and longitude 0, which means no fix")
         latitude, longitude = (np.where(has_fix, values, np.nan) for values in (latitude, longitude))
         fixes = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude) & table.is_usable)
         origin = (float(latitude[fixes[0]]), float(longitude[fixes[0]]), 0.0) if len(fixes) else None
@@ -256,8 +256,8 @@ def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
 
 
 def _check_yaw(table: Table, course: np.ndarray, speed: np.ndarray) -> None:
-    """Raises RunError if yaw or heading agrees with the course [rad, from east, counter-clockwise] only in another unit
-    or direction, because the velocities in body axes would be wrong. speed: [m/s]."""
+    """Raises RunError if yaw or heading agrees with the course [rad, from east, counter-clockwise] only in a different
+    unit or direction, because the velocities in body axes would be wrong. speed: [m/s]."""
     channel = next((name for name in ("yaw", HEADING) if name in table.sources), "")
     if not channel or table.sources[channel].unit not in ("rad", "deg"):
         return
@@ -294,24 +294,24 @@ def _check_distance(table: Table, columns: Mapping[str, np.ndarray], latitude: n
         return
     step = max(round(1.0 / float(np.median(np.diff(time)))), 1)
     speed = np.abs(columns["velocity_x"][rows])
-    driven = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
-    if driven[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
+    driven_distance = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time)))[::step]
+    if driven_distance[-1] < time[-1] - time[0]:  # below 1 m/s on average, receiver noise dominates
         return
-    moving = np.diff(driven) > 0.5 * np.median(np.diff(driven))
+    moving = np.diff(driven_distance) > 0.5 * np.median(np.diff(driven_distance))
     yaw = columns["yaw"][rows[::step]][:-1] if "yaw" in columns else None
 
     def compare(latitude: np.ndarray, longitude: np.ndarray) -> tuple[float, float]:
         """Medians over steps: (ratio of position distance to driven distance, |course - yaw| [rad])."""
-        frame, at = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
-        east, north, _ = map(np.diff, frame.to_enu(latitude[at], longitude[at], 0.0))
-        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven), 1e-9))[moving])
+        frame, compared = LocalFrame(float(latitude[rows[0]]), float(longitude[rows[0]]), 0.0), rows[::step]
+        east, north, _ = map(np.diff, frame.to_enu(latitude[compared], longitude[compared], 0.0))
+        ratio = np.median((np.hypot(east, north) / np.maximum(np.diff(driven_distance), 1e-9))[moving])
         if yaw is None:
             return float(ratio), np.nan
         return float(ratio), float(np.nanmedian(np.abs(np.angle((east + 1j * north) * np.exp(-1j * yaw)))[moving]))
 
     names = [table.sources[name].name for name in ("latitude", "longitude")]
     ratio, angle = compare(latitude, longitude)
-    if not table.sources["latitude"].unit_stated and 0.8 < ratio * 180.0 / np.pi < 3.0:
+    if not table.sources["latitude"].has_stated_unit and 0.8 < ratio * 180.0 / np.pi < 3.0:
         raise RunError(table.file, f"{names[0]} and {names[1]} are in radians: if read as degrees, they give 1/"
                        f"{1.0 / ratio:.0f} of the driven distance",
                        "declare the unit in a run.yaml, as units: {latitude: rad, longitude: rad}")
@@ -336,8 +336,8 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
                                *(("latitude", "longitude") if are_separate else ())) if name in columns]
     sample_rows = {name: np.flatnonzero(table.is_usable & np.isfinite(columns[name])) for name in names}
     counts = np.sum([np.isfinite(columns[name]) for name in names], axis=0)  # channels with a number in each row
-    longest = max(map(len, sample_rows.values()), default=0)
-    rows = max((samples for samples in sample_rows.values() if len(samples) > MIN_SIMILAR_RATE * longest),
+    max_count = max(map(len, sample_rows.values()), default=0)
+    rows = max((samples for samples in sample_rows.values() if len(samples) > MIN_SIMILAR_RATE * max_count),
                key=lambda samples: counts[samples].sum(), default=np.empty(0, int))
     time = (table.time_ns - table.time_ns[:1]) * 1e-9
     if len(rows) < 3:
@@ -348,7 +348,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
             continue
         steps = np.diff(time[samples])
         median_step = np.median(steps)
-        is_regular = np.mean(steps <= MIN_INTERVAL_RATIO * median_step) > MIN_REGULAR_SHARE
+        is_regular = np.mean(steps <= MIN_INTERVAL_RATIO * median_step) > MIN_REGULAR_FRACTION
         is_slower = median_step > MIN_INTERVAL_RATIO * np.median(np.diff(time[rows]))
         if not is_regular or not (is_slower or np.isin(samples, rows).mean() < 0.5):
             continue
@@ -360,7 +360,7 @@ def _interpolate_lower_rates(table: Table, columns: dict[str, np.ndarray], notes
         interpolated[(steps[after - 1] > MIN_GAP_RATIO * median_step) & ~np.isin(rows, samples)] = np.nan
         columns[name] = np.full_like(columns[name], np.nan)
         columns[name][rows] = interpolated
-        descriptions.append(f"{name} {format_share(len(samples), int(table.is_usable.sum()), 'rows')}")
+        descriptions.append(f"{name} {format_count(len(samples), int(table.is_usable.sum()), 'rows')}")
     if descriptions:
         notes.append(f"{table.file}: channels with a lower rate or separate stamps: {', '.join(descriptions)}; their "
                      "values in the other rows were interpolated")
@@ -377,14 +377,14 @@ def _replace_course_when_slow(table: Table, columns: Mapping[str, np.ndarray], n
     else:
         return course
     has_course = table.is_usable & np.isfinite(course) & np.isfinite(speed)
-    slow = has_course & (speed < MIN_COURSE_SPEED)
-    if not slow.any():
+    is_slow = has_course & (speed < MIN_COURSE_SPEED)
+    if not is_slow.any():
         return course
-    moving = np.flatnonzero(has_course & ~slow) if (has_course & ~slow).any() else np.flatnonzero(has_course)[:1]
-    notes.append(f"{table.file}: {format_share(int(slow.sum()), int(table.is_usable.sum()), 'rows')} are slower than "
-                 f"{MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
+    moving = np.flatnonzero(has_course & ~is_slow) if (has_course & ~is_slow).any() else np.flatnonzero(has_course)[:1]
+    notes.append(f"{table.file}: {format_count(int(is_slow.sum()), int(table.is_usable.sum()), 'rows')} are slower "
+                 f"than {MIN_COURSE_SPEED:g} m/s; the course is noise there and was interpolated")
     course = course.copy()
-    course[slow] = np.interp(table.time_ns[slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
+    course[is_slow] = np.interp(table.time_ns[is_slow] - table.time_ns[0], table.time_ns[moving] - table.time_ns[0],
                              np.unwrap(course[moving]))
     return course
 
@@ -407,7 +407,7 @@ def _complete_motion(table: Table, columns: dict[str, np.ndarray], notes: list[s
 
 
 def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], notes: list[str]) -> None:
-    """Interpolates, and at the end extrapolates, positions at a lower rate, which repeat until the next."""
+    """Interpolates, and at the end extrapolates, positions that have a lower rate than the rows and are repeated."""
     if not columns.keys() >= {"x", "y", "velocity_x"}:
         return
     rows = np.flatnonzero(table.is_usable & all_finite(columns, ("x", "y", "velocity_x")))
@@ -423,12 +423,12 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
     is_moving = np.abs(columns["velocity_x"][rows][1:]) * np.diff(seconds) > (np.median(step[is_new]) + resolution) / 20
     recorded = ("x", "y") if "x" in table.columns else ("latitude", "longitude")
     is_rounded = all(_has_steps_of_one_digit(columns[name][rows] / table.sources[name].factor) for name in recorded)
-    if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_SHARE * max(is_moving.sum(), 1):
+    if is_rounded or (is_moving & ~is_new).sum() <= MAX_HELD_FRACTION * max(is_moving.sum(), 1):
         return
     is_measured = np.concatenate(([True], is_new))
     # The first new position after missing rows may have been measured during the gap, so its time is unknown.
     has_gap = np.concatenate(([False], np.diff(seconds) > MIN_GAP_RATIO * np.median(np.diff(seconds))))
-    if (is_measured & has_gap).sum() <= MAX_AFTER_GAP_SHARE * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
+    if (is_measured & has_gap).sum() <= MAX_GAP_FRACTION * is_measured.sum() and (is_measured & ~has_gap).sum() > 2:
         is_measured &= ~has_gap
     before, last = np.flatnonzero(is_measured)[-2:]
     for name in ("x", "y"):
@@ -438,7 +438,7 @@ def _interpolate_held_positions(table: Table, columns: dict[str, np.ndarray], no
         values[rows[last:]] = values[rows[last]] + slope * (seconds[last:] - seconds[last])
         columns[name] = values
     rate = (is_measured.sum() - 1) / max(seconds[is_measured][-1] - seconds[0], 1e-9)
-    notes.append(f"{table.file}: positions change in {format_share(int(is_measured.sum()), len(rows), 'rows')}, about "
+    notes.append(f"{table.file}: positions change in {format_count(int(is_measured.sum()), len(rows), 'rows')}, about "
                  f"{rate:.0f} Hz; the positions of the other rows were interpolated")
 
 
@@ -449,7 +449,7 @@ def _has_steps_of_one_digit(values: np.ndarray) -> bool:
     if not len(size):
         return True
     digit = 10.0 ** np.round(np.log10(size.min()))
-    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO) > MIN_REGULAR_SHARE)
+    return bool(np.mean(np.maximum(size / digit, digit / size) <= MAX_ROUNDING_RATIO) > MIN_REGULAR_FRACTION)
 
 
 def _choose_steering(table: Table, columns: dict[str, np.ndarray], vehicle: VehicleParameters | None,
@@ -495,7 +495,7 @@ def _count_missing(table: Table, columns: Mapping[str, np.ndarray], steering: tu
         else:
             consequence = f"these {'steering' if name in steering else 'INS'} samples were left out"
         column = f" (column {source.name})" if source else ""
-        notes.append(f"{table.file}: {name}{column}: {format_share(count, total, 'rows')} have no number"
+        notes.append(f"{table.file}: {name}{column}: {format_count(count, total, 'rows')} have no number"
                      f"{', more than half' if is_mostly_missing else ''}; {consequence}")
     if ROAD_WHEEL not in steering and STEERING_WHEEL in missing:
         missing[ROAD_WHEEL] = missing.pop(STEERING_WHEEL)
@@ -510,12 +510,12 @@ def _count_missing_samples(time_ns: np.ndarray, column: np.ndarray) -> int:
     known_rows = np.flatnonzero(np.isfinite(column))
     row_steps = np.diff(known_rows)
     row_step = int(np.median(row_steps)) if len(known_rows) >= 3 else 1
-    if row_step > 1 and np.mean(row_steps % row_step == 0) > MIN_REGULAR_SHARE:
+    if row_step > 1 and np.mean(row_steps % row_step == 0) > MIN_REGULAR_FRACTION:
         return int((np.maximum(np.round(row_steps / row_step), 1) - 1).sum())
     if row_step > 1 or 3 <= len(known_rows) < MIN_SIMILAR_RATE * len(column):
         steps = np.diff(time_ns[known_rows])
         step = float(np.median(steps))
-        if step > 0 and np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_SHARE:
+        if step > 0 and np.mean(steps <= MIN_INTERVAL_RATIO * step) > MIN_REGULAR_FRACTION:
             ends = [] if row_step > 1 else [time_ns[known_rows[0]] - time_ns[0], time_ns[-1] - time_ns[known_rows[-1]]]
             # Rounded before they are added: a late stamp also shortens the next step.
             return max(int((np.round(steps / step) - 1).sum()), 0) + int(np.sum(ends) / step)

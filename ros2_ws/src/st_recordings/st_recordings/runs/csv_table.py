@@ -14,7 +14,7 @@ from st_core.sideslip import derive_yaw_rate
 from . import columns as column_names
 from .binary_table import BINARY_EXTENSIONS, is_signal_table, read_binary_table, read_names, read_signals
 from .columns import COLUMNS, UNITS, ColumnSource, Layout, find_columns, find_stamp_columns, find_unit, normalise
-from .errors import RunError, check_readable, format_share, shorten
+from .errors import RunError, check_readable, format_count, shorten
 from .table_times import convert_to_seconds, parse_stamp, read_stamps, select_usable_times
 
 MAX_TIME_ROWS = 500  # number of rows in which distinct times are counted, to find the finest time column
@@ -51,7 +51,7 @@ class Table:
     texts: Mapping[str, str] = field(default_factory=dict)  # channel without numbers -> its first cell, shortened
 
     @property
-    def absolute(self) -> bool:
+    def is_utc(self) -> bool:
         """Whether the times are UTC: the first is later than 10^18 ns after 1970, in September 2001."""
         return len(self.time_ns) > 0 and int(self.time_ns[0]) > 10**18
 
@@ -108,13 +108,13 @@ def read_table(file: Path, layout: Layout) -> Table:
         return parse_table(file, *read_binary_table(file), ",", layout, warnings)
     text = read_text(file)
     skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
-    *above, header, body = (text + "\n").split("\n", skipped + 1)
-    if skipped > 1 or (skipped and not _SEPARATOR.match(above[0])):
+    *preamble, header, body = (text + "\n").split("\n", skipped + 1)
+    if skipped > 1 or (skipped and not _SEPARATOR.match(preamble[0])):
         warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} lines before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
-    return parse_table(file, names, body, delimiter, layout, warnings, above=above)
+    return parse_table(file, names, body, delimiter, layout, warnings, preamble=preamble)
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
@@ -132,9 +132,9 @@ def join_tables(tables: Sequence[Table]) -> Table:
     first = parts[0]
     columns = {channel: np.concatenate([part.columns[channel] for part in parts]) for channel in first.columns
                if all(channel in part.columns for part in parts)}
-    lost = sorted({*first.columns} - {*columns})
+    dropped = sorted({*first.columns} - {*columns})
     notes = [note for part in parts for note in part.warnings]
-    notes += [f"{first.file}: {', '.join(lost)}: not used, because not all parts have it"] if lost else []
+    notes += [f"{first.file}: {', '.join(dropped)}: not used, because not all parts have it"] if dropped else []
     sources = {channel: source for channel, source in first.sources.items() if channel in columns or channel == "t"}
     return Table(first.file, first.names, sources, columns,
                  np.concatenate([part.time_ns for part in parts]), sum(part.rows_without_time for part in parts),
@@ -142,10 +142,10 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 
 def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout: Layout, warnings: list[str],
-                sources: dict[str, ColumnSource] | None = None, above: Sequence[str] = ()) -> Table:
+                sources: dict[str, ColumnSource] | None = None, preamble: Sequence[str] = ()) -> Table:
     """Parses rows of text into a table. Raises RunError.
 
-    sources: column of each channel; None: columns and units are found from the names, the first rows and `above`,
+    sources: column of each channel; None: columns and units are found from the names, the first rows and `preamble`,
     the lines before the header.
     """
     body = body.replace("\u2212", "-")
@@ -153,9 +153,9 @@ def parse_table(file: Path, names: list[str], body: str, delimiter: str, layout:
         body = _FORTRAN_EXPONENT.sub("E", body)
     if sources is None:
         sources = _find_sources(file, names, body, delimiter, layout, warnings)
-        sources, body = _read_unit_rows(file, sources, above, body, delimiter, layout)
+        sources, body = _read_unit_rows(file, sources, preamble, body, delimiter, layout)
         sources, body = _read_units_of_cells(sources, body, delimiter, layout)
-        body = _sign_by_hemisphere(sources, body, delimiter)
+        body = _apply_hemispheres(sources, body, delimiter)
     body = _use_decimal_points(file, body, delimiter)
     time, first_time = sources.get("t"), None
     if time is not None:
@@ -239,7 +239,7 @@ def _find_sources(file: Path, names: list[str], body: str, delimiter: str, layou
             sources["t"] = finest
     first = _split_first_row(body, delimiter)[:1]
     if "t" not in sources and names[:1] == [""] and first and parse_stamp(first[0]):
-        sources["t"] = ColumnSource(0, "(without a name)", "time", "s", unit_stated=True)
+        sources["t"] = ColumnSource(0, "(without a name)", "time", "s", has_stated_unit=True)
     return sources
 
 
@@ -254,7 +254,7 @@ def _read_degrees(file: Path, sources: dict[str, ColumnSource], columns: dict[st
     # The checks report a yaw in degrees that contradicts the yaw rate column; a derived yaw rate would hide the error.
     for channel in ("compass_heading", "course", *(() if "yaw_rate" in sources else ("yaw",))):
         source = sources.get(channel)
-        if source is None or source.unit_stated or source.unit != "rad":
+        if source is None or source.has_stated_unit or source.unit != "rad":
             continue
         has_value = np.isfinite(columns[channel])
         values = columns[channel][has_value]
@@ -298,7 +298,7 @@ def _split_header(header: str) -> tuple[list[str], str]:
     return [name.strip(" '") for name in names], delimiter
 
 
-def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequence[str], body: str, delimiter: str,
+def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], preamble: Sequence[str], body: str, delimiter: str,
                     layout: Layout) -> tuple[dict[str, ColumnSource], str]:
     """(sources with units from a row above or below the names, the body starting at its first row of data).
 
@@ -323,7 +323,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
     # Numbers of channels may be between the names and the units.
     first = max(first, *(k + 1 for k, found in enumerate(rows) if len(found) > 1 and not find_invalid(found)), 0)
     below = [found for found in rows[:first] if found]
-    rows_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in above]
+    rows_above = [{c: text for c, text in read_unit_texts(line).items() if c != "t"} for line in preamble]
     candidates = [*below, *(found for found in rows_above if len(found) > 1)]
     units = next((found for found in candidates if not find_invalid(found)), None)
     if units is None and below:
@@ -339,7 +339,7 @@ def _read_unit_rows(file: Path, sources: dict[str, ColumnSource], above: Sequenc
 def _apply_stated_units(sources: dict[str, ColumnSource], texts: Mapping[str, str],
                         layout: Layout) -> dict[str, ColumnSource]:
     """Sets the units in `texts` (by channel), except for channels with a unit in the layout."""
-    return {**sources, **{channel: replace(sources[channel], unit=unit, unit_stated=True)
+    return {**sources, **{channel: replace(sources[channel], unit=unit, has_stated_unit=True)
                           for channel, text in texts.items()
                           if channel not in layout.units and (unit := find_unit(COLUMNS[channel].kind, text))}}
 
@@ -360,7 +360,7 @@ def _read_units_of_cells(sources: dict[str, ColumnSource], body: str, delimiter:
     return _apply_stated_units(sources, unit_texts, layout), "\n".join(map(delimiter.join, rows))
 
 
-def _sign_by_hemisphere(sources: Mapping[str, ColumnSource], body: str, delimiter: str) -> str:
+def _apply_hemispheres(sources: Mapping[str, ColumnSource], body: str, delimiter: str) -> str:
     """The body with negative southern latitudes and western longitudes, if N, S, E or W is in the cell after each."""
     def read_hemisphere(row: list[str], column: int) -> str:
         return row[column + 1].strip(' \r"\'').upper() if column + 1 < len(row) else ""
@@ -441,26 +441,26 @@ def _split_cells(file: Path, lines: Iterable[str], delimiter: str) -> list[list[
 
 
 def _parse_numbers(file: Path, body: str, delimiter: str, width: int, warnings: list[str]) -> np.ndarray:
-    """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with another number of cells are left
-    out. Raises RunError if they are half of the rows or more, or the others cannot be read."""
-    filled = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
+    """Parses the rows into an array (n, width) with NaN for missing numbers. Rows with a different number of cells are
+    left out. Raises RunError if they are half of the rows or more, or the others cannot be read."""
+    nonblank_lines = [line for line in body.splitlines() if line.strip(f' \t"{delimiter}')]
     # In an ASCII log of NovAtel, every row begins with #.
-    lines = [line for line in filled if not _is_comment(line, delimiter)] or filled
+    lines = [line for line in nonblank_lines if not _is_comment(line, delimiter)] or nonblank_lines
     try:
         return _parse_rows(lines, delimiter, width)
     except ValueError as parse_error:
         error = parse_error
     widths = [len(row) for row in _split_cells(file, lines, delimiter)]
-    complete = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
-    lost = len(lines) - len(complete)
-    if not complete:
+    complete_lines = [line for line, count in zip(lines, widths, strict=False) if count in (width, width + 1)]
+    lost = len(lines) - len(complete_lines)
+    if not complete_lines:
         raise RunError(file, f"its rows have {max(widths, key=widths.count)} cells, but its header has {width}",
                        "export it with one delimiter that is not the decimal mark, and one name for each column")
     if 2 * lost < len(lines):
         try:
-            rows = _parse_rows(complete, delimiter, width)
+            rows = _parse_rows(complete_lines, delimiter, width)
             warning = "the last row is truncated and was left out" if lost == 1 and widths[-1] != width else (
-                f"{format_share(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
+                f"{format_count(lost, len(lines), 'rows')} do not have as many cells as the header; they were left out")
             warnings.append(f"{file}: {warning}")
             return rows
         except ValueError as parse_error:

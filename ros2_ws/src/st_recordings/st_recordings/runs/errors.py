@@ -11,7 +11,7 @@ COMPRESSED_MAGIC = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, or a spreadsheet",
                     b"7z\xbc\xaf": "7-Zip", b"\x28\xb5\x2f\xfd": "zstd"}
 """First bytes of a compressed file -> its kind."""
 _LOGGER = logging.getLogger("st_recordings")
-_logged: set[str] = set()
+_logged_warnings: set[str] = set()
 MAX_SIMILAR_WARNINGS = 3  # number of similar warnings that are logged in full while warnings are grouped
 # While warnings are grouped: text without file and numbers -> the warnings that share it.
 _groups: ContextVar[dict[str, list[str]] | None] = ContextVar("_groups", default=None)
@@ -30,7 +30,7 @@ def escape_unprintable(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def format_share(count: int, total: int, noun: str) -> str:
+def format_count(count: int, total: int, noun: str) -> str:
     """Formats a count and its percentage of the total, such as "98 of 249 rows (39 %)"."""
     percent = min(100.0 * count / max(total, 1), 99.9 if count < total else 100.0)
     digits = f"{percent:.2g}" if percent < 10 else f"{percent:.3g}" if percent > 99.0 else f"{percent:.0f}"
@@ -45,9 +45,9 @@ def shorten(error: Exception) -> str:
 def log_warnings(warnings: Iterable[str]) -> None:
     """Logs each warning, but the same text only once per process."""
     for warning in warnings:
-        if warning in _logged:
+        if warning in _logged_warnings:
             continue
-        _logged.add(warning)
+        _logged_warnings.add(warning)
         if (groups := _groups.get()) is not None:
             similar = groups.setdefault(re.sub(r"[\d.]+", "", warning.partition(": ")[2]), [])
             similar.append(warning)
@@ -58,7 +58,7 @@ def log_warnings(warnings: Iterable[str]) -> None:
 
 @contextmanager
 def group_similar_warnings() -> Iterator[None]:
-    """Context that abbreviates warnings which differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are
+    """Context that abbreviates warnings that differ only in file and numbers: the first MAX_SIMILAR_WARNINGS are
     logged in full; of the others, one warning on exit lists up to 10 file names."""
     groups: dict[str, list[str]] = {}
     token = _groups.set(groups)

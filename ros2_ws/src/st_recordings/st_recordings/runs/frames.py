@@ -13,11 +13,11 @@ EXTENDED = 0x8000_0000  # flag of a 29-bit id, as in canedge_bridge.extraction a
 SENT, REMOTE, ERROR, FD = 1, 2, 4, 8  # bits of Frames.flags
 MIN_CLOCK_STEP = 0.005  # s; a smaller step back is jitter of the time stamps
 MAX_EARLY_FRAMES = 5
-"""Number of frames in succession that may be early by jitter; a step back relative to all of one frame more is a change
-of the clock."""
+"""Number of directly preceding frames that may be later than a frame because of jitter; with one more, the clock was
+set back."""
 FRAME_HEAD_LENGTH = 20  # bytes in st_msgs/CanFrames before the data of a frame: stamp, id, four flags, length
 MAX_DATA_LENGTH = 64
-_FRAME_ID_AT = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
+_FRAME_ID_OFFSET = 12  # byte of st_msgs/CanFrames at which the length of header.frame_id begins
 _LENGTH = Struct("<I")
 
 
@@ -46,7 +46,7 @@ class CanLog:
     frames: Frames
     files: tuple[Path, ...]
     start_ns: int  # start of the first session from its header, or else time of the first frame
-    absolute: bool = True  # whether times are UTC on the logger's clock; otherwise relative to the start of the log
+    is_utc: bool = True  # whether times are UTC by the logger's clock; otherwise since the start of the log
     warnings: tuple[str, ...] = ()
     steps: tuple[tuple[int, float], ...] = ()  # clock steps as returned by `remove_clock_steps`
 
@@ -78,9 +78,9 @@ def merge_by_time(parts: Sequence[Frames]) -> Frames:
 
 def remove_duplicates(frames: Frames) -> tuple[Frames, int]:
     """(frames that differ from the previous one in time, id, bus, length or payload; number of the others)."""
-    same = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
-    same &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
-    rows = np.nonzero(same)[0]
+    is_repeated = (frames.time_ns[1:] == frames.time_ns[:-1]) & (frames.id[1:] == frames.id[:-1])
+    is_repeated &= (frames.bus[1:] == frames.bus[:-1]) & (frames.length[1:] == frames.length[:-1])
+    rows = np.nonzero(is_repeated)[0]
     rows = rows[(frames.payload[rows] == frames.payload[rows + 1]).all(axis=1)]
     if not len(rows):
         return frames, 0
@@ -99,17 +99,17 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
     """
     time_ns = frames.time_ns
     steps = np.diff(time_ns)
-    back = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
-    is_step = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in back]
-    back = back[np.array(is_step, bool)]
-    if not len(back):
+    backward_steps = np.nonzero(steps < -MIN_CLOCK_STEP * 1e9)[0]
+    is_step = [not (time_ns[max(k - MAX_EARLY_FRAMES, 0) : k] <= time_ns[k + 1]).any() for k in backward_steps]
+    backward_steps = backward_steps[np.array(is_step, bool)]
+    if not len(backward_steps):
         return frames, []
     median_step = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     correction = np.zeros(len(frames), dtype=np.int64)
-    correction[back + 1] = median_step - steps[back]
+    correction[backward_steps + 1] = median_step - steps[backward_steps]
     time_ns = time_ns + np.cumsum(correction)
-    return replace(frames, time_ns=time_ns), list(zip(time_ns[back + 1].tolist(), (steps[back] * 1e-9).tolist(),
-                                                      strict=True))
+    sizes = (steps[backward_steps] * 1e-9).tolist()
+    return replace(frames, time_ns=time_ns), list(zip(time_ns[backward_steps + 1].tolist(), sizes, strict=True))
 
 
 def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
@@ -158,16 +158,16 @@ def read_frames(messages: Iterable[bytes]) -> Frames:
 
 def _locate_first_frame(message: bytes) -> tuple[int, int]:
     """(byte at which the first frame of a message begins, number of frames)."""
-    if len(message) < _FRAME_ID_AT + 4:
+    if len(message) < _FRAME_ID_OFFSET + 4:
         raise ValueError("a message ends within its header")
-    text_end = _FRAME_ID_AT + 4 + _LENGTH.unpack_from(message, _FRAME_ID_AT)[0]
-    count_at = -(-text_end // 4) * 4
-    if len(message) < count_at + 4:
+    text_end = _FRAME_ID_OFFSET + 4 + _LENGTH.unpack_from(message, _FRAME_ID_OFFSET)[0]
+    count_offset = -(-text_end // 4) * 4
+    if len(message) < count_offset + 4:
         raise ValueError("a message ends within its header")
-    count = _LENGTH.unpack_from(message, count_at)[0]
-    if count and len(message) < count_at + 4 + count * FRAME_HEAD_LENGTH:
+    count = _LENGTH.unpack_from(message, count_offset)[0]
+    if count and len(message) < count_offset + 4 + count * FRAME_HEAD_LENGTH:
         raise ValueError("a message is too short for the number of its frames")
-    return count_at + 4, count
+    return count_offset + 4, count
 
 
 def _build_frames(buffer: np.ndarray, at: np.ndarray) -> Frames:

@@ -8,7 +8,7 @@ import numpy as np
 from st_core.checks import InsQuality, Series
 from st_core.timeseries import interpolate
 
-from .errors import format_share
+from .errors import format_count
 
 # Signals for the speed of the car in order of preference: the unsteered axle gives the most accurate speed.
 _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_front_left", "wheel_speed_front_right"),
@@ -16,7 +16,7 @@ _SPEEDS = (("wheel_speed_rear_left", "wheel_speed_rear_right"), ("wheel_speed_fr
 SPEEDS = tuple(name for names in _SPEEDS for name in names)
 MAX_WHEEL_GAP_NS = 100_000_000  # longest gap across which the speed of a wheel is interpolated
 LATEST_TIME = 9.0e9  # s since 1970, in the year 2255; int64 nanoseconds end in the year 2262
-MAX_LOST_SHARE = 0.01  # of the rows; if more are not later than those before them, the clock may have been set back
+MAX_LOST_FRACTION = 0.01  # of the rows; if more are not later than those before them, the clock may have been set back
 MAX_END_STEP = 10.0
 """Multiple of the 95th percentile of the time steps; if the first or last step is longer, its outer stamp is wrong."""
 
@@ -25,7 +25,7 @@ MAX_END_STEP = 10.0
 class InsLog:
     """INS measurements with a fix.
 
-    values: by channel of DriveLog, for those that were recorded (at least one number); yaw is unwrapped.
+    values: channel of DriveLog -> samples, for recorded channels (at least one number); yaw is unwrapped.
     """
 
     file: Path
@@ -33,9 +33,9 @@ class InsLog:
     values: Mapping[str, np.ndarray]
     stamps_ns: np.ndarray  # times of all samples, with or without a fix
     origin: tuple[float, float, float] | None = None  # latitude, longitude [rad], altitude [m]; None if unknown
-    quality: InsQuality | None = None  # as the unit reports it
+    quality: InsQuality | None = None  # as reported by the unit
     warnings: tuple[str, ...] = ()
-    absolute: bool = True  # whether the times are UTC
+    is_utc: bool = True  # whether the times are UTC
 
 
 def yaw_from_quaternion(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -85,11 +85,11 @@ def _select_finite(time_ns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray,
 def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list[str]]:
     """(indices of rows with strictly ascending times, warnings about the other rows).
 
-    Rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_SHARE, and the longest
-    part without a backward step has about as many rows as remain, the clock was set back while recording, and only this
-    part is used. A first or last row with a stamp far from the others is left out.
+    Rows that are not later than all rows before are left out. If their fraction exceeds MAX_LOST_FRACTION, and the
+    longest part without a backward step has about as many rows as remain, the clock was set back while recording, and
+    only this part is used. A first or last row with a stamp far from the others is left out.
 
-    time_ns: (n,) int64, in the order of the recording. noun: plural, of the rows.
+    time_ns: (n,) int64, in the order of the recording. noun: plural name of the rows, for the warnings.
     """
     n = len(time_ns)
     rows = np.flatnonzero(is_newer(time_ns))
@@ -97,17 +97,17 @@ def select_usable_rows(time_ns: np.ndarray, noun: str) -> tuple[np.ndarray, list
     notes = []
     backward_steps = -np.diff(time_ns)[np.diff(time_ns) < 0] * 1e-9
     longest = rows[:0]
-    if len(backward_steps) and lost > max(MAX_LOST_SHARE * n, 1):
+    if len(backward_steps) and lost > max(MAX_LOST_FRACTION * n, 1):
         parts = np.split(np.arange(n), np.flatnonzero(np.diff(time_ns) < 0) + 1)
         longest = max(parts, key=len)
         longest = longest[is_newer(time_ns[longest])]
-    if len(longest) and n - len(longest) <= lost + MAX_LOST_SHARE * n:
+    if len(longest) and n - len(longest) <= lost + MAX_LOST_FRACTION * n:
         rows = longest
         times = f"{len(backward_steps)} times, first " if len(backward_steps) > 1 else ""
         notes.append(f"the clock was set back {times}by {backward_steps[0]:.3f} s: "
-                     f"{format_share(n - len(rows), n, noun)} are not used; split the recording to use them")
+                     f"{format_count(n - len(rows), n, noun)} are not used; split the recording to use them")
     elif lost:
-        notes.append(f"{format_share(lost, n, noun)} are not later than those before them; they were left out")
+        notes.append(f"{format_count(lost, n, noun)} are not later than those before them; they were left out")
     steps = np.diff(time_ns[rows])
     if len(rows) <= 10:
         return rows, notes

@@ -17,7 +17,7 @@ from .errors import RunError, log_warnings
 from .readers import READERS
 from .run_types import LoadedRun, ReadSettings, RunSource
 
-MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE = 1.0, 0.01
+MIN_UNUSED_TIME, MIN_UNUSED_FRACTION = 1.0, 0.01
 """[s], and fraction of the recording. Time that only INS or only steering covers is reported if it exceeds both."""
 
 
@@ -27,7 +27,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
 
     vehicle: used for the steering ratio and offset, and for heading and sideslip if the yaw is the course over ground;
     without a vehicle, the recording (bag, CSV) must contain the road wheel angle. Implausible samples are left out or
-    set to NaN (`st_core.checks.plausibility`), see `auxiliary.implausible`; the corrections of the run.yaml come last.
+    set to NaN (`st_core.checks.plausibility`), see `auxiliary.implausible`; the run.yaml is applied last.
     """
     settings = settings or ReadSettings()
     if source.problem is not None:
@@ -39,23 +39,23 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
         if reader.read is None or (source.can and reader.read_ins and not settings.steering):
             from .raw import read_raw_run  # imports scipy.signal and CAN libraries, which takes two seconds
 
-            loaded = read_raw_run(source, vehicle, settings)
+            run = read_raw_run(source, vehicle, settings)
         else:
-            loaded = reader.read(source, vehicle, settings)
-    _check_size(source, loaded.log, loaded.warnings)
-    start_ns = int(loaded.log.ins_time_ns[0])
-    log, implausible = drop_implausible(loaded.log, start_ns)
+            run = reader.read(source, vehicle, settings)
+    _check_size(source, run.log, run.warnings)
+    start_ns = int(run.log.ins_time_ns[0])
+    log, implausible = drop_implausible(run.log, start_ns)
     if vehicle is not None and log.steering_wheel_angle is not None:
         log = log.with_steering(vehicle)
-    extras = replace(loaded.auxiliary, implausible=(*loaded.auxiliary.implausible, *implausible), start_ns=start_ns)
-    loaded = apply_run_file(source, replace(loaded, log=log, auxiliary=extras), vehicle)
-    if vehicle is not None and not (log := with_steady_sideslip(loaded.log, vehicle)).sideslip_measured:
+    auxiliary = replace(run.auxiliary, implausible=(*run.auxiliary.implausible, *implausible), start_ns=start_ns)
+    run = apply_run_file(source, replace(run, log=log, auxiliary=auxiliary), vehicle)
+    if vehicle is not None and not (log := with_steady_sideslip(run.log, vehicle)).sideslip_measured:
         text = (f"{source.path}: yaw is the course over ground; heading and sideslip are computed from it for steady "
                 "cornering with the vehicle file")
-        loaded = replace(loaded, log=log, warnings=(*loaded.warnings, text))
-    loaded = replace(loaded, warnings=(*loaded.warnings, *check_coverage(source, loaded.log)))
-    log_warnings(loaded.warnings)
-    return replace(loaded, provenance={**loaded.provenance, "files": digests.result()})
+        run = replace(run, log=log, warnings=(*run.warnings, text))
+    run = replace(run, warnings=(*run.warnings, *check_coverage(source, run.log)))
+    log_warnings(run.warnings)
+    return replace(run, provenance={**run.provenance, "files": digests.result()})
 
 
 def apply_run_file(source: RunSource, run: LoadedRun, vehicle: VehicleParameters | None) -> LoadedRun:
@@ -94,7 +94,7 @@ def check_coverage(source: RunSource, log: DriveLog) -> list[str]:
     return [f"{source.path}: {unused:.1f} of {seconds[name]:.1f} s of the {name} "
             f"({100.0 * unused / seconds[name]:.0f} %) are not used: no usable sample of the {other} covers them"
             for name, other in (("INS", "steering"), ("steering", "INS"))
-            if (unused := seconds[name] - log.overlap) > max(MIN_UNCOVERED_TIME, MIN_UNCOVERED_SHARE * seconds[name])]
+            if (unused := seconds[name] - log.overlap) > max(MIN_UNUSED_TIME, MIN_UNUSED_FRACTION * seconds[name])]
 
 
 def _check_size(source: RunSource, log: DriveLog, notes: Iterable[str]) -> None:

@@ -117,15 +117,15 @@ class _BlockChecker:
         if id_size not in (0, 1, 2, 4, 8):
             raise DamageError(f"the block at byte {offset} has record identifiers of {id_size} bytes")
         layout = RecordLayout(block.links[2] + _HEADER, id_size, {}, set())
-        declared, group = 0, block.links[1]
+        expected, group = 0, block.links[1]
         while group:
             group, size = self._check_channel_group(group, layout)
-            declared += size
+            expected += size
         if id_size and self._data[block.links[2] : block.links[2] + 4] == b"##DT":
             self.layouts.append(layout)
         size = self._measure_records(block.links[2], b"DT")
-        if declared > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
-            raise DamageError(f"the block at byte {offset} declares {declared} bytes of records, but there are {size}")
+        if expected > size and not self._unfinished_parts & _COUNTERS_UNFINISHED:
+            raise DamageError(f"the block at byte {offset} declares {expected} bytes of records, but there are {size}")
         return block.links[0]
 
     def _check_channel_group(self, offset: int, layout: RecordLayout) -> tuple[int, int]:
@@ -205,7 +205,7 @@ class _BlockChecker:
                 raise DamageError(f"the time conversion at byte {offset} is invalid ({start:g} + {factor:g} x)")
 
     def _measure_records(self, offset: int, kind: bytes) -> int:
-        """Number of unpacked bytes of records at a link, which leads to one block, packed or not, or a list."""
+        """Unpacked size [byte] of the records behind a link to a block, packed or not, or to a list of blocks."""
         size, lists, pending_links = 0, 0, [offset]
         while pending_links:
             offset = pending_links.pop()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from . import frames, mdf_blocks
-from .errors import RunError, format_share, shorten
+from .errors import RunError, format_count, shorten
 from .mdf_blocks import VARIABLE_LENGTH, VIRTUAL, DamageError
 
 RECORDS_AT_ONCE = 1 << 20
@@ -53,7 +53,7 @@ def is_mdf(head: bytes) -> bool:
 
 
 def reject_unreadable(path: Path, head: bytes) -> None:
-    """Raises RunError for a compressed or encrypted container of the logger vendor, or another version of MDF.
+    """Raises RunError for a compressed or encrypted container of the logger vendor, or an unsupported version of MDF.
 
     head: first 64 bytes of the file or more.
     """
@@ -87,9 +87,9 @@ def read_mf4(path: Path) -> frames.CanLog:
                 decoded_signals += [c.name for c in log.groups[group].channels if c.channel_type not in _TIME_CHANNELS]
             pieces = list(_read_group_frames(log, group, start_ns))
             if pieces:
-                recorded, valid = log.groups[group].channel_group.cycles_nr, sum(map(len, pieces))
-                if valid < recorded:
-                    count = format_share(recorded - valid, recorded, "frames")
+                n_recorded, n_valid = log.groups[group].channel_group.cycles_nr, sum(map(len, pieces))
+                if n_valid < n_recorded:
+                    count = format_count(n_recorded - n_valid, n_recorded, "frames")
                     warnings.append(f"{count} are marked as invalid by the logger; they were left out")
                 parts.append(frames.concatenate(pieces))
     if not parts and decoded_signals:

@@ -13,8 +13,8 @@ from oxts_bridge.ncom import BATCH_S, DUPLICATE, LATE, NEW, SAME, STATUS_RULES, 
 from st_core.checks import InsQuality
 from st_core.log import INS_SIGNALS, OPTIONAL_INS_SIGNALS
 
-from .errors import RunError, check_readable, format_share
-from .ins_log import MAX_LOST_SHARE, InsLog, select_usable_rows
+from .errors import RunError, check_readable, format_count
+from .ins_log import MAX_LOST_FRACTION, InsLog, select_usable_rows
 
 ACCURACIES = {3: ("EastAcc", "NorthAcc", "AltAcc"), 4: ("VeAcc", "VnAcc", "VdAcc"),
               5: ("RollAcc", "PitchAcc", "HeadingAcc")}
@@ -29,7 +29,7 @@ class NcomLog(InsLog):
     position: Vector  # of the samples relative to the origin, east, north, up [m]
 
     def select_attitude(self, rows: slice) -> Attitude:
-        """Orientation of some of the samples."""
+        """Orientation at the given samples."""
         return Attitude(self.values["yaw"][rows], self.motion.attitude.pitch[rows], self.motion.attitude.roll[rows])
 
 
@@ -55,8 +55,8 @@ def read_ncom(file: Path) -> NcomLog:
         raise RunError(file, "no packet has the GPS minute (status channel 0 is missing)",
                        "record for more than a few seconds; the unit sends it at least every 200 packets")
     samples, total = np.flatnonzero(has_time), int(is_regular.sum())
-    if (lost := total - len(samples)) > MAX_LOST_SHARE * total:
-        warnings.append(f"{file}: {format_share(lost, total, 'packets')} have no fix, no time or an invalid value; "
+    if (lost := total - len(samples)) > MAX_LOST_FRACTION * total:
+        warnings.append(f"{file}: {format_count(lost, total, 'packets')} have no fix, no time or an invalid value; "
                         "they were left out")
     usable, notes = select_usable_rows(columns.utc_ns[samples], "packets")
     rows = samples[usable]
@@ -80,7 +80,7 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
     with file.open("rb") as stream:
         is_capture = stream.read(4) in file_decoder.CAPTURE_MAGIC  # a capture has headers between the packets
     if columns.skipped_bytes and not is_capture:
-        faults.append(f"{format_share(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
+        faults.append(f"{format_count(columns.skipped_bytes, file.stat().st_size, 'bytes')} are not part of a packet")
     if columns.checksum_errors:
         faults.append(f"{columns.checksum_errors} packets have a wrong checksum")
     if duplicates := np.count_nonzero(columns.order == DUPLICATE):
@@ -88,8 +88,8 @@ def _describe_damage(columns: Columns, file: Path) -> list[str]:
     notes = [f"{file}: {', '.join(faults)}; they were left out"] if faults else []
     is_regular = columns.kind == file_decoder.REGULAR
     is_out_of_order = is_regular & np.isin(columns.order, (SAME, LATE))
-    if is_out_of_order.sum() > MAX_LOST_SHARE * is_regular.sum():
-        count = format_share(int(is_out_of_order.sum()), int(is_regular.sum()), "packets")
+    if is_out_of_order.sum() > MAX_LOST_FRACTION * is_regular.sum():
+        count = format_count(int(is_out_of_order.sum()), int(is_regular.sum()), "packets")
         notes.append(f"{file}: {count} are out of order or have the time of an earlier packet with other content; "
                      "they were left out; if two units were recorded, export the packets of one "
                      "(tshark -Y 'ip.src == ADDRESS')")

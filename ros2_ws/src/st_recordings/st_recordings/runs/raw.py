@@ -19,14 +19,14 @@ from .can_formats import is_can_log
 from .can_logs import read_can_logs
 from .can_signals import CanSignals, Signal, collect_speeds, decode_signals, find_steering, load_signal_table
 from .clocks import INS_ON_CAN_DELAY, align_clocks
-from .errors import RunError, check_readable, format_share
+from .errors import RunError, check_readable, format_count
 from .frames import CanLog, empty_frames
 from .ins_log import InsLog, is_mostly_known
 from .readers import READERS, find_reader
 from .run_types import LoadedRun, ReadSettings, RunSource, make_drive_log
 from .sources import find_runs
 
-MAX_LOG_GAP = 10.0  # longest gap [s] between frames in one part of a log; after a longer one, another drive may follow
+MAX_LOG_GAP = 10.0  # longest gap [s] between frames in one part of a log; after a longer one, a new drive may follow
 MAX_PARTS = 20  # maximum number of parts of a log for which alignment is tried, the longest first
 
 
@@ -77,7 +77,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     notes = []
     if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
         span, alignment, shared = part
-        signals = signals.between(*span)
+        signals = signals.select_interval(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
         used, total = (1e-9 * sum(end - start for start, end in spans) for spans in ([span], parts))
@@ -94,7 +94,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
 def _split_log(can: CanLog) -> list[tuple[int, int]]:
     """(start, end) [ns] of the parts of a log between clock steps and gaps over MAX_LOG_GAP, the longest first."""
     time_ns = can.frames.time_ns
-    starts = np.flatnonzero(np.isin(time_ns, [at for at, _ in can.steps])
+    starts = np.flatnonzero(np.isin(time_ns, [time for time, _ in can.steps])
                             | (np.diff(time_ns, prepend=time_ns[0]) > MAX_LOG_GAP * 1e9))
     edges = np.unique([0, *starts, len(time_ns)])
     parts = [(int(time_ns[first]), int(time_ns[last - 1]) + 1) for first, last in pairwise(edges.tolist())]
@@ -106,7 +106,7 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
     """((start, end) [ns], alignment, shared signals) of the longest part of a log that can be aligned; None if there is
     only one part, or none of the MAX_PARTS longest can be aligned."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
-        alignment, shared = align_clocks(ins, signals.between(*part), **options)
+        alignment, shared = align_clocks(ins, signals.select_interval(*part), **options)
         if alignment.verdict is not Verdict.REFUSED:
             return part, alignment, shared
     return None
@@ -135,17 +135,17 @@ def build_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSet
     assert steering is not None
     steering_ns = move_to_ins_clock(run, settings, steering.time_ns)
     is_usable = steering.valid & (np.diff(steering_ns, prepend=steering_ns[0] - 1) > 0)
-    wheel = settings.steering_sign * steering.values[is_usable]
+    wheel_angle = settings.steering_sign * steering.values[is_usable]
     missing = {name: int(np.isnan(ins.values[name]).sum()) for name in OPTIONAL_INS_SIGNALS if name in ins.values}
-    warnings += [f"{source.path}: {name}: {format_share(count, len(ins.time_ns), 'samples')} have no value; "
+    warnings += [f"{source.path}: {name}: {format_count(count, len(ins.time_ns), 'samples')} have no value; "
                  f"it is {'unknown there' if is_mostly_known(ins.values[name]) else 'not used'}"
                  for name, count in missing.items() if count]
     missing["road_wheel_angle"] = int((~steering.valid).sum())
     log = make_drive_log(
         source.path, source.name, ins_time_ns=ins.time_ns,
         **{name: values for name, values in ins.values.items() if name in INS_SIGNALS or is_mostly_known(values)},
-        steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel,
-        road_wheel_angle=vehicle.road_wheel_angle(wheel))
+        steering_time_ns=steering_ns[is_usable], steering_wheel_angle=wheel_angle,
+        road_wheel_angle=vehicle.road_wheel_angle(wheel_angle))
     provenance = {"reader": f"{source.kind} and CAN log", **({"origin": list(ins.origin)} if ins.origin else {}),
                   "alignment": summarise_alignment(run.alignment),
                   "settings": {"steering_sign": settings.steering_sign, "steering_latency": settings.steering_latency,

@@ -20,7 +20,7 @@ from st_core.checks import AuxiliaryData, InsQuality, Series
 from st_core.errors import StCoreError
 from st_core.vehicle import VehicleParameters
 
-from .bag_storage import Storage, Topic, recorded_parameters, recorded_text
+from .bag_storage import Storage, Topic, find_file_text, parse_parameters
 from .cdr import CAN_FRAMES, INS_ON_CAN, INS_STATUS, NCOM, WHEEL_FIELDS, WHEEL_SPEEDS
 from .errors import RunError
 from .ins_log import compute_car_speed, is_newer, make_series
@@ -28,7 +28,7 @@ from .ncom import collect_quality
 from .run_types import SteeringField
 
 ORIGIN_TOPIC, ORIGIN_TYPE = "ins/origin", "sensor_msgs/msg/NavSatFix"
-RECONSTRUCTED = " (reconstructed)"  # appended to the name of the raw topic if odometry or steering is computed from it
+RECONSTRUCTED_SUFFIX = " (reconstructed)"  # of the raw topic's name if odometry or steering is computed from it
 _AUXILIARY_FIELDS = {WHEEL_SPEEDS: ("header.stamp", *WHEEL_FIELDS.values(), "valid"),
                      INS_ON_CAN: ("header.stamp", "velocity_x"), NCOM: ("raw_packet",)}
 _STATUS_FIELDS = ("header.stamp", "navigation_status", "position_mode", "position_accuracy_north",
@@ -41,7 +41,7 @@ class Reconstruction:
     def __init__(self, storage: Storage, records: Mapping[str, Mapping[str, str]]):
         """records: metadata records with node parameters, DBC, signal table and vehicle file."""
         self._storage, self._path, self._by_type = storage, storage.path, storage.by_type
-        self._records, self._nodes = records, recorded_parameters(records)
+        self._records, self._nodes = records, parse_parameters(records)
 
     @property
     def bus_is_described(self) -> bool:
@@ -108,7 +108,7 @@ class Reconstruction:
         value = float(bridge.get(key, math.nan))
         if math.isfinite(value):
             return value
-        text = recorded_text(self._records, str(bridge.get("vehicle_file", "")))
+        text = find_file_text(self._records, str(bridge.get("vehicle_file", "")))
         try:
             return getattr(VehicleParameters.from_yaml(text or "", "the vehicle in the recording"), key)
         except StCoreError as error:
@@ -124,15 +124,15 @@ class Reconstruction:
 
     def collect_auxiliary_data(self, columns: Mapping[str, Mapping[str, np.ndarray]], stamps: Mapping[str, np.ndarray],
                                missing: Mapping[str, int]) -> AuxiliaryData:
-        """Collects the auxiliary data of a bag for the checks; data in no topic is reconstructed if possible.
+        """Collects the auxiliary data of a bag for the checks; missing data are reconstructed if possible.
 
         columns: fields from `choose_auxiliary_fields`, except unreadable ones, by type. stamps: times [ns] of "INS" and
         "steering". missing: channel -> number of messages without a usable value.
         """
         quality = self._read_reported_quality()
         wheels = _compute_wheel_speed(columns[WHEEL_SPEEDS]) if WHEEL_SPEEDS in columns else None
-        on_can = columns.get(INS_ON_CAN)
-        ins_speed = make_series(on_can["header.stamp"], on_can["velocity_x"]) if on_can else None
+        ins_on_can = columns.get(INS_ON_CAN)
+        ins_speed = make_series(ins_on_can["header.stamp"], ins_on_can["velocity_x"]) if ins_on_can else None
         if WHEEL_SPEEDS not in columns and self.bus_is_described:
             from .can_signals import collect_speeds
 
@@ -160,7 +160,7 @@ class Reconstruction:
 
     def _read_descriptions(self) -> tuple[str | None, ...]:
         bridge = self._nodes.get("canedge_bridge", {})
-        return tuple(recorded_text(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
+        return tuple(find_file_text(self._records, str(bridge.get(name, ""))) for name in ("dbc_file", "signals_file"))
 
     @cached_property
     def _table(self) -> Any:
@@ -229,7 +229,7 @@ def find_steering_topic(storage: Storage, steering: SteeringField) -> Topic:
 
 
 def extract_steering_angle(path: Path, message: Any, steering: SteeringField) -> float:
-    """Steering angle [rad], left positive, in a message. Raises RunError if the field path leads to no number."""
+    """Steering angle [rad], positive to the left, in a message. Raises RunError if the field is not a number."""
     value = message
     for part in steering.field.split("."):
         fields = [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("__")]

@@ -39,11 +39,11 @@ def read_run_file(path: Path) -> list[RunSource]:
 
 def find_described_run(file: Path) -> RunSource | None:
     """The run that the recording's run.yaml describes, or one with `each` in its folder, else None. Raises RunError."""
-    own = _read_own_run_file(file.parent, file)
-    if own and own.problem:
-        raise own.problem
-    if own and own.files == (file,):
-        return own
+    own_run = _read_own_run_file(file.parent, file)
+    if own_run and own_run.problem:
+        raise own_run.problem
+    if own_run and own_run.files == (file,):
+        return own_run
     for path in sorted(file.parent.glob(f"*{RUN_FILE}")):
         if is_run_file(path) and path.is_file() and re.search(r"^each\s*:", _read_leniently(path), re.MULTILINE):
             try:
@@ -76,7 +76,7 @@ def _log_unused_run_file(error: RunError) -> None:
 
 
 def read_yaml_mapping(file: Path) -> dict[str, Any]:
-    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if unreadable, invalid or no mapping."""
+    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError for any other content."""
     try:
         table = yaml_text.load(file.read_text(encoding="utf-8"))
     except OSError as error:

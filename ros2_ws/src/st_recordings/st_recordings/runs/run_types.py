@@ -26,7 +26,7 @@ class SteeringField:
 
     @property
     def scale(self) -> float:
-        """Factor that converts the recorded number to rad, left positive."""
+        """Factor that converts the recorded number to rad, positive to the left."""
         return self.sign * UNITS["angle"][self.unit or find_stated_unit(self.field, "angle") or "rad"][0]
 
     def matches(self, topic: str) -> bool:

@@ -92,31 +92,31 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
 
 def _search_folder(folder: Path) -> list[RunSource]:
     runs: list[RunSource] = []
-    used: set[Path] = set()
+    used_files: set[Path] = set()
     files: list[Path] = []
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if is_hidden or any(parent in used for parent in path.parents):
+        if is_hidden or any(parent in used_files for parent in path.parents):
             continue
         if path.is_dir():
             if find_reader(path) is not None:
-                used.add(path)
+                used_files.add(path)
                 files.append(path)
         elif is_run_file(path):
             known_run_files = [run.run_file for run in runs]  # including runs of a run.yaml with `each`
             described_runs = _read_run_file_or_problem(path)
             runs += [run for run in described_runs if run.run_file not in known_run_files]
-            used.update(file for run in described_runs for file in (*run.files, *run.can))
+            used_files.update(file for run in described_runs for file in (*run.files, *run.can))
             # The files of an invalid run.yaml are not separate runs, so that one mistake is reported once.
             if any(run.problem and run.run_file == path for run in described_runs):
                 stem = path.name.removesuffix(RUN_SUFFIX)
-                used.update(f for f in path.parent.iterdir()
+                used_files.update(f for f in path.parent.iterdir()
                             if f.is_file() and (path.name == RUN_FILE or f.stem == stem))
         else:
             files.append(path)
     # A run of `each` may be a part of a recording that another run.yaml describes.
     runs = [run for run in runs if not any({*run.files} < {*other.files} for other in runs)]
-    single_files = [path for path in files if path not in used or path.is_dir()]
+    single_files = [path for path in files if path not in used_files or path.is_dir()]
     usable = {path for path in single_files if _may_belong_to_run(path, files)}
     # A file of a split bag may lack odometry, for example if the INS was switched on later.
     bags = [path for path in single_files if path.suffix.lower() in BAG_EXTENSIONS and path.is_file()]
@@ -181,9 +181,9 @@ def _group_files(files: Sequence[Path], named_by_user: bool) -> list[RunSource]:
 
 def _reject_unknown_file(file: Path) -> RunSource:
     extensions = sorted({*CAN_EXTENSIONS, *(e for reader in READERS.values() for e in reader.extensions)})
-    usable = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
+    advice = f"give files with {', '.join(extensions)}, bag folders, or run.yaml, and export others as .csv"
     return _report_problem(file, f"recordings with the extension {file.suffix or '(none)'} are not supported",
-                          UNKNOWN_ADVICE.get(file.suffix.lower(), usable))
+                          UNKNOWN_ADVICE.get(file.suffix.lower(), advice))
 
 
 def _report_unmatched(recordings: Sequence[Path], readers: dict[Path, Reader],
@@ -228,12 +228,12 @@ def _group_split_bags(files: Sequence[Path]) -> list[list[Path]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _is_continuation(before: Path, file: Path) -> bool:
-    (stem, _, first), (next_stem, _, second) = before.stem.rpartition("_"), file.stem.rpartition("_")
-    same_series = (before.parent, stem, before.suffix) == (file.parent, next_stem, file.suffix)
+def _is_continuation(previous: Path, file: Path) -> bool:
+    (stem, _, first), (next_stem, _, second) = previous.stem.rpartition("_"), file.stem.rpartition("_")
+    same_series = (previous.parent, stem, previous.suffix) == (file.parent, next_stem, file.suffix)
     if not (same_series and first.isdecimal() and second.isdecimal()):
         return False
-    earlier, later = read_time_span(before), read_time_span(file)
+    earlier, later = read_time_span(previous), read_time_span(file)
     return int(second) == int(first) + 1 and earlier is not None and later is not None and (
         abs(later[0] - earlier[1]) * 1e-9 < MAX_SPLIT_GAP)
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from .can_formats import month_number
 from .columns import UNITS, ColumnSource
-from .errors import RunError, format_share
-from .ins_log import LATEST_TIME, MAX_LOST_SHARE, select_usable_rows
+from .errors import RunError, format_count
+from .ins_log import LATEST_TIME, MAX_LOST_FRACTION, select_usable_rows
 
 # 2026-05-04T10:11:12.5Z, 2026-05-04 10:11:12, 04.05.2026 10:11:12,5, 10:11:12.5, 10:11:12:500, 11:12:13.5 PM.
 # Spreadsheets write minutes and seconds as 11:12.5. A date such as 05/04/2026 is ignored unless
@@ -27,7 +27,7 @@ _DAY_COUNTS = ((719529.0, "MATLAB"), (25569.0, "a spreadsheet"))  # (day number 
 _PLAUSIBLE_EPOCH = (9.46e8, 4.1e9)  # s since 1970, years 2000 to 2099
 DAY, HOUR = 86400.0, 3600.0  # s
 HHMMSS = "HHMMSS"  # unit of a time column that contains times of day as numbers HHMMSS.ss
-MAX_DAMAGED_SHARE = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
+MAX_DAMAGED_FRACTION = 0.01  # up to this fraction of the times in a column of unit HHMMSS may be invalid
 
 
 def read_stamps(file: Path, body: str, delimiter: str, column: int, first: str, warnings: list[str]) -> tuple[str, str]:
@@ -110,31 +110,31 @@ def convert_to_seconds(file: Path, times: np.ndarray, source: ColumnSource, warn
     finite = times[np.isfinite(times)]
     if source.unit == HHMMSS and not _is_mostly_hhmmss(finite):
         warnings.append(f"{file}: its times are not HHMMSS; they were read as seconds")
-        source = replace(source, unit="s", unit_stated=False)
+        source = replace(source, unit="s", has_stated_unit=False)
     median, steps = np.median(np.abs(finite)) if len(finite) else 0.0, np.abs(np.diff(finite))
     steps = steps[steps > 0.0]  # a coarse clock repeats its times
     meanings: list[tuple[float, float, str]] = []
-    if source.unit == HHMMSS or (not source.unit_stated and _is_hhmmss(finite)):
+    if source.unit == HHMMSS or (not source.has_stated_unit and _is_hhmmss(finite)):
         if source.unit != HHMMSS:
             warnings.append(f"{file}: times of column {source.name} were read as HHMMSS, a time of day")
         seconds = np.where(is_valid_hhmmss(times), seconds_of_day(times), np.nan)
-        known = np.isfinite(seconds)
-        seconds[known] += DAY * np.cumsum(np.diff(seconds[known], prepend=seconds[known][:1]) < -DAY / 2)
+        known_rows = np.isfinite(seconds)
+        seconds[known_rows] += DAY * np.cumsum(np.diff(seconds[known_rows], prepend=seconds[known_rows][:1]) < -DAY / 2)
         return seconds, source
     if median > LATEST_TIME:
         meanings = [(0.0, UNITS["time"][unit][0], f"{unit} since 1970") for unit in ("ms", "us", "ns")]
     elif len(steps) and np.median(steps) < 2e-5:  # steps too short for seconds
-        meanings = [(origin, DAY, f"days of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
-    for origin, factor, meaning in meanings if not source.unit_stated else ():
+        meanings = [(origin, DAY, f"date numbers of {tool} (UTC)") for origin, tool in _DAY_COUNTS]
+    for origin, factor, meaning in meanings if not source.has_stated_unit else ():
         if _PLAUSIBLE_EPOCH[0] <= (median - origin) * factor <= _PLAUSIBLE_EPOCH[1]:
             warnings.append(f"{file}: times of column {source.name} were read as {meaning}")
             return (times - origin) * factor, source
     seconds = times * source.factor
-    known = np.flatnonzero(np.isfinite(seconds))
+    known_rows = np.flatnonzero(np.isfinite(seconds))
     for period in (DAY, 7 * DAY):  # seconds of a day or of a GPS week
-        is_rollover = np.diff(seconds[known]) < -period + ROLLOVER_STEP
-        if is_rollover.any() and seconds[known].min() >= 0.0 and seconds[known].max() <= period + 1.0:
-            seconds[known[1:]] += period * np.cumsum(is_rollover)
+        is_rollover = np.diff(seconds[known_rows]) < -period + ROLLOVER_STEP
+        if is_rollover.any() and seconds[known_rows].min() >= 0.0 and seconds[known_rows].max() <= period + 1.0:
+            seconds[known_rows[1:]] += period * np.cumsum(is_rollover)
     return seconds, source
 
 
@@ -152,7 +152,7 @@ def _is_mostly_hhmmss(times: np.ndarray) -> bool:
     """Whether all numbers but the last, which may be truncated, and a few damaged ones are valid HHMMSS.ss."""
     invalid = ~is_valid_hhmmss(times[:-1])
     three_in_a_row = (invalid[:-2] & invalid[1:-1] & invalid[2:]).any()
-    return bool(invalid.sum() <= MAX_DAMAGED_SHARE * len(invalid) and not three_in_a_row)
+    return bool(invalid.sum() <= MAX_DAMAGED_FRACTION * len(invalid) and not three_in_a_row)
 
 
 def _is_hhmmss(times: np.ndarray) -> bool:
@@ -182,16 +182,16 @@ def select_usable_times(file: Path, seconds: np.ndarray, source: ColumnSource, f
     is_usable = np.zeros(len(time_ns), dtype=bool)
     is_usable[rows] = True
     n_backward = int(np.sum(np.diff(time_ns) < 0))
-    if 2 * len(rows) < len(time_ns) and n_backward > MAX_LOST_SHARE * len(time_ns):
+    if 2 * len(rows) < len(time_ns) and n_backward > MAX_LOST_FRACTION * len(time_ns):
         raise RunError(file, f"the times in column {source.name} are not in order: "
-                       f"{format_share(n_backward, len(time_ns), 'rows')} have an earlier time than the row before",
+                       f"{format_count(n_backward, len(time_ns), 'rows')} have an earlier time than the row before",
                        "sort its rows by time; if these are time steps, export their sum")
     warnings += [f"{file}: {note}" for note in notes]
     if 2 * is_usable.sum() < len(is_usable) and not (time_ns % 10**9).any():
         warnings.append(f"{file}: column {source.name} has only whole seconds, each in many rows; export fractions of "
                         "a second")
     step = float(np.median(np.diff(time_ns[is_usable])) * 1e-9) if is_usable.sum() > 2 else 0.0
-    if not source.unit_stated and step > 1.0:
+    if not source.has_stated_unit and step > 1.0:
         warnings.append(f"{file}: its times are {step:g} s apart; if they are not in seconds, declare their unit in a "
                         f"run.yaml, as units: {{t: {_guess_time_unit(seconds) or 'ms'}}}")
     return has_time, time_ns, is_usable

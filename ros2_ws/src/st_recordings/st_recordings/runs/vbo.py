@@ -89,7 +89,7 @@ def _find_sources(file: Path, names: list[str], sections: dict[str, str], layout
             continue  # not the yaw angle: "heading" is the course, which is added below from _STANDARD_CHANNELS
         stated_unit = find_unit(source.kind, units.get(source.name, ""))
         sources[channel] = replace(source, unit=stated_unit or _DEFAULT_UNITS.get(source.kind, source.unit),
-                                   unit_stated=bool(stated_unit))
+                                   has_stated_unit=bool(stated_unit))
     for number, name in enumerate(names):
         is_first = names.index(name) == number  # among columns with the same name
         if is_first and (standard := _STANDARD_CHANNELS.get(name.lower())) and standard[0] not in layout.columns:
@@ -139,12 +139,12 @@ def _correct_signs(table: Table) -> Table:
         measured, expected = columns["yaw_rate"][rows], heading_rate[rows]
         # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
         # steady turn.
-        turns = rows.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
+        is_turning = rows.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
         agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
-        if turns and agreement < -MIN_HEADING_AGREEMENT:
+        if is_turning and agreement < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
             notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
-        elif turns and agreement < MIN_HEADING_AGREEMENT:
+        elif is_turning and agreement < MIN_HEADING_AGREEMENT:
             notes.append(f"{table.file}: the yaw rate channel does not agree with the heading (correlation "
                          f"{agreement:.2f}); the derivative of the heading is used")
             columns["yaw_rate"] = heading_rate

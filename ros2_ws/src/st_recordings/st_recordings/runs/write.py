@@ -35,7 +35,7 @@ TIME_MARGIN_NS = 60 * 10**9
 UNKNOWN_VARIANCE = 1e6
 """Variance [SI], as in oxts_bridge.convert: so large that filters ignore the value, but finite, so they do not fail."""
 MAP_FRAME, INS_FRAME = "map", "ins_link"
-CAN_PERIOD_NS = 20_000_000  # duration of the frames in one can/frames message [ns]; 0.1 s in the live bridge
+CAN_PERIOD_NS = 20_000_000  # time span of one can/frames message [ns]; 0.1 s in the live bridge
 
 Message = tuple[int, str, bytes]
 """(log time [ns], topic, serialised message)."""
@@ -77,9 +77,9 @@ class Covariances:
 
     def _compute_block(self, channel: int, packets: np.ndarray, rotate: Callable[[Any], tuple]) -> np.ndarray:
         """Covariances (n, 3, 3) from the accuracies in a status channel. rotate: variances -> elements, row by row."""
-        deviation = select_latest_values(*self._accuracies[channel], packets)
-        is_known = np.isfinite(deviation).all(axis=1)[:, None, None]
-        elements = np.broadcast_arrays(*rotate(np.nan_to_num(deviation).T ** 2))
+        standard_deviations = select_latest_values(*self._accuracies[channel], packets)
+        is_known = np.isfinite(standard_deviations).all(axis=1)[:, None, None]
+        elements = np.broadcast_arrays(*rotate(np.nan_to_num(standard_deviations).T ** 2))
         return np.where(is_known, np.stack(elements, axis=-1).reshape(-1, 3, 3), np.eye(3) * UNKNOWN_VARIANCE)
 
 
@@ -179,7 +179,7 @@ class Serialiser:
 def import_run(source: RunSource, vehicle: VehicleParameters, directory: Path, settings: ReadSettings,
                check: Callable[[LoadedRun], Sequence[Finding]], progress: Callable[[float], None] | None = None
                ) -> ImportResult:
-    """Reads and checks a run of NCOM packets and CAN frames, and writes it as a bag, without corrections of a run.yaml.
+    """Converts a run of NCOM packets and CAN frames to a bag after checks, without the corrections of its run.yaml.
 
     check: returns the findings on a drive; raises RunError for a drive that must not be written. progress: called with
     the completed fraction, 0 to 1. Raises RunError if the run cannot be read or aligned, `check` rejects it, or the bag

@@ -37,8 +37,8 @@ def register_table(kind: str, extensions: tuple[str, ...], read_one: Callable[[P
 
     def read_ins(source: RunSource, settings: ReadSettings) -> InsLog:
         table = read_and_join(source, source.settings.get("layout") or Layout())
-        needed = csv.MOTION_SIGNALS if settings.for_alignment else INS_SIGNALS
-        return csv.build_ins_log(table, needed, _get_yaw_scale(source))
+        required = csv.MOTION_SIGNALS if settings.for_alignment else INS_SIGNALS
+        return csv.build_ins_log(table, required, _get_yaw_scale(source))
 
     register(Reader(kind, kind, extensions, read, read_ins, is_table=True, **tests))
 
