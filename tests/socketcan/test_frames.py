@@ -7,7 +7,7 @@ import time
 import can
 import pytest
 from canedge_bridge.receiver import BusState, describe_error_frame
-from canedge_bridge.transport import id_filters, open_bus
+from canedge_bridge.transport import make_id_filters, open_bus
 from ros_processes import wait_for
 from vcan import EXTENDED_FLAG, REMOTE_FLAG
 
@@ -21,7 +21,7 @@ def frame(identifier: int, data: bytes = b"") -> can.Message:
 
 
 def test_kernel_filters_pass_only_the_selected_identifiers(interface):
-    with open_bus("socketcan", interface.name, id_filters([(STEERING, False), (FRONT, False)])) as bus:
+    with open_bus("socketcan", interface.name, make_id_filters([(STEERING, False), (FRONT, False)])) as bus:
         for identifier in (0x001, STEERING, 0x003, EXTENDED_FLAG | STEERING, 0x283, FRONT, 0x7FF):
             interface.send(identifier, b"\1")
         received = [bus.recv(5.0) for _ in range(2)]
@@ -30,7 +30,7 @@ def test_kernel_filters_pass_only_the_selected_identifiers(interface):
 
 
 def test_filters_distinguish_11_and_29_bit_identifiers(interface):
-    with open_bus("socketcan", interface.name, id_filters([(STEERING, True)])) as bus:
+    with open_bus("socketcan", interface.name, make_id_filters([(STEERING, True)])) as bus:
         interface.send(STEERING)
         interface.send(EXTENDED_FLAG | STEERING)
         received = bus.recv(5.0)
@@ -63,7 +63,7 @@ def test_stamps_are_kernel_times_of_arrival_for_frames_read_later(interface):
     (0x00C, "0004080000000000", "controller (receive warning level), protocol violation (dominant bit not sent)"),
 ])
 def test_error_frames_pass_the_filters_and_are_described(error_class, data, text, interface):
-    with open_bus("socketcan", interface.name, id_filters([(STEERING, False)])) as bus:
+    with open_bus("socketcan", interface.name, make_id_filters([(STEERING, False)])) as bus:
         interface.send_error(error_class, bytes.fromhex(data))
         received = bus.recv(5.0)
         assert received.is_error_frame
@@ -91,7 +91,7 @@ def test_state_of_the_bus_follows_error_frames(interface, start_receiver):
 
 def test_fd_frames_are_ignored(interface, start_receiver, decoder):
     """Also those with the identifier and length of a message of the table: a classical controller ignores them."""
-    receiver = start_receiver(filters=id_filters(decoder.keys))
+    receiver = start_receiver(filters=make_id_filters(decoder.keys))
     wait_for(lambda: receiver.status().open_count == 1)
     good = decoder.encode("Leaf_Steering", {"steering_wheel_angle": 0.1}, 1)
     for size in (0, 5, 8, 12, 64):
@@ -106,7 +106,7 @@ def test_fd_frames_are_ignored(interface, start_receiver, decoder):
 
 def test_remote_frames_and_frames_of_wrong_length_are_not_decoded(interface, start_receiver, decoder):
     decoded = []
-    receiver = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
+    receiver = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), make_id_filters(decoder.keys))
     wait_for(lambda: receiver.status().open_count == 1)
     interface.send(REMOTE_FLAG | STEERING)
     for size in range(9):
@@ -158,7 +158,7 @@ def test_frames_lost_to_a_full_receive_buffer_are_counted(interface, start_recei
 
 
 def test_frames_of_an_unused_identifier_are_filtered_by_the_kernel(interface, start_receiver, decoder):
-    receiver = start_receiver(filters=id_filters(decoder.keys))
+    receiver = start_receiver(filters=make_id_filters(decoder.keys))
     wait_for(lambda: receiver.status().open_count == 1)
     with open_bus("socketcan", interface.name) as bus:
         for k in range(3000):

@@ -9,7 +9,7 @@ from pathlib import Path
 import can
 import pytest
 from canedge_bridge.receiver import BusState
-from canedge_bridge.transport import id_filters, link_is_up, open_bus
+from canedge_bridge.transport import link_is_up, make_id_filters, open_bus
 from ros_processes import wait_for
 
 pytestmark = pytest.mark.socketcan
@@ -24,7 +24,7 @@ def count_open_files() -> int:
 
 
 def test_state_follows_the_interface_and_the_receiver_reopens_a_recreated_one(interface, start_receiver):
-    receiver = start_receiver(filters=id_filters([(2, False)]))
+    receiver = start_receiver(filters=make_id_filters([(2, False)]))
     wait_for(lambda: receiver.status().open_count == 1)
     interface.send(2)
     wait_for_state(receiver, BusState.OK)

@@ -5,7 +5,7 @@ from contextlib import suppress
 import can
 import pytest
 from canedge_bridge.receiver import BusState
-from canedge_bridge.transport import id_filters, open_bus
+from canedge_bridge.transport import make_id_filters, open_bus
 from ros_processes import wait_for
 
 pytestmark = pytest.mark.socketcan
@@ -23,7 +23,7 @@ def sender(interface):
 def receiver(start_receiver, decoder):
     """A receiver with a list `decoded` of its decoded frames."""
     decoded = []
-    started = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), id_filters(decoder.keys))
+    started = start_receiver(lambda f, t: decoded.append(decoder.decode(f, t)), make_id_filters(decoder.keys))
     started.decoded = decoded
     wait_for(lambda: started.status().open_count == 1)
     return started

@@ -98,8 +98,8 @@ def find_counter_faults(field: Field, data: np.ndarray, time_ns: np.ndarray, wro
     """Mask (n,) of the frames of a log with a correct checksum whose counter is not the previous one plus 1.
 
     data: bytes of the frames from `stack_bytes`. time_ns: their times (n,). wrong_checksum: mask (n,) of the
-    frames with one, which are assumed to have the next counter value, as in CounterCheck.skip. restart_after_ns: gap
-    [ns] after which any counter value is accepted.
+    frames with a wrong checksum, which are assumed to have the next counter value, as in CounterCheck.skip.
+    restart_after_ns: gap [ns] after which any counter value is accepted.
     """
     value = field.read(data).astype(np.int64)
     index = np.arange(len(value))

@@ -36,7 +36,7 @@ class DecodedFrame:
 class MessageStatistics:
     """Counts of the frames of one message. good: decoded, even if a check in mode `warn` failed. bad: with at least
     one fault. implausible: with an implausible value; plausible frames withheld with them do not count. dropped: failed
-    a check in mode `drop`. lost: missing by the counter. last_seen_ns: time of the last good frame with signals."""
+    a check in mode `drop`. lost: gaps of the counter. last_seen_ns: time of the last good frame with signals."""
 
     good: int = 0
     bad: int = 0
@@ -227,7 +227,7 @@ class SteeringCalibration:
     """Conversion to road_wheel_angle [rad] = (steering_sign * sensor - steering_wheel_offset) / steering_ratio.
 
     steering_sign: +1 if the decoded sensor value is positive to the left, -1 if positive to the right.
-    steering_wheel_offset [rad, left +]: steering_sign * sensor when driving straight. steering_ratio [1].
+    steering_wheel_offset: steering_sign * sensor when driving straight [rad]. steering_ratio [1].
     """
 
     steering_sign: int
@@ -235,7 +235,7 @@ class SteeringCalibration:
     steering_ratio: float
 
     def convert(self, sensor: Number) -> tuple[Number, Number]:
-        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], left +."""
+        """(steering wheel angle without offset correction, mean road wheel angle of the front axle) [rad], > 0 left."""
         angle = self.steering_sign * sensor
         return angle, vehicle.road_wheel_angle(angle, self.steering_wheel_offset, self.steering_ratio)
 
@@ -243,5 +243,5 @@ class SteeringCalibration:
         """Formula of the conversion with the values of the car, for the log."""
         offset = math.degrees(self.steering_wheel_offset)
         return (f"road_wheel_angle = ({self.steering_sign:+d} * sensor - ({self.steering_wheel_offset:.6f} rad)) / "
-                f"{self.steering_ratio:g}, left +; steering_wheel_offset = {offset:.3f} deg, so sensor value 0 gives "
-                f"{math.degrees(self.convert(0.0)[1]):.4f} deg")
+                f"{self.steering_ratio:g}, positive to the left; steering_wheel_offset = {offset:.3f} deg, so sensor "
+                f"value 0 gives {math.degrees(self.convert(0.0)[1]):.4f} deg")

@@ -30,13 +30,13 @@ def strip_padding(data: bytes, length: int) -> bytes | None:
 
 def has_length(payload: np.ndarray, lengths: np.ndarray, length: int) -> np.ndarray:
     """Mask (n,) of the frames that `strip_padding` accepts. payload: (n, width) uint8. lengths: (n,), in bytes."""
-    fits = lengths == length
+    is_accepted = lengths == length
     longer = np.flatnonzero(lengths > length)
     if longer.size:
         tail = payload[longer, length:]
         inside = np.arange(length, payload.shape[1]) < lengths[longer, None]
-        fits[longer] = np.isin(tail[:, 0], list(PADDING)) & ((tail == tail[:, :1]) | ~inside).all(axis=1)
-    return fits
+        is_accepted[longer] = np.isin(tail[:, 0], list(PADDING)) & ((tail == tail[:, :1]) | ~inside).all(axis=1)
+    return is_accepted
 
 
 def stack_bytes(payload: np.ndarray, length: int) -> np.ndarray:
@@ -64,7 +64,7 @@ class Field:
     bits: int
 
     @classmethod
-    def of(cls, signal: DbcSignal) -> "Field":
+    def from_signal(cls, signal: DbcSignal) -> "Field":
         first, bit = divmod(signal.start, 8)
         if signal.byte_order == "little_endian":  # the start bit is the lowest
             last = first + (bit + signal.length - 1) // 8
@@ -92,7 +92,7 @@ class Extractor:
 
     def __init__(self, message: DbcMessage, signal: DbcSignal) -> None:
         is_float = signal.conversion.is_float
-        self.signal, self._field = signal, Field.of(signal)
+        self.signal, self._field = signal, Field.from_signal(signal)
         self._sign_bit = 1 << signal.length - 1 if signal.is_signed and not is_float else 0
         self._float_bytes = signal.length // 8 if is_float else 0
         self._scale, self._offset = signal.scale, signal.offset
@@ -100,13 +100,13 @@ class Extractor:
 
     def is_present(self, data: Data) -> Any:
         """Whether the signal is in the frame; True, not an array, for a signal that is not multiplexed."""
-        sent: Any = True
+        is_present: Any = True
         for field, values in self.selectors:
             number, is_selected = field.read(data), False
             for value in values:
                 is_selected = is_selected | (number == value)
-            sent = sent & is_selected
-        return sent
+            is_present = is_present & is_selected
+        return is_present
 
     def extract(self, data: Data) -> Any:
         """Physical value in the unit of the DBC."""
@@ -123,5 +123,5 @@ class Extractor:
 def _find_selectors(message: DbcMessage, signal: DbcSignal) -> Iterator[tuple[Field, tuple[int, ...]]]:
     while signal.multiplexer_signal:
         selector = message.get_signal_by_name(signal.multiplexer_signal)
-        yield Field.of(selector), tuple(signal.multiplexer_ids or ())
+        yield Field.from_signal(selector), tuple(signal.multiplexer_ids or ())
         signal = selector

@@ -68,7 +68,7 @@ class Health:
                 values[f"{signal.name} ({message.name}) age [s]"] = "never seen" if age is None else age
             fault = "no frame yet" if age is None else f"no good frame for {age:.1f} s"
             text = f"{', '.join(s.name for s in message.signals)} ({message.name}): {fault}"
-            if message.needed and (age is None or age > message.timeout):
+            if message.is_needed and (age is None or age > message.timeout):
                 missing.append(text)
             elif age is not None and age > message.timeout:
                 stale.append(text)

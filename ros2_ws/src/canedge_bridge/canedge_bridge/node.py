@@ -25,7 +25,7 @@ from .health import Health
 from .receiver import BusState, Receiver
 from .signals import CANONICAL_SIGNALS
 from .table_reader import TableError
-from .transport import check_channel, id_filters, open_bus
+from .transport import check_channel, make_id_filters, open_bus
 
 FRAMES_PERIOD = 0.1  # s; raw frames are not time-critical
 
@@ -39,18 +39,19 @@ _INS = {name: name.removeprefix("ins_") for name in CANONICAL_SIGNALS if name.st
 PARAMETERS = (
     Parameter("interface", "socketcan", "python-can interface: socketcan, udp_multicast (loopback only), ..."),
     Parameter("channel", "can0", "can0 for socketcan, group or group:port for udp_multicast"),
-    Parameter("bitrate", 0, "for interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
+    Parameter("bitrate", 0, "of interfaces that python-can configures; 0: their default", "bit/s", 0, 8_000_000),
     Parameter("dbc_file", "", "DBC of the bus"),
     Parameter("signals_file", "", "table from DBC signals to canonical names, signs, units and checks"),
     Parameter("vehicle_file", "", "vehicle parameters, for steering_ratio and steering_wheel_offset"),
     Parameter("needed_messages", [], "messages required on the bus, instead of those marked in the table"),
     Parameter("checks", [], "overrides of the table: MESSAGE=off|warn|drop, MESSAGE.counter=..., MESSAGE.checksum=..."),
-    Parameter("steering_sign", 1, "+1: decoded sensor is left positive; -1: right positive", choices=(1, -1)),
-    Parameter("steering_ratio", math.nan, "steering wheel to road wheel; NaN: from vehicle_file", "1", 1.0, 60.0),
-    Parameter("steering_wheel_offset", math.nan, "reading of the sensor times steering_sign when driving straight, "
-              "left +; NaN: from vehicle_file", "rad", -math.pi, math.pi),
+    Parameter("steering_sign", 1, "1: the decoded angle is positive to the left; -1: to the right", choices=(1, -1)),
+    Parameter("steering_ratio", math.nan, "steering wheel angle divided by road wheel angle; NaN: from vehicle_file",
+              "1", 1.0, 60.0),
+    Parameter("steering_wheel_offset", math.nan, "decoded angle times steering_sign when driving straight; NaN: from "
+              "vehicle_file", "rad", -math.pi, math.pi),
     Parameter("steering_latency", 0.0, "delay from steering wheel motion to the stamp of its frame", "s", 0.0, 1.0),
-    Parameter("silence_after", 1.0, "an open bus without a frame for this long counts as silent", "s", 0.05, 60.0),
+    Parameter("silence_after", 1.0, "time without a frame after which an open bus counts as silent", "s", 0.05, 60.0),
     Parameter("publish_frames", False, "publish every raw frame on can/frames"),
 )
 
@@ -105,7 +106,7 @@ class CanedgeBridge(Node):
     def _open(self) -> can.BusABC:
         settings = self._settings
         # can/frames must contain every frame; otherwise only the messages of the table are needed.
-        filters = None if settings.publish_frames else id_filters(self._decoder.keys)
+        filters = None if settings.publish_frames else make_id_filters(self._decoder.keys)
         return open_bus(settings.interface, settings.channel, filters, settings.bitrate)
 
     def _on_frame(self, frame: can.Message, time_ns: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from .signals import MessageSpec, SignalSpec
 
 # If more than MAX_IMPLAUSIBLE of the last PLAUSIBILITY_FRAMES values (1 s at 100 Hz) of a signal are implausible, even
-# plausible ones are withheld until MAX_IMPLAUSIBLE are consecutive: with a wrong DBC, plausible values are isolated.
+# plausible ones are withheld until as many are consecutive: with a wrong DBC, plausible values are isolated.
 PLAUSIBILITY_FRAMES, MAX_IMPLAUSIBLE = 100, 10
 
 Reference = tuple[int, float]  # of an earlier frame: time [ns], value in the unit of the signal
@@ -57,19 +57,20 @@ class Plausibility:
     @property
     def fault(self) -> str:
         """Reason why plausible values of the signal are currently withheld too; empty if they are not."""
-        bad = self._recent.count(False)
-        if bad <= MAX_IMPLAUSIBLE or all(list(self._recent)[-MAX_IMPLAUSIBLE:]):
+        count = self._recent.count(False)
+        if count <= MAX_IMPLAUSIBLE or all(list(self._recent)[-MAX_IMPLAUSIBLE:]):
             return ""
         signal = self._signal
-        return (f"{signal.dbc.name} decodes to implausible values: {bad} of the last {len(self._recent)} frames are "
-                f"outside {signal.minimum:g} .. {signal.maximum:g} {signal.unit} or jump faster than "
+        return (f"{signal.dbc.name} decodes to implausible values in {count} of the last {len(self._recent)} frames: "
+                f"outside {signal.minimum:g} .. {signal.maximum:g} {signal.unit}, or changing faster than "
                 f"{signal.max_rate:g} {signal.unit}/s; check byte order, start bit and factor in the DBC")
 
 
-def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Whether each frame of a log is in range, within the rate limit, and not isolated among implausible frames.
+def find_plausible_frames(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray,
+                          values: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the frames of a log in range, within the rate limit, and not isolated among implausible frames.
 
-    The same check as in Plausibility, but also with later frames, so that the first frames after implausible ones are
+    As in `Plausibility`, but later frames are considered too, so that the first frames after implausible ones are
     accepted. values: SI (n,). time_ns: (n,).
     """
     physical, frames = values / signal.factor, np.arange(len(values))
@@ -85,9 +86,9 @@ def find_plausible(signal: SignalSpec, message: MessageSpec, time_ns: np.ndarray
         references = [(int(time_ns[k]), float(physical[k])) for k in earlier if k >= 0]
         if _is_reachable(signal, message, float(physical[frame]), int(time_ns[frame]), references):
             possible[frame], last_accepted = True, frame
-    bad = np.concatenate(([0], np.cumsum(~possible)))
-    recent = bad[1:] - bad[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
-    _, run, lengths = np.unique(bad[1:][possible], return_inverse=True, return_counts=True)
+    count = np.concatenate(([0], np.cumsum(~possible)))  # number of implausible frames before each
+    recent = count[1:] - count[np.maximum(frames + 1 - PLAUSIBILITY_FRAMES, 0)]
+    _, run, lengths = np.unique(count[1:][possible], return_inverse=True, return_counts=True)
     isolated = np.zeros(len(values), dtype=bool)
     isolated[possible] = lengths[run] < MAX_IMPLAUSIBLE
     return possible & ~((recent > MAX_IMPLAUSIBLE) & isolated)

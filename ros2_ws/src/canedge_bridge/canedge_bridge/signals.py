@@ -17,7 +17,7 @@ from st_core.yaml_text import suggest_key
 from .checks import CHECKSUM_RULES, CheckSpec, Mode
 from .extraction import EXTENDED, Data, Extractor, Field, raw_range
 from .ins_time import DATE_TIME_PARTS, GPS_SECONDS_PARTS
-from .table_reader import Entry, TableError, one_line, read_document
+from .table_reader import Entry, TableError, read_document, to_one_line
 
 # Canonical signal name -> SI unit, or h or min for parts of GPS time. WRAPPED_SIGNALS are wrapped to [-pi, pi).
 CANONICAL_SIGNALS = {
@@ -48,12 +48,12 @@ UNITS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
     "h": ("h", 1.0, ("hours",)),
 }
 """Unit -> (unit in CANONICAL_SIGNALS, factor to it, other spellings in DBC files, case ignored)."""
-_UNIT_OF = {text: unit for unit, (_, _, spellings) in UNITS.items() for text in (unit, *spellings)}
+_UNIT_BY_SPELLING = {text: unit for unit, (_, _, spellings) in UNITS.items() for text in (unit, *spellings)}
 
 
 def find_unit(text: str | None) -> str | None:
     """Key of UNITS for a unit as written in a DBC or a table; None if unknown."""
-    return _UNIT_OF.get((text or "").strip().lower().replace(" ", ""))
+    return _UNIT_BY_SPELLING.get((text or "").strip().lower().replace(" ", ""))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class SignalSpec:
     """One DBC signal and its conversion: si = gain * physical + bias, with `physical` in the unit of the DBC.
 
     unit: key of UNITS. factor: converts this unit to SI. minimum, maximum: possible range of si / factor [unit].
-    max_rate: largest possible rate of its change [unit/s]. sign: extractor of the sign signal, if the sensor sends
+    max_rate: largest possible rate of change [unit/s]. sign: extractor of the sign signal, if the sensor sends
     magnitude and sign separately; `physical` is negated unless this signal is 0 or not in the frame.
     """
 
@@ -103,7 +103,7 @@ class MessageSpec:
     uses, by DBC name of the signal."""
 
     dbc: DbcMessage
-    needed: bool  # required on the bus
+    is_needed: bool  # required on the bus
     period: float
     timeout: float
     signals: tuple[SignalSpec, ...]
@@ -137,7 +137,7 @@ class MessageSpec:
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Checked contents of a DBC and its YAML table. absent_messages: optional ones of the table that the DBC lacks."""
+    """Checked contents of a DBC and its YAML table. absent_messages: optional messages that the DBC lacks."""
 
     dbc_file: Path
     signals_file: Path
@@ -147,11 +147,11 @@ class SignalTable:
 
     @property
     def needed_messages(self) -> tuple[MessageSpec, ...]:
-        return tuple(m for m in self.messages.values() if m.needed)
+        return tuple(m for m in self.messages.values() if m.is_needed)
 
     def find_source(self, name: str) -> tuple[MessageSpec, SignalSpec] | None:
         """Message and signal with a canonical name, preferably of a needed message; None if there is none."""
-        rows = sorted(self.messages.values(), key=lambda m: not m.needed)
+        rows = sorted(self.messages.values(), key=lambda m: not m.is_needed)
         return next(((m, s) for m in rows for s in m.signals if s.name == name), None)
 
 
@@ -160,7 +160,7 @@ def load_table(dbc_file: str | Path, signals_file: str | Path, needed: Sequence[
 
     needed: message names that replace the table's own `needed` (for a bus that carries only some of the messages).
     Raises TableError for an invalid file, a unit other than the DBC's, a needed message that the DBC lacks, a signal
-    that its message lacks, a layout that cannot represent the signal, or a sample that decodes to another value.
+    that its message lacks, a layout that cannot represent the signal, or a sample that decodes to a wrong value.
     """
     dbc_path, table_path = Path(dbc_file), Path(signals_file)
     root = Entry(str(table_path), "", read_document(table_path))
@@ -209,7 +209,7 @@ def load_dbc(path: Path, messages: Iterable[str] = ()) -> Any:
             return cantools.database.load_string(reduced, "dbc", strict=False)
     except Exception as error:
         reason = error
-    raise TableError(f"{path}: is not a valid DBC: {one_line(reason)}")
+    raise TableError(f"{path}: is not a valid DBC: {to_one_line(reason)}")
 
 
 def _reduce_dbc(text: str, names: frozenset[str]) -> str:
@@ -251,7 +251,7 @@ def _read_message(row: Entry, dbc: DbcMessage, dbc_path: Path, is_needed: bool) 
     for sample in row.entries("samples"):
         _check_sample(sample, dbc, signals, dbc_path)
     return MessageSpec(
-        dbc=dbc, needed=is_needed, signals=signals,
+        dbc=dbc, is_needed=is_needed, signals=signals,
         period=row.quantity("period", "s", 0.0005, 60.0), timeout=row.quantity("timeout", "s", 0.001, 600.0),
         counter=_read_check(row, "counter", dbc, dbc_path), checksum=_read_check(row, "checksum", dbc, dbc_path),
         fill={} if fill is None else {name: fill.integer(
@@ -263,7 +263,7 @@ def _check_layout(dbc: DbcMessage, dbc_path: Path) -> None:
     try:
         dbc.refresh(strict=True)
     except Exception as error:  # any type, as in load_dbc
-        raise TableError(f"{dbc_path}: {dbc.name}: {one_line(error)}") from None
+        raise TableError(f"{dbc_path}: {dbc.name}: {to_one_line(error)}") from None
     for signal in dbc.signals:
         if signal.start < 0:
             raise TableError(f"{dbc_path}: {dbc.name}.{signal.name}: start bit {signal.start}; expected 0 or more")
@@ -346,7 +346,7 @@ def _read_check(row: Entry, key: str, dbc: DbcMessage, dbc_path: Path) -> CheckS
         return None
     entry.allow_only(*(("signal", "rule", "check") if key == "checksum" else ("signal", "check")))
     signal = _find_signal(dbc, entry.get("signal", str), dbc_path, entry)
-    field = Field.of(signal)
+    field = Field.from_signal(signal)
     if signal.is_signed or signal.is_float or field.high_bytes:
         raise entry.error("signal", f"{signal.name} cannot be a counter or checksum: it must be unsigned and within "
                           f"one byte in {dbc_path}")

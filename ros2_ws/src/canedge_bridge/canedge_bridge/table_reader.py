@@ -24,8 +24,8 @@ def read_document(path: Path) -> Any:
         raise TableError(f"{path}: invalid YAML: {error}") from None
 
 
-def one_line(error: object, limit: int = 300) -> str:
-    """The message of a parser's error as one printable line of at most `limit` characters."""
+def to_one_line(error: object, limit: int = 300) -> str:
+    """The text of an error as one printable line of at most `limit` characters."""
     text = "".join(c if c.isprintable() else " " for c in str(error))
     return textwrap.shorten(text, limit, placeholder=" ...") or type(error).__name__
 
@@ -36,7 +36,7 @@ _TYPE_NAMES = {str: "a string", bool: "true or false", int: "a whole number"}
 class Entry:
     """One mapping of the document. origin: name of the file in errors. path: dotted key of the mapping.
 
-    Its methods raise TableError for a missing key and for a value of another type or outside its limits.
+    The methods raise TableError for a missing key, and for a value of a wrong type or outside its limits.
     """
 
     def __init__(self, origin: str, path: str, value: Any):

@@ -30,12 +30,12 @@ def check_channel(interface: str, channel: str) -> None:
     if interface not in can.VALID_INTERFACES:
         raise ValueError(f"interface {interface!r} is not one of {', '.join(sorted(can.VALID_INTERFACES))}")
     if not channel:
-        raise ValueError(f"channel: is empty, but {interface} needs one")
+        raise ValueError(f"channel: empty, but {interface} needs one")
     if interface == "udp_multicast":
         parse_channel(channel)
 
 
-def id_filters(keys: Iterable[tuple[int, bool]]) -> list[dict[str, Any]]:
+def make_id_filters(keys: Iterable[tuple[int, bool]]) -> list[dict[str, Any]]:
     """python-can filters that pass exactly these messages: (arbitration id, whether it has 29 bits)."""
     return [{"can_id": i, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended} for i, extended in keys]
 
@@ -44,7 +44,7 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
     """Opens a python-can bus.
 
     interface: `socketcan`, `virtual`, ... as in python-can; `udp_multicast` is confined to the loopback interface and
-    takes "group" or "group:port". filters: see `id_filters`; error frames pass them on socketcan and udp_multicast.
+    takes "group" or "group:port". filters: `make_id_filters`; error frames pass them on socketcan and udp_multicast.
     bitrate: [bit/s], for interfaces that python-can configures (not SocketCAN, see `ip link`); 0: their default.
     Raises ValueError for an invalid channel, OSError or can.CanError if the bus cannot be opened.
     """
@@ -66,13 +66,13 @@ def link_is_up(name: str) -> bool | None:
 class LoopbackMulticastBus(can.BusABC):
     """Bus between processes of this machine on one multicast group; no datagram leaves the machine.
 
-    The datagrams have the format of python-can. Its class is not used, because it joins the group on the interface of
-    the routing table, receives datagrams of every group with the same port, returns frames to their sender, and builds
-    message objects before filtering.
+    The datagrams have the format of python-can, whose own class is not used: it joins the group on the interface given
+    by the routing table, receives datagrams of every group with the same port, returns frames to their sender, and
+    builds message objects before filtering.
     """
 
     def __init__(self, channel: str, can_filters: Any = None, **kwargs: Any):
-        """channel: IPv4 "group" or "group:port". Raises ValueError for any other text, OSError if it cannot open."""
+        """channel: IPv4 "group" or "group:port". Raises ValueError for any other text, OSError if opening fails."""
         group, port = parse_channel(channel)
         self.channel_info = f"udp_multicast {group}:{port} on loopback"
         self._destination = (group, port)

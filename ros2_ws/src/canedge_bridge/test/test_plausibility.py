@@ -55,6 +55,6 @@ def test_single_implausible_frames_are_not_a_fault(plausibility):
 
 def test_many_implausible_frames_are_a_fault_until_plausible_ones_follow(plausibility):
     check_angles(plausibility, [0, 1000] * 20)
-    assert "decodes to implausible values: 20 of the last 40 frames" in plausibility.fault
+    assert "decodes to implausible values in 20 of the last 40 frames" in plausibility.fault
     check_angles(plausibility, [0.0] * 100)
     assert plausibility.fault == ""

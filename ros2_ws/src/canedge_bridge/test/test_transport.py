@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import msgpack
 import pytest
-from canedge_bridge.transport import check_channel, id_filters, link_is_up, open_bus, parse_channel
+from canedge_bridge.transport import check_channel, link_is_up, make_id_filters, open_bus, parse_channel
 
 GROUP = "239.74.13.11"
 
@@ -60,7 +60,7 @@ def test_sender_does_not_receive_its_own_frames(pair, frame):
 
 def test_filters_pass_their_identifiers_and_error_frames(channel, frame):
     with open_bus("udp_multicast", channel) as sender, \
-            open_bus("udp_multicast", channel, id_filters([(0x002, False), (0x1000, True)])) as bus:
+            open_bus("udp_multicast", channel, make_id_filters([(0x002, False), (0x1000, True)])) as bus:
         for message in (frame(0x001, ""), frame(0x002, ""), can.Message(arbitration_id=0x002, is_extended_id=True),
                         can.Message(arbitration_id=0x1000, is_extended_id=True), frame(0x040, "", is_error_frame=True)):
             sender.send(message)
@@ -82,7 +82,7 @@ def test_masks_are_those_of_python_can(channel, frame):
 def test_malformed_datagram_is_counted(datagram, channel, frame):
     group, port = parse_channel(channel)
     with open_bus("udp_multicast", channel) as sender, \
-            open_bus("udp_multicast", channel, id_filters([(2, False)])) as bus, \
+            open_bus("udp_multicast", channel, make_id_filters([(2, False)])) as bus, \
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
         other.sendto(datagram, (group, port))
@@ -136,7 +136,7 @@ def test_unknown_interface_is_refused():
 
 def test_other_interfaces_are_opened_by_python_can(frame):
     with open_bus("virtual", "test transport") as one, \
-            open_bus("virtual", "test transport", id_filters([(5, False)])) as other:
+            open_bus("virtual", "test transport", make_id_filters([(5, False)])) as other:
         one.send(frame(4, ""))
         one.send(frame(5, ""))
         assert other.recv(5.0).arbitration_id == 5

@@ -162,14 +162,14 @@ B7_BIT7_CLEAR = Validity("bit 7 of b7 = 0", lambda raw, data: data[7] < 0x80, fl
 LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and data[7] != 0, flag_byte=6)
 
 
-def unless(*codes: int, fresh: bool = False) -> Validity:
+def valid_unless(*codes: int, fresh: bool = False) -> Validity:
     """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
     text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
     return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
                     flag_byte=6 if fresh else None)
 
 
-NIBBLE, BYTE, WORD, INT32 = unless(0xF), unless(0xFF), unless(0xFFFF), unless(-(1 << 31))
+NIBBLE, BYTE, WORD, INT32 = valid_unless(0xF), valid_unless(0xFF), valid_unless(0xFFFF), valid_unless(-(1 << 31))
 # Units send 0x8000 for an unknown undulation. The manual gives 0xFFFF, which is also a valid -5 mm: it means unknown
 # only while HDOP and PDOP are invalid too.
 UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
@@ -217,8 +217,8 @@ def _receiver_counters(receiver: str) -> list[Field]:
 
 
 def _receiver_status(receiver: str) -> list[Field]:
-    return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=unless(3)),
-            F(f"{receiver}.AntPower", "bits2+2", 0, validity=unless(3, 2)),
+    return [F(f"{receiver}.AntStatus", "bits0+2", 0, validity=valid_unless(3)),
+            F(f"{receiver}.AntPower", "bits2+2", 0, validity=valid_unless(3, 2)),
             _byte(f"{receiver}.CpuUsed", 1, "%"), _byte(f"{receiver}.CoreNoise", 2, "%"),
             _byte(f"{receiver}.SerBaud", 3), _byte(f"{receiver}.NumSats", 4),
             _byte(f"{receiver}.PosMode", 5), _byte(f"{receiver}.CoreTemp", 6, "degC", offset=-70),
@@ -262,27 +262,27 @@ TABLE: dict[int, list[Field]] = {
          *_nibbles(7, "GpsExternal.NumGloL1", "GpsExternal.NumGloL2")],
     12: _xyz(("GAPx", "GAPy", "GAPz"), "i16", 1e-3, "m", FRESH),
     13: [F("AtH", "i16", 0, "deg", degrees(1e-4), FRESH), F("AtP", "i16", 2, "deg", degrees(1e-4), FRESH),
-         F("BaseLineLength", "u16", 4, "m", 1e-3, unless(0, 0xFFFF, fresh=True)),
+         F("BaseLineLength", "u16", 4, "m", 1e-3, valid_unless(0, 0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGpsAvailable", "HeadNumGpsUsed")],
     14: [*_xyz(("GAPxAcc", "GAPyAcc", "GAPzAcc"), "u16", 1e-4, "m", FRESH),
          *_nibbles(7, "NumGpsUsedInPos", "NumGloUsedInPos")],
     15: [F("AtHAcc", "u16", 0, "deg", degrees(1e-5), FRESH), F("AtPAcc", "u16", 2, "deg", degrees(1e-5), FRESH),
-         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, unless(0xFFFF, fresh=True)),
+         F("BaseLineLengthAcc", "u16", 4, "m", 1e-4, valid_unless(0xFFFF, fresh=True)),
          *_nibbles(7, "HeadNumGloAvailable", "HeadNumGloUsed")],
     16: [*_angles("Imu2Veh"), F("TimeUtcOffset", "shifted", 7, "s", 1, BIT0_SET)],
     17: _receiver_counters("GpsSecondary"),
     18: [F("ImuChars", "u32", 0), F("ImuPkts", "u16", 4, counter_bits=16),
          F("ImuCharsSkipped", "u16", 6, counter_bits=16)],
     19: [F("DevId", "text8", 0)],
-    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, unless(-1)), F("BaseStationId", "text4", 2)],
+    20: [F("GpsDiffAge", "i16", 0, "s", 0.01, valid_unless(-1)), F("BaseStationId", "text4", 2)],
     21: [F("DiskSpace", "i32", 0, "byte", 1024, NOT_NEGATIVE), F("FileSize", "i32", 4, "byte", 1024, NOT_NEGATIVE)],
     22: [_word("TimeMismatch", 0), _byte("ImuTimeDiff", 2, "ms"), _byte("ImuTimeMargin", 3, "ms"),
          _word("ImuLoopTime", 4, "ms"), _word("OpLoopTime", 6, "ms")],
     23: [_word("BnsLag", 0, "ms"), _word("UpTimeCode", 2), _byte("GPSPosReject", 4), _byte("GPSVelReject", 5),
          _byte("GPSAttReject", 6), F("PtpStatus", "u8", 7, validity=POSITIVE)],
-    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, unless(-0x800000, 0x7FFFFF)),
-         F("OldRefY", "i24", 3, "m", 1.2e-3, unless(-0x800000, 0x7FFFFF)),
-         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), unless(-0x8000))],
+    25: [F("OldRefX", "i24", 0, "m", 1.2e-3, valid_unless(-0x800000, 0x7FFFFF)),
+         F("OldRefY", "i24", 3, "m", 1.2e-3, valid_unless(-0x800000, 0x7FFFFF)),
+         F("OldRefHeading", "i16", 6, "deg", degrees(1e-4), valid_unless(-0x8000))],
     26: _lever_arm("RemoteLeverArm"),
     27: [_byte("HeadQuality", 0), _byte("HeadSearchType", 1), _byte("HeadSearchStatus", 2), _byte("HeadSearchReady", 3),
          _word("HeadSearchInit", 4), _word("HeadSearchNum", 6)],
@@ -314,7 +314,7 @@ TABLE: dict[int, list[Field]] = {
          _byte("OptionNSVAccel", 5, "m/s^2", 0.04), _byte("OptionNSSpeed", 6, "m/s", 0.1),
          _byte("OptionNSRadius", 7, "m", 0.5)],
     40: [F("NcomVersion", "u16", 0, validity=POSITIVE), _word("OutputLatency", 2, "s", 0.01),
-         F("SerialNumber24", "u24", 4, validity=unless(0xFFFFFF))],
+         F("SerialNumber24", "u24", 4, validity=valid_unless(0xFFFFFF))],
     41: [F("OptionSer1Baud", "u8", 0), F("OptionSer2Baud", "u8", 1), F("OptionSer3Baud", "u8", 2),
          F("OptionCanBaud", "u8", 3), *(_byte(f"WifiIp{i}", 3 + i) for i in (1, 2, 3, 4))],
     42: [_byte("OptionHLDelay", 0, "s"), _byte("OptionHLPeriod", 1, "s", 0.1),
@@ -334,7 +334,7 @@ TABLE: dict[int, list[Field]] = {
          *(F(f"OmniStatus{name}", f"bits{bit}+1", 4, validity=OMNISTAR_STATUS) for bit, name in enumerate((
              "VbsExpired", "VbsOutOfRegion", "VbsNoRemoteSites", "HpExpired", "HpOutOfRegion", "HpNoRemoteSites",
              "HpNotConverged", "HpKeyInvalid"))),
-         F("OmniStarSerial", "u24", 5, validity=unless(0xFFFFFF))],
+         F("OmniStarSerial", "u24", 5, validity=valid_unless(0xFFFFFF))],
     50: _counters("CmdChars", "CmdPkts", "CmdCharsSkipped", "CmdErrors"),
     **{channel: _lever_arm(f"SlipPoint{i}") for i, channel in enumerate((51, 52, 53, 54, 68, 69, 70, 71), 1)},
     55: _receiver_status("GpsPrimary"),
@@ -411,7 +411,7 @@ def decode_channel(channel: int, data: bytes) -> dict[str, Value]:
 def decode_event_time(channel: int, data: bytes) -> int | None:
     """GPS time of an event [ns since 1980-01-06, in steps of 4 us] from the 8 bytes of a trigger channel.
 
-    None for another channel, for a count of 0 (no event yet), and for an invalid minute.
+    None for any other channel, a count of 0 (no event yet), and an invalid minute.
     """
     if channel not in TRIGGER_CHANNELS:
         return None

@@ -58,9 +58,9 @@ def write_csv(ncom_path: str | Path, csv_path: str | Path, status_path: str | Pa
     outputs = [Path(path) for path in (csv_path, status_path) if path is not None]
     for output in outputs:
         if output.exists() and output.samefile(ncom_path):
-            raise NcomError(f"output {output} is the recording itself: name another file")
+            raise NcomError(f"output {output} is the recording itself: name a different file")
     if len({output.resolve() for output in outputs}) < len(outputs):
-        raise NcomError(f"values and status would both be written to {csv_path}: name two files")
+        raise NcomError(f"values and status would both be written to {csv_path}: name two different files")
     columns = decode_file(ncom_path)
     changes, history = _read_status(columns)
     table = _make_table(columns, history)
@@ -290,10 +290,10 @@ def filter_low_pass(seconds: np.ndarray, values: np.ndarray, settings: SettingHi
             continue
         steps = np.diff(seconds[max(start - 3, 0) : end])
         older, newer = steps[:-1], steps[1:]
-        even = (older > 0) & (np.abs(older - newer) < _STEP_TOLERANCE * newer) & (cutoff * (older + newer) < 1)
-        if not even.any():
+        is_even = (older > 0) & (np.abs(older - newer) < _STEP_TOLERANCE * newer) & (cutoff * (older + newer) < 1)
+        if not is_even.any():
             continue
-        first = max(start - 3, 0) + int(even.argmax())
+        first = max(start - 3, 0) + int(is_even.argmax())
         k = np.tan(np.pi * cutoff * (seconds[first + 2] - seconds[first]) / 2)
         d = k * k + 2 * damping * k + 1
         b = np.array([k * k, 2 * k * k, k * k]) / d

@@ -29,8 +29,8 @@ _SINGLE_STEPS = 16
 _FIELDS = np.dtype({
     "names": ("milliseconds", "status", "latitude", "longitude", "altitude", "channel", "minute"),
     "formats": ("<u2", "u1", "<f8", "<f8", "<f4", "u1", "<i4"),
-    "offsets": (ncom.MILLISECONDS_AT, ncom.STATUS_AT, ncom.LATITUDE_AT, ncom.LONGITUDE_AT, ncom.ALTITUDE_AT,
-                ncom.CHANNEL_AT, ncom.BATCH_S_AT),
+    "offsets": (ncom.MILLISECONDS_BYTE, ncom.STATUS_BYTE, ncom.LATITUDE_BYTE, ncom.LONGITUDE_BYTE, ncom.ALTITUDE_BYTE,
+                ncom.CHANNEL_BYTE, ncom.BATCH_S_BYTE),
     "itemsize": PACKET_SIZE})
 
 # ncom.STATUS_RULES as arrays, indexed by navigation status.
@@ -50,7 +50,7 @@ _UTC_OFFSET = np.array([  # indexed by byte 7 of channel 16
 class Columns(Packet):
     """The accepted packets of a file as columns, in file order; structure B packets have kind EMPTY.
 
-    offset: byte position in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in ReceivedPacket.
+    offset: first byte in the file.  raw: (n, 72) uint8.  kind: index into KINDS.  order: as in ReceivedPacket.
     gps_ns: [ns since 1980-01-06], utc_ns: [ns since 1970], UNKNOWN_TIME where unknown.  is_approximate: true for
     navigation values sent before the first fix.  has_status: batch S is valid.
     """
@@ -99,7 +99,8 @@ def _find_packets(data: bytes, counters: Counters) -> np.ndarray:
         count = min(rows, (size - start) // PACKET_SIZE)
         block = octets[start : start + count * PACKET_SIZE].reshape(count, PACKET_SIZE)
         good = block[:, 0] == ncom.SYNC
-        good &= np.add.reduce(block[:, 1:ncom.CHECKSUM_3_AT], axis=1, dtype=np.uint8) == block[:, ncom.CHECKSUM_3_AT]
+        end = ncom.CHECKSUM_3_BYTE
+        good &= np.add.reduce(block[:, 1:end], axis=1, dtype=np.uint8) == block[:, end]
         run = count if good.all() else int(good.argmin())
         offsets.append(np.arange(start, start + run * PACKET_SIZE, PACKET_SIZE))
         start += run * PACKET_SIZE
@@ -117,8 +118,8 @@ def _decode(data: bytes, offset: np.ndarray, counters: Counters) -> Columns:
     packets = raw.view(_FIELDS).ravel()
     status, channel = packets["status"].copy(), packets["channel"].copy()
     kind, gps_ns, order = _compute_times(raw, packets)
-    layout = ((ncom.ACCELERATION_AT, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_AT, ncom.ANGULAR_RATE_UNIT),
-              (ncom.VELOCITY_AT, ncom.VELOCITY_UNIT), (ncom.ANGLES_AT, ncom.ANGLE_UNIT))
+    layout = ((ncom.ACCELERATION_BYTE, ncom.ACCELERATION_UNIT), (ncom.ANGULAR_RATE_BYTE, ncom.ANGULAR_RATE_UNIT),
+              (ncom.VELOCITY_BYTE, ncom.VELOCITY_UNIT), (ncom.ANGLES_BYTE, ncom.ANGLE_UNIT))
     acceleration, angular_rate, velocity, (heading, pitch, roll) = (_decode_vectors(raw, *place) for place in layout)
     with np.errstate(invalid="ignore"):  # structure B and empty packets may contain a signalling NaN
         altitude = packets["altitude"].astype(np.float64)
@@ -162,7 +163,7 @@ def _compute_times(raw: np.ndarray, packets: np.ndarray) -> tuple[np.ndarray, np
     previous = b""
     for i in np.flatnonzero(kind == TRIGGER):
         packet = raw[i].tobytes()
-        event_ns = decode_event_time(packet[ncom.CHANNEL_AT], packet[BATCH_S])
+        event_ns = decode_event_time(packet[ncom.CHANNEL_BYTE], packet[BATCH_S])
         if event_ns is None:
             kind[i] = EMPTY
         else:

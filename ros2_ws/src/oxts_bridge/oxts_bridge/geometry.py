@@ -40,7 +40,7 @@ def yaw_from_heading(heading: Number) -> Number:
 
 
 class Attitude:
-    """Orientation of the vehicle (FLU) in ENU: yaw, pitch (nose down +) and roll about fixed axes [rad]."""
+    """Orientation of the vehicle (FLU) in ENU: yaw, pitch (positive nose down) and roll about fixed axes [rad]."""
 
     __slots__ = ("_matrix", "pitch", "roll", "yaw")
 
@@ -55,7 +55,7 @@ class Attitude:
 
     @classmethod
     def from_ned(cls, heading: Number, pitch: Number, roll: Number) -> "Attitude":
-        """Attitude from packet angles: heading clockwise from north, pitch nose up +, roll right side down + [rad]."""
+        """Attitude from packet angles [rad]: heading clockwise from north, pitch > 0 nose up, roll > 0 right down."""
         return cls(yaw_from_heading(heading), -pitch, roll)
 
     def to_quaternion(self) -> Quaternion:
@@ -101,7 +101,7 @@ class Attitude:
 
 
 def flu_from_frd(frd: Vector) -> Vector:
-    """Converts a vector from (forward, right, down) to (forward, left, up), or back."""
+    """A vector (forward, right, down) as (forward, left, up), or vice versa."""
     return frd[0], -frd[1], -frd[2]
 
 

@@ -167,8 +167,9 @@ class Health:
         values |= {"stamp minus host, median [s]": median, "stamp minus host, 1st percentile [s]": percentile_1}
         if abs(newest) > MAX_DELAY:
             difference = f"{newest / _DAY:+.1f} days" if abs(newest) > _DAY else f"{newest:+.0f} s"
-            text = f"stamps are {difference} from the host's clock: wrong date, or packets of a recording"
+            text = f"stamps differ from the host's clock by {difference}: wrong date, or packets of a recording"
             return Check("time", ERROR, text, values)
         if abs(median) > MAX_CLOCK_OFFSET:
-            return Check("time", WARN, f"stamps are {median:+.3f} s from the host's clock: check both clocks", values)
-        return Check("time", OK, f"stamps {median * 1e3:+.1f} ms from the host's clock", values)
+            return Check("time", WARN, f"stamps differ from the host's clock by {median:+.3f} s: check both clocks",
+                         values)
+        return Check("time", OK, f"stamps differ from the host's clock by {median * 1e3:+.1f} ms", values)

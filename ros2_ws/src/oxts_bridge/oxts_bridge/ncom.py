@@ -10,7 +10,7 @@ their GPS and UTC times.
           61     checksum 2 over 1..60      62  status channel      63-70  batch S      71  checksum 3 over 1..70
 
 An i24 of -8388608 means "invalid" and is decoded as NaN. GPS time counts from 1980-01-06T00:00:00 without leap seconds:
-gps = minutes * 60 s + ms, UTC = gps - leap seconds. Some packets send the minute, in channel 0. Times are integers.
+gps = minutes * 60 s + ms, UTC = gps - leap seconds. Some packets contain the minute, in channel 0. Times are integers.
 Source: NCOM manual 260702. Checked by: tests/golden/test_ncom_vectors.py, test_packet_time.py.
 """
 
@@ -29,11 +29,11 @@ PACKET_SIZE = 72
 STRUCTURE_B = 11
 
 # Index of the first byte of each field. A checksum is the low byte of the sum of all bytes from byte 1 up to it.
-MILLISECONDS_AT, ACCELERATION_AT, ANGULAR_RATE_AT, STATUS_AT, CHECKSUM_1_AT = 1, 3, 12, 21, 22
-LATITUDE_AT, LONGITUDE_AT, ALTITUDE_AT = 23, 31, 39
-VELOCITY_AT, ANGLES_AT, CHECKSUM_2_AT = 43, 52, 61
-CHANNEL_AT, BATCH_S_AT, CHECKSUM_3_AT = 62, 63, 71
-BATCH_S = slice(BATCH_S_AT, CHECKSUM_3_AT)
+MILLISECONDS_BYTE, ACCELERATION_BYTE, ANGULAR_RATE_BYTE, STATUS_BYTE, CHECKSUM_1_BYTE = 1, 3, 12, 21, 22
+LATITUDE_BYTE, LONGITUDE_BYTE, ALTITUDE_BYTE = 23, 31, 39
+VELOCITY_BYTE, ANGLES_BYTE, CHECKSUM_2_BYTE = 43, 52, 61
+CHANNEL_BYTE, BATCH_S_BYTE, CHECKSUM_3_BYTE = 62, 63, 71
+BATCH_S = slice(BATCH_S_BYTE, CHECKSUM_3_BYTE)
 
 ACCELERATION_UNIT = 1e-4  # m/s^2
 ANGULAR_RATE_UNIT = 1e-5  # rad/s
@@ -150,13 +150,13 @@ class Packet:
 
     The fields of several packets are columns: arrays (n,), vectors (3, n), batch_s (8, n) uint8.
 
-    milliseconds: into the GPS minute, 0..59999; a larger number is kept, but gives no time.
+    milliseconds: into the GPS minute, 0..59999; a larger number is kept, but yields no time.
     acceleration: specific force x, y, z [m/s^2], z about -9.81 at rest; each at most 838.8607.
     angular_rate: x, y, z [rad/s] relative to inertial space; each at most 83.88607.
     navigation_status: 0..255, see STATUS_RULES.
     latitude, longitude: geodetic [rad].  altitude: [m], above the geoid unless the unit is configured otherwise.
     velocity_ned: north, east, down [m/s]; each at most 838.8607.
-    heading: clockwise from true north [rad].  pitch: nose up + [rad].  roll: right side down + [rad].
+    heading: clockwise from true north [rad].  pitch [rad]: positive nose up.  roll [rad]: positive right side down.
     channel: number of the status channel.  batch_s: the 8 bytes of this channel, see channels.py.
     """
 
@@ -178,11 +178,11 @@ class Packet:
 def decode(data: bytes) -> Packet:
     """Physical values of a packet; find_next_packet() verifies the checksums.
 
-    Raises NcomError for another length, a wrong sync byte, or structure B (navigation status 11, vendor-internal).
+    Raises NcomError for a wrong length or sync byte, or structure B (navigation status 11, vendor-internal).
     """
     if len(data) != PACKET_SIZE or data[0] != SYNC:
         raise NcomError(f"not an NCOM packet: {len(data)} bytes starting with {data[:1].hex() or 'nothing'}")
-    if data[STATUS_AT] == STRUCTURE_B:
+    if data[STATUS_BYTE] == STRUCTURE_B:
         raise NcomError("structure B packet (navigation status 11): its layout is not published")
     (milliseconds, acceleration, angular_rate, status, latitude, longitude, altitude, velocity, angles, channel,
      batch_s) = _LAYOUT.unpack(data)
@@ -220,7 +220,7 @@ def encode(packet: Packet) -> bytes:
     except (struct.error, OverflowError) as error:
         raise NcomError(f"a value is outside the range of its field: {error}") from None
     data[0] = SYNC
-    for end in (CHECKSUM_1_AT, CHECKSUM_2_AT, CHECKSUM_3_AT):
+    for end in (CHECKSUM_1_BYTE, CHECKSUM_2_BYTE, CHECKSUM_3_BYTE):
         data[end] = sum(data[1:end]) & 0xFF
     return bytes(data)
 
@@ -238,9 +238,9 @@ def is_valid_position(latitude: Any, longitude: Any, altitude: Any) -> Any:
 
 def inner_checksums_match(data: bytes) -> bool:
     """Whether checksums 1 and 2 are correct."""
-    first = sum(data[1:CHECKSUM_1_AT])
-    second = first + sum(data[CHECKSUM_1_AT:CHECKSUM_2_AT])
-    return first & 0xFF == data[CHECKSUM_1_AT] and second & 0xFF == data[CHECKSUM_2_AT]
+    first = sum(data[1:CHECKSUM_1_BYTE])
+    second = first + sum(data[CHECKSUM_1_BYTE:CHECKSUM_2_BYTE])
+    return first & 0xFF == data[CHECKSUM_1_BYTE] and second & 0xFF == data[CHECKSUM_2_BYTE]
 
 
 @dataclass
@@ -273,8 +273,8 @@ def find_next_packet(data: bytes, start: int, in_sync: bool, counters: Counters)
             raw = data[start : start + PACKET_SIZE]
             if len(raw) < PACKET_SIZE:
                 break
-            if sum(raw[1:CHECKSUM_3_AT]) & 0xFF == raw[CHECKSUM_3_AT]:
-                status = raw[STATUS_AT]
+            if sum(raw[1:CHECKSUM_3_BYTE]) & 0xFF == raw[CHECKSUM_3_BYTE]:
+                status = raw[STATUS_BYTE]
                 if in_sync or status == STRUCTURE_B or (STATUS_RULES[status].is_defined and inner_checksums_match(raw)):
                     return start, True
             counters.checksum_errors += in_sync
@@ -306,7 +306,7 @@ def compute_host_minute(received_ns: int, milliseconds: int) -> int:
 
 
 class GpsClock:
-    """Tracks the GPS time of packets: all send milliseconds of the minute, and some the minute (channel 0).
+    """Tracks the GPS time of packets: all contain milliseconds of the minute, and some the minute (channel 0).
 
     The clock counts a minute whenever the milliseconds wrap; a sent minute takes precedence over the count.
     minute, milliseconds: time of the newest packet, None until known. jumps: number of steps back, forward by more than

@@ -27,7 +27,7 @@ PARAMETERS = (
     Parameter("autostart", True, "configure and activate at start; false: wait for a lifecycle manager"),
     Parameter("bind_address", "127.0.0.1", "local address to listen on; 0.0.0.0: all interfaces of this host"),
     Parameter("udp_port", 3000, "UDP port the unit sends to", "", 1, 65535),
-    Parameter("sender_filter", "", "IP address of the unit; empty: the first one that sends NCOM"),
+    Parameter("sender_filter", "", "IP address of the unit; empty: the first address that sends NCOM"),
     Parameter("replay_file", "", "NCOM file to replay instead of listening"),
     Parameter("speed_factor", 1.0, "replay: playback speed; 1: real time", "1", 0.01, 1000.0),
     Parameter("loop", False, "replay: start again at the end"),
@@ -41,17 +41,19 @@ PARAMETERS = (
     Parameter("ins_frame", "ins_link", "frame of the INS point, parallel to base_frame"),
     Parameter("base_to_ins", [0.0, 0.0, 0.0], "position of the INS point in base_frame: forward, left, up, in m"),
     Parameter("origin_source", FIRST_FIX, "origin of the map frame", choices=(FIRST_FIX, GIVEN, UNIT)),
-    Parameter("origin_latitude", math.nan, "for origin_source given", "deg", -90.0, 90.0),
-    Parameter("origin_longitude", math.nan, "for origin_source given", "deg", -180.0, 180.0),
-    Parameter("origin_altitude", math.nan, "for origin_source given; geoid or ellipsoid as the unit sends", "m", -1e4,
-              1e5),
-    Parameter("altitude_is_ellipsoidal", False, "the unit is configured to send ellipsoidal altitude"),
+    Parameter("origin_latitude", math.nan, "latitude of the origin, for origin_source given", "deg", -90.0, 90.0),
+    Parameter("origin_longitude", math.nan, "longitude of the origin, for origin_source given", "deg", -180.0, 180.0),
+    Parameter("origin_altitude", math.nan, "altitude of the origin, for origin_source given; above geoid or ellipsoid "
+              "as sent by the unit", "m", -1e4, 1e5),
+    Parameter("altitude_is_ellipsoidal", False, "whether the unit is configured to send ellipsoidal altitude"),
     Parameter("stamp_source", NCOM, "header stamps: UTC measured by the unit, or host receive time",
               choices=(NCOM, RECEIVE)),
-    Parameter("status_period", 1.0, "ins/status at least this often, and at every change of mode", "s", 0.05, 60.0),
-    Parameter("silence_after", 1.0, "no packet for this long is an error", "s", 0.05, 60.0),
-    Parameter("angular_velocity_stddev", 0.0, "for covariances; the unit sends none; 0: unknown", "rad/s", 0.0, 10.0),
-    Parameter("linear_acceleration_stddev", 0.0, "for covariances; the unit sends none; 0: unknown", "m/s^2", 0.0,
+    Parameter("status_period", 1.0, "longest time between ins/status, which is also published at every change of mode",
+              "s", 0.05, 60.0),
+    Parameter("silence_after", 1.0, "time without a packet after which an error is reported", "s", 0.05, 60.0),
+    Parameter("angular_velocity_stddev", 0.0, "for covariances, as the unit sends none; 0: unknown", "rad/s", 0.0,
+              10.0),
+    Parameter("linear_acceleration_stddev", 0.0, "for covariances, as the unit sends none; 0: unknown", "m/s^2", 0.0,
               100.0),
 )
 
@@ -236,9 +238,9 @@ def check_settings(settings: SimpleNamespace, node_name: str) -> None:
             ipaddress.ip_address(getattr(settings, key))
         except ValueError:
             reject(key, f"{getattr(settings, key)!r} is not an IP address")
-    lever = settings.base_to_ins
-    if len(lever) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in lever):
-        reject("base_to_ins", f"{list(lever)} is not three lengths of at most 100 m")
+    arm = settings.base_to_ins
+    if len(arm) != 3 or not all(isinstance(v, int | float) and math.isfinite(v) and abs(v) <= 100 for v in arm):
+        reject("base_to_ins", f"{list(arm)} is not three lengths of at most 100 m")
     if settings.origin_source == GIVEN:
         for key in ("origin_latitude", "origin_longitude", "origin_altitude"):
             if math.isnan(getattr(settings, key)):

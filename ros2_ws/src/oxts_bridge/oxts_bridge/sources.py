@@ -30,15 +30,15 @@ _MAX_COUNTED_SENDERS = 16
 LONGEST_PAUSE_NS = 60_000_000_000
 LONGEST_CONTINUATION_MS = 1_000  # a datagram from another port continues the stream only within this time
 
-# (bytes, received_ns, publish) -> number of packets; publish: false before the start offset of a replay.
+# (bytes, received_ns, publish) -> number of packets. publish: whether to publish them; false before the start offset.
 OnData = Callable[[bytes, int, bool], int]
 
 
 def continues_stream(newest: Packet | None, data: bytes) -> bool:
     """Whether a datagram continues a stream; false for a second unit at the same address.
 
-    Its first packet must be at most 1 s later than the newest packet of the stream, at a position consistent with the
-    velocity. False also without a packet, or if a position or velocity is unknown.
+    The first packet in `data` must be at most 1 s later than the newest packet of the stream, at a position consistent
+    with the velocity. False also without a packet, or if a position or velocity is unknown.
     """
     if newest is None:
         return False
@@ -64,7 +64,7 @@ class SourceStatus:
     problem: reason why no data can arrive, or "".  is_done: a replay has reached its end.  sender: address in use.
     datagrams: received datagrams, or packets of a replay.
     ignored_datagrams: number from up to 16 senders, by address, or by address and port for the address in use.
-    ignored_from_other_ports: those from other ports of the sender in use.  progress: fraction of the file replayed.
+    ignored_from_other_ports: number from other ports of the sender in use.  progress: fraction of the file replayed.
     loops: completed passes of a looped replay.
     """
 

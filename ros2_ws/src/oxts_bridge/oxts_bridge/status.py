@@ -120,11 +120,11 @@ class StatusTracker:
         is_invalid = None in (x, y, heading) or data == b"\x80\0\0\0\x80\0\0\0"
         if self._has_local_frame() or is_invalid or position is None or not all(map(isfinite, position)):
             return
-        origin = origin_from_channel_25(x, y, heading, *position)
+        origin = compute_legacy_origin(x, y, heading, *position)
         fields.update(zip(LOCAL_FRAME, origin, strict=True))
 
 
-def origin_from_channel_25(x: float, y: float, heading: float, latitude: float, longitude: float,
+def compute_legacy_origin(x: float, y: float, heading: float, latitude: float, longitude: float,
                            altitude: float) -> tuple[float, float, float, float]:
     """Local frame of old firmware: latitude, longitude [deg], altitude [m] of its origin, heading [deg] of its x axis.
 

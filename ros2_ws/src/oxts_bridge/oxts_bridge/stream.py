@@ -9,7 +9,7 @@ from .ncom import DUPLICATE, LATE, NEW, SAME, Counters, GpsClock, Packet, Status
 
 _NO_VECTOR = (ncom.NAN, ncom.NAN, ncom.NAN)
 HOST_MINUTE_DELAY_NS = 2_000_000_000  # time without channel 0 until the minute is taken from the host's clock
-GAP_STEPS = 1.75  # a step longer than this many typical steps is a gap
+GAP_STEP_RATIO = 1.75  # a step longer than this many typical steps is a gap
 _CLOCK_SAMPLES = 1000  # number of stored clock offsets: four seconds at 250 Hz
 
 
@@ -42,7 +42,7 @@ class ReceivedPacket:
 class NcomParser:
     """Parses datagrams or pieces of a file; a packet may extend over several of them.
 
-    utc_offset: UTC - GPS as sent by the unit [s], None until then. minute_from_host: whether the GPS minute is from the
+    utc_offset: UTC - GPS as sent by the unit [s], None before. minute_from_host: whether the GPS minute is from the
     host's clock, because a live stream has no channel 0 (normally sent in every 10th packet).
     """
 
@@ -60,7 +60,7 @@ class NcomParser:
         self._events: dict[int, tuple[int, int]] = {}  # by channel: count and time of the newest event
 
     def restart(self) -> None:
-        """Prepare for another stream: discard the time and an incomplete packet, but keep the counters."""
+        """Prepare for a new stream: discard the time and an incomplete packet, but keep the counters."""
         jumps, self.clock = self.clock.jumps, GpsClock()
         self.clock.jumps = jumps
         self._tail, self._in_sync = b"", True
@@ -86,7 +86,7 @@ class NcomParser:
     def _accept(self, raw: bytes, offset: int, received_ns: int | None) -> ReceivedPacket | None:
         counters = self.counters
         counters.packets += 1
-        status = raw[ncom.STATUS_AT]
+        status = raw[ncom.STATUS_BYTE]
         if status == ncom.STRUCTURE_B:
             counters.structure_b += 1
             return None
@@ -149,7 +149,7 @@ class NcomParser:
     def _detect_event(self, channel: int, data: bytes, is_trigger: bool) -> int | None:
         """GPS time [ns] of an event that no earlier packet reported, else None.
 
-        Units repeat events in regular packets; the first count in a regular packet belongs to an old event.
+        Units repeat events in regular packets, so a count that is first seen in a regular packet is of an old event.
         """
         gps_ns = channels.decode_event_time(channel, data)
         if gps_ns is None:
@@ -200,7 +200,7 @@ class StreamStatistics:
             typical = self._typical_step_ns or step
             # Adapts slowly: a changed rate becomes typical, but a lost packet has little effect.
             self._typical_step_ns = typical + min(step - typical, typical) // 64
-            self.gaps += step > GAP_STEPS * typical
+            self.gaps += step > GAP_STEP_RATIO * typical
         self._last_gps_ns = received.gps_ns
         if received.received_ns is not None and received.utc_ns is not None:
             self._offsets.append(received.utc_ns - received.received_ns)

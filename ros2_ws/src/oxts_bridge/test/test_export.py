@@ -130,7 +130,7 @@ def test_output_that_overwrites_the_recording_or_the_other_output_is_refused(tmp
     recording.write_bytes(b"".join(drive(3)))
     before = recording.read_bytes()
     csv_path, status_path = (None if name is None else tmp_path / name for name in outputs)
-    with pytest.raises(NcomError, match=r"is the recording itself|name two files"):
+    with pytest.raises(NcomError, match=r"is the recording itself|name two different files"):
         write_csv(recording, csv_path, status_path)
     assert recording.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["run.ncom"]

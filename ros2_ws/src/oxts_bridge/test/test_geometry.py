@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oxts_bridge.geometry import Attitude, LocalFrame, compute_radii, flu_from_frd, to_ecef, yaw_from_heading
-from oxts_bridge.status import origin_from_channel_25, wrap_degrees
+from oxts_bridge.status import compute_legacy_origin, wrap_degrees
 
 POLAR_RADIUS = 6356752.314245179  # of WGS 84 [m]
 T = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])  # NED to ENU
@@ -122,7 +122,7 @@ def along_heading(east, north, heading):
 @given(x=st.floats(-3000, 3000), y=st.floats(-3000, 3000), heading=st.floats(-180, 180))
 def test_origin_from_channel_25_gives_its_local_coordinates(x, y, heading):
     position = (math.radians(52), math.radians(-1.25), 100.0)
-    latitude, longitude, altitude, angle = origin_from_channel_25(x, y, heading, *position)
+    latitude, longitude, altitude, angle = compute_legacy_origin(x, y, heading, *position)
     latitude, longitude = math.radians(latitude), math.radians(longitude)
     east, north, _ = LocalFrame(latitude, longitude, altitude).to_enu(*position)
     # Old firmware computes with a flat earth.

@@ -18,7 +18,7 @@ app = typer.Typer(
     help="Single-track predictor suite: where will the car be in five seconds, and how wrong was that prediction?",
     epilog="In a checkout also: ./st test, ./st shell, ./st bench, ./st docs.")
 COMMAND_OPTIONS: dict[Callable, dict[str, Any]] = {
-    discover.discover: {"cls": discover.WithReferences}, raw_logs.import_: {"name": "import"}}
+    discover.discover: {"cls": discover.ReferenceCommand}, raw_logs.import_: {"name": "import"}}
 for verb in (live.demo, live.live, raw_logs.ncom, check.car, check.check, evaluate.evaluate, evaluate.calibrate,
              evaluate.course, discover.discover, effects.effects, discover.identify, replay.replay, replay.verify,
              replay.view, replay.foxglove, raw_logs.align, raw_logs.import_, raw_logs.recover, effects.export):

@@ -51,13 +51,13 @@ class GridBlock:
         return len(self.starts_ns)
 
     @property
-    def shared(self) -> bool:
+    def is_shared(self) -> bool:
         """Whether the starts share instants."""
         return self.spacing > 0
 
     def arrange(self, values: np.ndarray) -> np.ndarray:
         """Values at times_ns, (m,), in the order to which `offsets` refers."""
-        return (values.reshape(-1, self.spacing).T if self.shared else values).ravel()
+        return (values.reshape(-1, self.spacing).T if self.is_shared else values).ravel()
 
     def tabulate(self, fields: tuple) -> np.ndarray:
         """Table (fields, m) of quantities, each of them an arranged array or a number."""
@@ -293,7 +293,7 @@ class LogBatch:
                 acceleration = recorded[1]
             else:
                 acceleration = block.arrange(signals.ins_at(times_ns, "velocity_x_dot")[0])
-        if block.shared:
+        if block.is_shared:
             recording.sample_cache[key] = angle, acceleration
         extra = [block.arrange(signals.sample(*self.extra_signals[name], times_ns)) for name in model.signals]
         return [angle, acceleration, *extra]

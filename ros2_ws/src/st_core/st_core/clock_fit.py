@@ -215,7 +215,7 @@ def _is_positive_definite(matrix: np.ndarray) -> bool:
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
     """(gain, bias) of the weighted least squares line y = gain x + bias; gain 0 if x does not vary."""
-    # Sums, because a dot product would start linear algebra threads for each of these short rows.
+    # Sums instead of dot products, which would start linear algebra threads for each of these short rows.
     total = float(weight.sum())
     weighted_x = weight * x
     mean_x, mean_y = float(weighted_x.sum()) / total, float((weight * y).sum()) / total

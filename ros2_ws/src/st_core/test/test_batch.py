@@ -221,17 +221,17 @@ def test_predictions_from_an_empty_log_are_nan(leaf):
 def test_starts_on_a_common_grid_share_its_instants():
     instants = 25 * MS * np.arange(201)
     block, = plan_blocks(regular_starts(0, 1000), instants, 1)
-    assert block.shared and block.spacing == 4 and len(block.times_ns) == 4 * (1000 + 50)
+    assert block.is_shared and block.spacing == 4 and len(block.times_ns) == 4 * (1000 + 50)
     block, = plan_blocks(np.delete(regular_starts(0, 1000), slice(100, 140)), instants, 1)
-    assert block.shared and block.count == 1000 and len(block.start_columns) == 960
+    assert block.is_shared and block.count == 1000 and len(block.start_columns) == 960
     blocks = list(plan_blocks(regular_starts(0, 1000) + np.arange(1000), instants, 1))
-    assert not any(b.shared for b in blocks) and sum(b.count for b in blocks) == 1000
+    assert not any(b.is_shared for b in blocks) and sum(b.count for b in blocks) == 1000
     assert max(b.times_ns.size for b in blocks) <= batch_module.SEPARATE_BLOCK
     hours_apart = np.concatenate([regular_starts(0, 1000), regular_starts(10**7 + 3, 1000)])
     block, = plan_blocks(hours_apart, instants, 48)
-    assert block.shared and block.count == 1000 + 50 + 1000
+    assert block.is_shared and block.count == 1000 + 50 + 1000
     two_rates = np.concatenate([regular_starts(0, 1000), regular_starts(10**7 + 3, 1000)[::2]])
-    assert [b.shared for b in plan_blocks(two_rates, instants, 48)] == [True, True]
+    assert [b.is_shared for b in plan_blocks(two_rates, instants, 48)] == [True, True]
     assert list(plan_blocks(np.empty(0, np.int64), instants, 1)) == []
     for b in (b for starts in (hours_apart, two_rates, regular_starts(0, 20_000))
               for b in plan_blocks(starts, instants, 48)):

@@ -13,7 +13,7 @@ from . import _options as shared
 REFERENCE = "--reference"
 
 
-class WithReferences(TyperCommand):
+class ReferenceCommand(TyperCommand):
     """Command in which `--reference a b` means `--reference a --reference b`; the next option or -- ends the list."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

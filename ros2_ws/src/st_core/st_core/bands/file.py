@@ -74,9 +74,9 @@ class Bands:
         return result
 
     def check(self, vehicle: VehicleParameters, models: Mapping[str, str], settings: EvaluationSettings) -> None:
-        """Raises a one-line ConfigurationError if the bands belong to another car, model or configuration.
+        """Raises a one-line ConfigurationError if the bands belong to a different car, model or configuration.
 
-        models: hash of the model file of each model to use, "" for a model of the paper.
+        models: hash of the model file of each model to use, "" for a built-in model.
         """
         if vehicle.hash != self.vehicle_hash:
             raise ConfigurationError(f"vehicle: the bands are for {self.vehicle_name!r} {self.vehicle_hash[:12]}, "
@@ -91,8 +91,8 @@ class Bands:
                 raise ConfigurationError(f"bands.{model}: missing; the file has {', '.join(self.models)}; calibrate "
                                          "with that model")
             if hash_configuration(vehicle, self.settings, digest) != self.hashes[model]:
-                raise ConfigurationError(f"bands.{model}: calibrated with another model file of that name; calibrate "
-                                         "with this one")
+                raise ConfigurationError(f"bands.{model}: calibrated with a different model file of that name; "
+                                         "calibrate with this one")
 
     def to_yaml(self) -> str:
         """Text of the file, which `from_yaml` reads."""
@@ -146,7 +146,7 @@ class Bands:
                 mode_entry = entry[mode]
                 coefficients = np.array(mode_entry["coefficients"], float)
                 if coefficients.shape != (3, len(KNOTS), compute_features(np.zeros((1, 4))).shape[1]):
-                    raise ConfigurationError("coefficients: written by another version; calibrate again")
+                    raise ConfigurationError("coefficients: written by a different version; calibrate again")
                 scale = Scale(coefficients, np.array(mode_entry["floor"], float), time)
                 bands[model, mode] = Band(scale, {float(k): float(v) for k, v in mode_entry["factors"].items()},
                                           np.array(mode_entry["ratios"], float))
@@ -162,7 +162,7 @@ def make_times(horizon: float, step: float) -> np.ndarray:
 
 
 def hash_configuration(vehicle: VehicleParameters, settings: Mapping[str, Any], model_hash: str) -> str:
-    """The configuration hash of predictions with these settings. model_hash: "" for a model of the paper."""
+    """The configuration hash of predictions with these settings. model_hash: "" for a built-in model."""
     prediction = PredictionSettings(**{setting.name: settings[setting.name] for setting in fields(PredictionSettings)})
     return configuration_hash(vehicle, prediction, model_hash)
 

@@ -154,7 +154,7 @@ def compute_scalar_features(condition: Sequence[Any] | np.ndarray, log: Callable
                             maximum: Callable[[Any, Any], Any] = max) -> list[Any]:
     """The 20 `compute_features` of four conditions as a list; for floats in half the time (a third with cold caches).
 
-    log, maximum: functions for another type of the conditions, such as CasADi's symbols or arrays.
+    log, maximum: functions for conditions of other types, such as CasADi symbols or arrays.
     """
     logs = [log((maximum(value, floor) + offset) / divisor)
             for value, floor, offset, divisor in zip(condition, _FLOORS, _OFFSETS, _DIVISORS, strict=True)]

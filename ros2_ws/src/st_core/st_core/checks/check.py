@@ -51,7 +51,7 @@ def check(log: DriveLog, vehicle: VehicleParameters | None = None,
     auxiliary = auxiliary or AuxiliaryData()
     start_ns = next(iter(log.ins_time_ns[:1].tolist()), 0) if auxiliary.start_ns is None else auxiliary.start_ns
     log, implausible = drop_implausible(log, start_ns)
-    # The reader has already reported the samples that it left out or kept.
+    # The reader has already reported samples that it left out, or kept although implausible.
     reported = {(finding.name, finding.channels) for finding in auxiliary.implausible}
     implausible = [*auxiliary.implausible, *(f for f in implausible if (f.name, f.channels) not in reported)]
     motion = Motion.from_log(log, start_ns, auxiliary)

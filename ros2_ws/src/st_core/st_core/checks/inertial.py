@@ -189,7 +189,7 @@ CheckResult = tuple[list[Finding], dict[str, Estimate], Comparison | None]
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Errors of a channel below which it agrees with a reference."""
+    """Largest errors of a channel that are regarded as agreement with a reference."""
 
     channel: str
     reference: str

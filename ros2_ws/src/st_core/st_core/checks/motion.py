@@ -48,13 +48,13 @@ class Motion:
     geographic: bool = False  # see `AuxiliaryData`
 
     @classmethod
-    def from_log(cls, log: DriveLog, start: int, auxiliary: AuxiliaryData) -> "Motion":
-        """The motion as recorded. start: zero of the times [ns]."""
+    def from_log(cls, log: DriveLog, start_ns: int, auxiliary: AuxiliaryData) -> "Motion":
+        """The motion as recorded. start_ns: zero of the times [ns]."""
         series = {"wheel_speed": auxiliary.wheel_speed, "ins_speed": auxiliary.ins_speed}
-        speeds = {name: ((signal.time_ns - start) * NANOSECOND, signal.values)
+        speeds = {name: ((signal.time_ns - start_ns) * NANOSECOND, signal.values)
                   for name, signal in series.items() if signal and len(signal.time_ns) > 1}
-        return cls((log.ins_time_ns - start) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
-                   log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start) * NANOSECOND,
+        return cls((log.ins_time_ns - start_ns) * NANOSECOND, log.x - log.x[:1], log.y - log.y[:1], log.yaw,
+                   log.velocity_x, log.velocity_y, log.yaw_rate, (log.steering_time_ns - start_ns) * NANOSECOND,
                    log.road_wheel_angle, log.acceleration_x, log.acceleration_y, speeds, auxiliary.geographic)
 
     def with_time_divided(self, factor: float) -> "Motion":

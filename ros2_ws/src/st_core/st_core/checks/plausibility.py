@@ -67,8 +67,8 @@ class _ChannelSamples:
         self.step = np.abs(np.diff(values))  # |change| from each sample to the next, (n - 1,) [unit]
         changes = np.flatnonzero(self.step > 0.0)
         self.median_step = float(np.median(self.step[changes]))  # of the non-zero steps
-        self.update = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes of the value
-        physical = self.limits.max_step * max(1.0, self.spacing / STEP_TIME, self.update / STEP_TIME)
+        self.update_interval = float(np.median(np.diff(time[changes + 1])))  # s, usual time between changes
+        physical = self.limits.max_step * max(1.0, self.spacing / STEP_TIME, self.update_interval / STEP_TIME)
         self.limit = max(physical, STEP_MEDIAN_RATIO * self.median_step)  # largest plausible change [unit]
 
 
@@ -76,7 +76,7 @@ def drop_implausible(log: DriveLog, start_ns: int) -> tuple[DriveLog, list[Findi
     """(the drive without implausible samples, one finding for each kind and channel).
 
     An INS row with an implausible sample of INS_SIGNALS is left out, an optional signal becomes NaN, and a steering
-    sample is left out of the steering only. A channel with more than half of its samples implausible keeps all of them,
+    sample is left out of the steering only. If more than half of its samples are implausible, a channel is unchanged
     and its findings are errors. start_ns: zero of the times in the findings.
     """
     bad: dict[str, np.ndarray] = {}  # mask of the implausible samples by channel
@@ -157,10 +157,10 @@ def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
 
 
 def _find_jumps(channel: _ChannelSamples, large: np.ndarray, implausible: np.ndarray) -> np.ndarray:
-    """Samples after a step that is much larger than usual, in any unit, and is neither reversed nor a wrap-around."""
+    """Samples after a step that is much larger than usual in any unit, without a reversal or a wrap-around."""
     constant = channel.step == 0.0  # a step next to a held value belongs to a frozen channel
     is_held = np.append(constant[:1], constant) | np.append(constant, constant[-1:])
-    excluded = implausible | (is_held & (channel.update <= 1.5 * channel.spacing))
+    excluded = implausible | (is_held & (channel.update_interval <= 1.5 * channel.spacing))
     extreme = large & (channel.step > JUMP_RATIO * float(np.percentile(channel.step[channel.step > 0.0], 90)))
     return 1 + np.flatnonzero(extreme & ~channel.gap & ~excluded[1:] & ~excluded[:-1])
 
@@ -234,7 +234,7 @@ def _find_spikes(channel: _ChannelSamples, large: np.ndarray) -> np.ndarray:
     runs in which most steps are large and irregular; equal large steps would be a turn in a wrong unit."""
     if not large.any():
         return np.zeros(0, np.int64)
-    half = max(round(max(HALF_WINDOW, 2.5 * channel.update) / channel.spacing), 2)  # samples
+    half = max(round(max(HALF_WINDOW, 2.5 * channel.update_interval) / channel.spacing), 2)  # samples
     near = np.flatnonzero(np.convolve(large, np.ones(2 * half + 1), "same") > 0.5)  # samples near a large step
     near = np.unique(np.clip(np.concatenate((near, near + 1)), 0, len(channel.values) - 1))
     segment = np.concatenate(([0], np.cumsum(channel.gap)))  # number of the segment without a gap

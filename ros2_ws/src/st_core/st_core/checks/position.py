@@ -430,7 +430,7 @@ def check_position_steps(motion: Motion) -> tuple[Motion, list[Finding]]:
 
     A jump is one large d. A stale position, which is older by one receiver interval h, causes a step back along the
     track by v h, and the next new position an equal step forward. Time stamps that jitter are replaced by evenly spaced
-    ones, and nothing else is then reported.
+    ones, and then nothing else is reported.
     """
     if len(motion.time) < MIN_JUDGED_STEPS:
         return motion, []

@@ -101,7 +101,7 @@ def _make_missing_values_finding(channel: str, count: int, motion: Motion, auxil
     fraction, rate = count / max(len(time) + (0 if keeps_row else count), 1), 0.0
     spacing, row_spacing = np.diff(time), np.diff(stamps * NANOSECOND)
     if not keeps_row and min(len(spacing), len(row_spacing)) >= MIN_MEASURED_STEPS:
-        # Evenly spaced samples show a sensor that is slower than the rows; one interval in a hundred may deviate.
+        # Evenly spaced samples indicate a sensor slower than the rows; one interval in a hundred may deviate.
         row = float(np.median(row_spacing))
         expected = row / max(1.0 - fraction, 1e-9)
         within = np.abs(spacing - expected) <= 1.05 * row
@@ -289,7 +289,7 @@ def _check_frozen(name: str, time: np.ndarray, values: np.ndarray, motion: Motio
 
 def _should_change(name: str, begin: float, end: float, motion: Motion, resolution: float,
                    min_curvature_change: float = MIN_CURVATURE_CHANGE) -> bool:
-    """Whether the other channels show that this one should have changed by more than its resolution.
+    """Whether a channel should have changed by more than its resolution, according to the other channels.
 
     min_curvature_change: smallest relative change of the curvature at which the steering angle should have changed.
     """

@@ -30,11 +30,11 @@ MIN_RATE_ERROR = 0.005  # smallest reported relative error of the sampling rate;
 CLEAR_MISFIT_RATIO = 0.8  # ratio of two misfits below which the smaller one is clearly better
 TIE_MISFIT_RATIO = 0.97  # ratio of two misfits above which velocity_y is too small to determine its own unit
 DEG_PER_RAD, GON_PER_RAD = 180.0 / np.pi, 200.0 / np.pi
-ANGLES = {DEG_PER_RAD: "degrees", GON_PER_RAD: "gon", 1000.0: "mrad"}
-SPEEDS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
-LENGTHS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
+ANGLE_UNITS = {DEG_PER_RAD: "degrees", GON_PER_RAD: "gon", 1000.0: "mrad"}  # names by number of units per SI unit
+SPEED_UNITS = {3.6: "km/h", 2.23694: "mph", 1.94384: "knots"}
+LENGTH_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 3.28084: "feet", 0.001: "kilometres"}
 MAX_DEGREE_RATIO = 1e-4  # ratio to the distance below which positions are angles: a degree of latitude is 111 km
-TIMES = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
+TIME_UNITS = {1e3: ("milliseconds", "ms"), 1e6: ("microseconds", "us"), 1e9: ("nanoseconds", "ns")}
 MIN_WRAP_STEP = 0.01  # rad; smallest step that counts as a wrap; 360 deg unwrapped as rad leaves 1.86 deg
 EXCHANGE_X_Y = {"x": "y", "y": "x"}  # columns of run.yaml
 MIRROR, COMPASS_TO_YAW = {"scale": -1.0}, {"scale": -1.0, "add": np.pi / 2}  # corrections in run.yaml
@@ -85,13 +85,13 @@ def check_time_unit(motion: Motion) -> MotionAndFinding:
     if not known or not all(r > 0 and not _matches(r, 1.0) and is_near(r, known[0]) for r in known):
         return motion, None
     factor = 1.0 / ratios.position_to_speed
-    unit = match_unit(factor, TIMES)
+    unit = match_unit(factor, TIME_UNITS)
     # A single ratio may also be due to the unit of velocity, so it must match a unit of time.
     if not unit and (len(known) < 2 or 1 / 10 < factor < 10):
         return motion, None
     question, advice = "", Advice("look", "check the clock that stamps the rows")
     if unit:
-        factor, (name, symbol) = unit, TIMES[unit]
+        factor, (name, symbol) = unit, TIME_UNITS[unit]
         question = f": is its unit {name}?"
         advice = Advice.for_run_yaml({"units": {"t": symbol}})
     text = f"time runs {factor:g} times too fast compared with positions and yaw{question}"
@@ -126,7 +126,7 @@ def _correct_rate_in_unit_of_yaw(motion: Motion) -> MotionAndFinding:
     """Correct a yaw rate in the same wrong unit as yaw, by comparison with the course; yaw is corrected later."""
     ratios = compute_ratios(motion)
     size = _round_to_angle_unit(ratios.rate_to_course, COURSE_TOLERANCE)
-    if size in ANGLES and _matches(abs(ratios.yaw_to_rate), 1.0) and _matches(abs(ratios.yaw_to_course), size):
+    if size in ANGLE_UNITS and _matches(abs(ratios.yaw_to_rate), 1.0) and _matches(abs(ratios.yaw_to_course), size):
         return _scale_yaw_rate(motion, ratios.rate_to_course, "the course of the positions", size)
     return motion, None
 
@@ -144,7 +144,7 @@ def _correct_yaw_or_rate(motion: Motion) -> MotionAndFinding:
             and _matches(ratios.yaw_to_rate, -1.0)):
         return _scale_yaw_rate(motion, -1.0)
     factor, size = ratios.yaw_to_rate, _round_to_angle_unit(ratios.yaw_to_rate)
-    unit = ANGLES.get(size, "")
+    unit = ANGLE_UNITS.get(size, "")
     if factor > 0.0:
         name, advice = "yaw_scale", Advice.correct("yaw", scale=1.0 / size)
         text = (f"yaw is {factor:.3g} times the angle from yaw rate and course"
@@ -198,7 +198,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size:
     """Divide the yaw rate by a factor. size: its exact magnitude; 0: rounded to that of an angle unit."""
     size = size or _round_to_angle_unit(factor)
     exact = float(np.copysign(size, factor))
-    reason = (f": is its unit {ANGLES[size].replace('degrees', 'deg')}/s?" if size in ANGLES else
+    reason = (f": is its unit {ANGLE_UNITS[size].replace('degrees', 'deg')}/s?" if size in ANGLE_UNITS else
               ": it has the opposite sign (left is positive)" if exact == -1.0 else "")
     text = f"yaw_rate is {factor:.3g} times the rate of change of {reference}{reason}"
     return _correct(motion, "yaw_rate_scale", ("yaw_rate",), text, factor,
@@ -208,7 +208,7 @@ def _scale_yaw_rate(motion: Motion, factor: float, reference: str = "yaw", size:
 def _round_to_angle_unit(factor: float, tolerance: float = UNIT_TOLERANCE) -> float:
     """Magnitude of a factor, rounded to 1 or to the factor of an angle unit if it is near."""
     size = abs(factor)
-    return min((unit for unit in (*ANGLES, 1.0) if is_near(size, unit, tolerance)),
+    return min((unit for unit in (*ANGLE_UNITS, 1.0) if is_near(size, unit, tolerance)),
                key=lambda unit: abs(np.log(size / unit)), default=size)
 
 
@@ -250,9 +250,9 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     ratio = compute_ratios(motion).position_to_speed
     if not np.isfinite(ratio) or _matches(ratio, 1.0):
         return motion, None
-    speed, length = match_unit(1.0 / ratio, SPEEDS), match_unit(ratio, LENGTHS)
+    speed, length = match_unit(1.0 / ratio, SPEED_UNITS), match_unit(ratio, LENGTH_UNITS)
     if length and not speed:
-        text = f"x and y are {ratio:.4g} times the integrated velocity: is their unit {LENGTHS[length]}?"
+        text = f"x and y are {ratio:.4g} times the integrated velocity: is their unit {LENGTH_UNITS[length]}?"
         advice = Advice.correct("position", scale=1.0 / length)
         return _correct(motion, "position_scale", ("x", "y"), text, ratio, advice)
     if not speed and ratio < MAX_DEGREE_RATIO:
@@ -265,7 +265,7 @@ def _correct_distance(motion: Motion) -> MotionAndFinding:
     scale = 1.0 / (speed or velocity_ratio)
     both, forward = (Advice.correct(channel, scale=scale) for channel in ("velocity", "velocity_x"))
     misfit_both, misfit_forward = (_compute_misfit(motion.apply_entry(advice.entry)) for advice in (both, forward))
-    unit = f": is the unit {SPEEDS[speed]}?" if speed else ""
+    unit = f": is the unit {SPEED_UNITS[speed]}?" if speed else ""
     if misfit_forward < TIE_MISFIT_RATIO * misfit_both:
         text = f"velocity_x is {velocity_ratio:.3g} times the rate of change of positions{unit}"
         return _correct(motion, "velocity_x_scale", ("velocity_x",), text, velocity_ratio, forward)

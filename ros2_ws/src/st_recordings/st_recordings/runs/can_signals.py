@@ -8,7 +8,7 @@ import numpy as np
 from canedge_bridge.checks import Mode, find_counter_faults
 from canedge_bridge.extraction import has_length, stack_bytes
 from canedge_bridge.ins_time import replace_gps_time
-from canedge_bridge.plausibility import find_plausible
+from canedge_bridge.plausibility import find_plausible_frames
 from canedge_bridge.signals import MessageSpec, SignalTable, load_table
 from st_core.checks import Series
 
@@ -75,7 +75,7 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
         rows = order[slice(*np.searchsorted(sorted_ids, (key, key + 1)).tolist())]
         rows = rows[frames.flags[rows] & (REMOTE | ERROR) == 0]
         if not len(rows):
-            if spec.needed and (fault := _describe_similar_id(frames.id, key)):
+            if spec.is_needed and (fault := _describe_similar_id(frames.id, key)):
                 faults[message] = fault
             continue
         decoded = _decode_message(frames, rows, spec)
@@ -222,7 +222,7 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
     for signal in spec.signals:
         if signal.is_limited:
             is_present = keep & np.isfinite(values[signal.name]) if signal.extractor.selectors else keep
-            is_plausible = find_plausible(signal, spec, time_ns[is_present], values[signal.name][is_present])
+            is_plausible = find_plausible_frames(signal, spec, time_ns[is_present], values[signal.name][is_present])
             accepted[is_present] &= is_plausible
             if len(implausible := values[signal.name][is_present][~is_plausible] / signal.factor):
                 worst = float(implausible[np.argmax(np.abs(implausible))])
