@@ -60,7 +60,9 @@ def test_library_file_can_be_checked():
 @pytest.mark.slow
 def test_violated_requirement_is_reported_with_exit_status_1(proposal):
     file = proposal / "effects" / "proposed_rear_steer.py"
-    file.write_text(file.read_text().replace("theta.share * relation(", "theta.share + relation("))
+    hook = "RelationEffect.slip_angles"
+    shifted = f"lambda front, rear, *more: {hook}(front + 0.001, rear, *more)"
+    file.write_text(file.read_text().replace(f"staticmethod({hook})", f"staticmethod({shifted})"))
     result = st("effects", "check", file)
     assert result.exit_code == 1 and "FAIL at null it changes nothing, to the last bit: at null" in result.output
 

@@ -82,7 +82,7 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
         changes.append(np.array([*rates, *measured[:8]]))
     plain, by_file, by_curve = changes
     assert np.abs(by_curve - plain).max() > 1e-6
-    assert by_file - plain == pytest.approx(by_curve - plain, rel=0.05, abs=0.02 * np.abs(by_curve - plain).max())
+    assert by_file - plain == pytest.approx(by_curve - plain, rel=1e-4, abs=1e-5 * np.abs(by_curve - plain).max())
 
 
 @pytest.mark.slow

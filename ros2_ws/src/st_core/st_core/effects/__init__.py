@@ -28,10 +28,12 @@ from ._base import (
     get_effect,
     register,
 )
+from ._relation import LaggedRelationEffect, RelationEffect, fix_curve
 
-__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_DELAY", "Effect",
-           "Instant", "Measured", "Parameter", "find_applicable_effects", "find_confounded_effects", "find_source_file",
-           "get_effect", "load_file", "load_folder", "register", "unload_folder"]
+__all__ = ["ANY", "COMBINATIONS", "DYNAMIC", "EFFECTS", "EFFECT_KINDS", "TOTAL_DELAY", "Effect", "Instant",
+           "LaggedRelationEffect", "Measured", "Parameter", "RelationEffect", "find_applicable_effects",
+           "find_confounded_effects", "find_source_file", "fix_curve", "get_effect", "load_file", "load_folder",
+           "register", "unload_folder"]
 
 
 def load_folder(path: str) -> tuple[str, ...]:

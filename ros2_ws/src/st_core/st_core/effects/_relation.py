@@ -62,14 +62,15 @@ def spline(t):
 
 
 def evaluate_curve(u, theta):
-    """f(u) of the module docstring."""
+    """f(u) of the module docstring, times the share."""
     high = theta.low + INTERVALS * theta.spacing
     t = (minimum(maximum(u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     s = (minimum(maximum(-u, theta.low + 0.0 * u), high + 0.0 * u) - theta.low) / theta.spacing
     p = theta.parity
-    return (theta.c0 * _basis(t, s, p, -1.0) + theta.c1 * _basis(t, s, p, 0.0) + theta.c2 * _basis(t, s, p, 1.0)
-            + theta.c3 * _basis(t, s, p, 2.0) + theta.c4 * _basis(t, s, p, 3.0) + theta.c5 * _basis(t, s, p, 4.0)
-            + theta.c6 * _basis(t, s, p, 5.0) + theta.c7 * _basis(t, s, p, 6.0))
+    f = (theta.c0 * _basis(t, s, p, -1.0) + theta.c1 * _basis(t, s, p, 0.0) + theta.c2 * _basis(t, s, p, 1.0)
+         + theta.c3 * _basis(t, s, p, 2.0) + theta.c4 * _basis(t, s, p, 3.0) + theta.c5 * _basis(t, s, p, 4.0)
+         + theta.c6 * _basis(t, s, p, 5.0) + theta.c7 * _basis(t, s, p, 6.0))
+    return theta.share * f
 
 
 def _basis(t, s, parity, k):
@@ -113,11 +114,22 @@ def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_COEFFICIENT, MAX_COEFFICIENT),
                     meaning=f"coefficient of spline {k}", source="fit of the relation") for k in range(SPLINES)),
         _constant("low", "smallest value of u"), _constant("spacing", "spacing of the knots of u", 1.0),
-        _constant("parity", "-1 odd, +1 even, 0 neither"),
+        _constant("parity", "-1 odd, +1 even, 0 neither"), _constant("share", "fraction of the curve", 1.0),
         *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
         _constant("by_one", "constant part of the factor", 1.0),
         *(_constant(f"by_{name}", "weight in the factor") for name in FACTOR_INPUTS),
         *(_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *more)
+
+
+def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
+    """Parameters of an effect with a fixed curve, of which only its `share` is fitted.
+
+    kind: the kind of relation whose hooks the effect has. odd: as for Parameter. values: of the parameters of `kind`.
+    """
+    share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
+                      source="st discover --propose", odd=odd)
+    return share, *(_constant(p.name, p.meaning, values.get(p.name, p.null))
+                    for p in kind.parameters if p.name != share.name)
 
 
 class _Relation(Effect):

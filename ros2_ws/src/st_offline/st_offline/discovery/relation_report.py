@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from st_core.discovery import Discovery
 from st_core.discovery.next_manoeuvre import REPETITIONS
-from st_core.effects import Effect, find_source_file, load_file, unload_folder
+from st_core.effects import Effect, find_source_file, get_effect, load_file, unload_folder
 from st_core.model_file import EffectValue, ModelFile, ModelProvenance
 from st_core.regression import Z95
 from st_core.relations import Candidate, Relation, RelationSearch
-from st_core.relations.candidates import ALL_TERMS, FILTERED_QUANTITIES, ODD, QUANTITIES, SENSOR_READINGS
+from st_core.relations.candidates import ALL_TERMS, FILTERED_QUANTITIES, ODD, QUANTITIES
 from st_core.relations.next_drive import INDEPENDENT_OF_MANOEUVRE, Option
 from st_core.vehicle import VehicleParameters
 
@@ -211,36 +210,11 @@ def _describe_manoeuvre(option: Option) -> str:
 
 
 EFFECTS_FOLDER = Path(find_source_file(Effect)).parent
-KNOTS = 21  # of the linear interpolation that approximates the fitted spline
 SLOTS = {"front_steer": "front axle", "rear_steer": "rear axle", "front_force": "front axle", "rear_force": "rear axle",
         "front_grip": "front axle", "rear_grip": "rear axle", "both_grip": "both axles", "yaw_moment": "body",
         "side_force": "body", "sensor_yaw_rate": "yaw rate", "sensor_acceleration_y": "acceleration",
         "sensor_velocity_y": "velocity", "sensor_heading": "heading"}
-STATE_EXPRESSIONS = {
-    "steering": "instant.road_wheel_angle", "acceleration_y": "instant.velocity_x * instant.yaw_rate",
-    "acceleration_x": "instant.velocity_x_dot", "speed": "instant.velocity_x", "yaw_rate": "instant.yaw_rate",
-    "slip_front": "slip_front", "slip_rear": "slip_rear", "north": "sin(instant.yaw)", "east": "cos(instant.yaw)",
-    "position_x": "instant.x", "position_y": "instant.y"}
-READING_EXPRESSIONS = {"acceleration_y": "measured.velocity_x * measured.yaw_rate", "speed": "measured.velocity_x",
-                       "yaw_rate": "measured.yaw_rate"}
 MAP_QUANTITIES = ("north", "east", "position_x", "position_y")  # relative to the map, not the car
-IMPORTED_OPS = {"east": "absolute, cos, maximum, minimum", "north": "absolute, maximum, minimum, sin"}
-SLIP_HOOK = "slip_angles(slip_front, slip_rear, extra, instant, prepared, theta)"
-FORCE_HOOK = "axle_forces(forces, slip_front, slip_rear, instant, prepared, theta)"
-COMPUTE_FORCES = "front, rear = forces(slip_front, slip_rear, instant)\n        "
-HOOKS = {  # (signature, body) of the effect's method, by term
-    # Steering a wheel to the left reduces its slip angle, which is positive if the wheel moves to its left.
-    "front_steer": (SLIP_HOOK, "return slip_front - {y}, slip_rear"),
-    "rear_steer": (SLIP_HOOK, "return slip_front, slip_rear - {y}"),
-    "front_force": (FORCE_HOOK, f"{COMPUTE_FORCES}return front + theta.constants * {{y}}, rear"),
-    "rear_force": (FORCE_HOOK, f"{COMPUTE_FORCES}return front, rear + theta.constants * {{y}}"),
-    "front_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}return front * (1.0 + {{y}}), rear"),
-    "rear_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}return front, rear * (1.0 + {{y}})"),
-    "both_grip": (FORCE_HOOK, f"{COMPUTE_FORCES}y = 1.0 + {{y}}\n        return front * y, rear * y"),
-    "yaw_moment": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, 0.0 * y, y"),
-    "side_force": ("acceleration(instant, prepared, theta)", "y = {y}\n        return 0.0 * y, y, 0.0 * y"),
-}
-OPPOSITE_AXLES = {"front_force": "cg_to_rear_axle", "rear_force": "cg_to_front_axle"}  # distance for the static load
 EFFECT_FILE = '''"""PROPOSAL, not an established effect: {title}.
 
 Fitted by st discover to {count} drives, {created}: {runs}.
@@ -250,21 +224,7 @@ Held-out position error after 5 s: {before:.2f} -> {after:.2f} m; p = {p_value:.
 Keep it, rename it, or delete it.
 """
 
-from st_core.effects import DYNAMIC, Effect, Parameter, register
-from st_core.ops import {ops}
-
-LOW, STEP, HIGH = {low!r}, {step!r}, {high!r}  # {quantity_unit}
-
-
-def hat(t):
-    """1 at 0, 0 beyond +-1, linear between."""
-    return maximum(1.0 - absolute(t), 0.0 * t)
-
-
-def relation(u):
-    """[{unit}] at u [{quantity_unit}]: linear interpolation of the fitted curve."""
-    t = (minimum(maximum(u, LOW + 0.0 * u), HIGH + 0.0 * u) - LOW) / STEP
-    return ({interpolation})
+from st_core.effects import Effect, {base}, fix_curve, register
 
 
 @register
@@ -272,11 +232,11 @@ class {cls}(Effect):
     physics = "{physics}"
     excited_by = "{quantity} from {range}"
     kind, slot = "{kind}", "{slot}"
-    applies_to = DYNAMIC
     order = 90{states}
-    parameter = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0),
-                          meaning="fraction of the fitted curve", source="st discover --propose"{odd})
-{body}
+    parameters = fix_curve(  # coefficients of the curve, its range, and weights; see {base}
+        {base}, odd={odd},
+        {values})
+{hooks}
 '''
 
 
@@ -293,68 +253,38 @@ def _title_with_causes(relation: Relation) -> str:
 
 
 def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
-    """Source code of the effect file, with the fitted curve interpolated linearly between KNOTS points."""
+    """Source code of the effect file: the fitted curve as constants, and the hooks of its kind of relation."""
     c = relation.candidate
+    kind = get_effect(c.effect)
     meaning = ALL_TERMS[c.term][1] + (f", for each {QUANTITIES[c.factor]} of {quantities.QUANTITY_NAMES[c.factor]}"
                                       if c.factor else "")
-    knots = np.linspace(c.low, c.high, KNOTS)
-    heights = relation.coefficients @ c.compute_splines(knots)
-    terms = "\n            + ".join(f"{h:.6g} * hat(t - {k}.0)" for k, h in enumerate(heights))
+    values = {**{f"c{k}": float(f"{height:.6g}") for k, height in enumerate(relation.coefficients)}, **c.constants}
     formulas = "\n".join(f"Formula {k}: {f.text} ({f.shape}, keeps {f.retained_fraction:.0%} of the curve's held-out "
                          "gain)" for k, f in enumerate(relation.formulas, 1))
     formulas = formulas or "No simple formula can replace the curve."
     return EFFECT_FILE.format(
-        title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created, low=c.low,
-        high=c.high, step=(c.high - c.low) / (KNOTS - 1), quantity=quantities.QUANTITY_NAMES[c.quantity],
+        title=_title_with_causes(relation), count=len(runs), runs=", ".join(runs), created=created,
+        quantity=quantities.QUANTITY_NAMES[c.quantity],
         range=f"{c.low:.3g} to {c.high:.3g} {QUANTITIES[c.quantity]}".removesuffix(" 1"),
-        quantity_unit=QUANTITIES[c.quantity], unit=c.unit, meaning=f"y [{c.unit}]: {meaning}.",
-        before=relation.position_5s[0], after=relation.position_5s[1], p_value=relation.p_value, formulas=formulas,
-        interpolation=terms, cls="".join(word.title() for word in effect_name(relation).split("_")),
-        odd=", odd=True" if c.is_one_sided else "",
-        ops=IMPORTED_OPS.get(c.quantity, "absolute, maximum, minimum"), states=_state_source(c)[0],
-        physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}", body=_hooks_source(relation),
+        meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
+        p_value=relation.p_value, formulas=formulas, base=kind.__name__, odd=c.is_one_sided,
+        cls="".join(word.title() for word in effect_name(relation).split("_")),
+        physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}",
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
-        slot=SLOTS[c.term])
+        slot=SLOTS[c.term], states="".join(
+            f'\n    extra_states = ("lagging",)\n    extra_units = ("{QUANTITIES[FILTERED_QUANTITIES[q][0]]}",)'
+            for q in (c.quantity, c.factor) if q in FILTERED_QUANTITIES),
+        values=",\n        ".join(f"{name}={value!r}" for name, value in values.items()),
+        hooks="\n".join(f"    {hook} = staticmethod({kind.__name__}.{hook})" for hook in _list_hooks(c)))
 
 
-def _hooks_source(relation: Relation) -> str:
-    """Source code of the methods of the effect."""
-    c = relation.candidate
+def _list_hooks(c: Candidate) -> tuple[str, ...]:
+    """Names of the hooks at which a relation acts."""
     if c.is_sensor_error:
-        field, u = SENSOR_READINGS[c.term], READING_EXPRESSIONS[c.quantity]
-        return "".join(f"\n    @staticmethod\n    def {hook}(measured, theta):\n"
-                       f"        y = theta.share * relation({u})\n"
-                       f"        return measured._replace({field}=measured.{field} {sign} y)\n"
-                       for hook, sign in (("observe", "+"), ("correct", "-"))).rstrip("\n")
-    signature, body = HOOKS[c.term]
-    constants = ""
-    if c.term in OPPOSITE_AXLES:
-        constants = ("\n    @staticmethod\n    def constants(vehicle):  # static load of the axle [N]\n"
-                     f"        return 9.81 * vehicle.mass * vehicle.{OPPOSITE_AXLES[c.term]} / vehicle.wheelbase\n")
-    y = f"theta.share * relation({_expression(c.quantity)})" + (f" * {_expression(c.factor)}" if c.factor else "")
-    return f"{constants}\n    @staticmethod\n    def {signature}:\n        {body.format(y=y)}{_state_source(c)[1]}"
-
-
-def _expression(name: str) -> str:
-    """Python expression of a quantity, for a hook of the effect file."""
-    if name not in FILTERED_QUANTITIES:
-        return STATE_EXPRESSIONS[name]
-    source, kind, tau = FILTERED_QUANTITIES[name]
-    return "extra[0]" if kind == "lagging" else f"({STATE_EXPRESSIONS[source]} - extra[0]) / {tau!r}"
-
-
-def _state_source(c: Candidate) -> tuple[str, str]:
-    """(declaration of the state, hooks that integrate it) for a quantity that depends on earlier values, such as a lag;
-    two empty strings for other quantities."""
-    name = next((q for q in (c.quantity, c.factor) if q in FILTERED_QUANTITIES), "")
-    if not name:
-        return "", ""
-    source, _, tau = FILTERED_QUANTITIES[name]
-    current = STATE_EXPRESSIONS[source]
-    return (f'\n    extra_states = ("lagging",)\n    extra_units = ("{QUANTITIES[source]}",)',
-            f"\n\n    @staticmethod\n    def start(slips, instant, prepared, theta):\n        return ({current},)\n\n"
-            "    @staticmethod\n    def rates(extra, slips, forces, instant, prepared, theta):\n"
-            f"        return (({current} - extra[0]) / {tau!r},)")
+        return "observe", "correct"
+    if c.term.endswith("_steer"):
+        return ("slip_angles", "start", "rates") if get_effect(c.effect).extra_states else ("slip_angles",)
+    return ("acceleration",) if SLOTS[c.term] == "body" else ("constants", "axle_forces")
 
 
 def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequence[str], created: str,
