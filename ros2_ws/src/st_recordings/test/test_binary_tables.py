@@ -1,11 +1,16 @@
-"""Tables in files of MATLAB and Apache Arrow are read as the CSV file with the same columns."""
+"""Tables in files of MATLAB, HDF5 and Apache Arrow are read as the CSV file with the same columns."""
 
+import pickle
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from asammdf import MDF, Signal
 from scipy.io import savemat
 from st_core.log import DriveLog
 from st_recordings.runs import find_runs, read
@@ -30,6 +35,58 @@ def make_struct_array(names: list[str], entries: list[tuple]) -> np.ndarray:
     for number, entry in enumerate(entries):
         array[number] = entry
     return array
+
+
+def save_version_7_3(file: Path, content: dict[str, Any], oned_as: str = "row") -> None:
+    """What `save -v7.3` of MATLAB writes."""
+    with h5py.File(file, "w", userblock_size=512) as target:
+        for name, value in content.items():
+            write_variable(target, name, value)
+        if "#refs#" in target:
+            target["#refs#"]["a"] = np.arange(3.0)
+    with file.open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def write_variable(parent: h5py.Group, name: str, value: Any) -> None:
+    if isinstance(value, dict):
+        node: Any = parent.create_group(name)
+        for field, entry in value.items():
+            write_variable(node, field, entry)
+        kind = "struct"
+    elif isinstance(value, str):
+        codes = np.array([[ord(letter)] for letter in value], np.uint16)
+        node = parent.create_dataset(name, data=codes if value else np.zeros(2, np.uint64))
+        node.attrs["MATLAB_int_decode" if value else "MATLAB_empty"] = np.uint8(1)
+        kind = "char"
+    elif isinstance(value, np.ndarray) and value.dtype.names:
+        node, kind = parent.create_group(name), "struct"
+        for field in value.dtype.names:
+            write_references(node, field, value[field])
+    elif isinstance(value, list):
+        node, kind = write_references(parent, name, value), "cell"
+    else:
+        node = parent.create_dataset(name, data=np.atleast_2d(np.asarray(value, float)).T)
+        kind = "double"
+    node.attrs["MATLAB_class"] = np.bytes_(kind)
+
+
+def write_references(parent: h5py.Group, name: str, entries: Any) -> h5py.Dataset:
+    targets = parent.file.require_group("#refs#")
+    references = []
+    for entry in entries:
+        write_variable(targets, f"r{len(targets)}", entry)
+        references.append(targets[f"r{len(targets) - 1}"].ref)
+    return parent.create_dataset(name, data=np.array(references, h5py.ref_dtype)[:, None], dtype=h5py.ref_dtype)
+
+
+def save_object(file: Path, content: dict[str, Any], **kinds: str) -> None:
+    """kinds: classes of objects in the file, as timeseries."""
+    save_version_7_3(file, content)
+    with h5py.File(file, "r+") as target:
+        for name, kind in kinds.items():
+            target[name] = np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32)
+            target[name].attrs.update({"MATLAB_class": np.bytes_(kind), "MATLAB_object_decode": np.int32(3)})
 
 
 def save_flat(file: Path, columns: Columns) -> None:
@@ -118,6 +175,64 @@ def save_parquet_with_date_index(file: Path, columns: Columns) -> None:
     pd.DataFrame({name: columns[name] for name in columns if name != "t"}).set_index(index).to_parquet(file)
 
 
+def save_datasets(file: Path, columns: Columns) -> None:
+    """A group for each sensor, a dataset for each signal, with its unit as attribute; an image; and a lost link."""
+    with h5py.File(file, "w") as target:
+        for name, values in columns.items():
+            if name == "t":
+                continue
+            group, step = ("steering", 2) if name in STEERING else ("ins", 1)
+            unit = "deg/s" if name == "yaw_rate" else ""
+            target[f"{group}/{name}"] = (np.degrees(values) if unit else values)[::step, None].astype(">f8")
+            target[f"{group}/{name}"].attrs["units"] = unit
+            if f"{group}/time" not in target:
+                target[f"{group}/time"] = 1e3 * columns["t"][::step]
+                target[f"{group}/time"].attrs["units"] = np.bytes_("ms since 1970-01-01")
+        target["camera"] = np.zeros((60, 40, 3))
+        target["lost"] = h5py.SoftLink("/nowhere")
+
+
+def save_compound(file: Path, columns: Columns) -> None:
+    with h5py.File(file, "w") as target:
+        table = pd.DataFrame(columns).to_records(index=False)
+        target.create_dataset("drives/first", data=table, compression="gzip", chunks=True)
+
+
+def save_table_of_pandas(file: Path, columns: Columns) -> None:
+    """What DataFrame.to_hdf(format="table") writes through PyTables, for a table with times as index."""
+    names = [name for name in columns if name != "t"]
+    rows = np.zeros(len(columns["t"]), [("index", "<i8"), ("values_block_0", "<f8", (len(names),))])
+    rows["index"], rows["values_block_0"] = np.round(1e6 * columns["t"]), np.stack([columns[n] for n in names], axis=1)
+    with h5py.File(file, "w") as target:
+        target["drive/table"] = rows
+        target["drive/_i_table/index"] = np.arange(len(rows))
+        target["drive/_i_table"].attrs["CLASS"] = np.bytes_("TINDEX")
+        target["drive"].attrs["info"] = np.bytes_(pickle.dumps({"index": {"index_name": "t"}}, 0))
+        target["drive/table"].attrs["index_kind"] = np.bytes_("datetime64[us]")
+        target["drive/table"].attrs["values_block_0_kind"] = np.bytes_(pickle.dumps(names, 0))
+
+
+def save_frame_of_pandas(file: Path, columns: Columns) -> None:
+    """What DataFrame.to_hdf writes in its default format."""
+    names = [name for name in columns if name != "t"]
+    with h5py.File(file, "w") as target:
+        group = target.create_group("drive")
+        group.attrs.update({"pandas_type": np.bytes_("frame"), "nblocks": 1})
+        group["axis1"] = columns["t"]
+        group["axis1"].attrs.update({"name": np.bytes_("t"), "kind": np.bytes_("float")})
+        group["block0_items"] = np.array(names, "S")
+        group["block0_values"] = np.stack([columns[name] for name in names], axis=1)
+
+
+def save_export_of_asammdf(file: Path, columns: Columns) -> None:
+    mdf = MDF()
+    for names, step in (([name for name in columns if name not in ("t", *STEERING)], 1), (STEERING, 2)):
+        mdf.append([Signal(np.degrees(columns[name][::step]) if name == "yaw" else columns[name][::step],
+                           columns["t"][::step], "deg" if name == "yaw" else "", name) for name in names])
+    mdf.export("hdf5", file)
+    mdf.close()
+
+
 def load(file: Path) -> DriveLog:
     (source,) = find_runs([file])
     if source.problem:
@@ -125,11 +240,20 @@ def load(file: Path) -> DriveLog:
     return read(source).log
 
 
+MATLAB = [save_flat, save_nested, save_milliseconds, save_seconds_and_milliseconds, save_simulink, save_control_desk,
+          save_signal_structs, save_two_rates, save_ros_stamps, save_control_desk_rasters, save_time_series_structs]
+
+
+@pytest.mark.parametrize("save", MATLAB)
+def test_drive_of_matlab_7_3_equals_the_one_of_the_csv_file(
+        columns: Columns, tmp_path: Path, save: Callable[[Path, Columns], None], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys.modules[__name__], "savemat", save_version_7_3)
+    test_drive_equals_the_one_of_the_csv_file(columns, tmp_path, save, ".mat")
+
+
 @pytest.mark.parametrize(("save", "extension"), [
-    (save_flat, ".mat"), (save_nested, ".mat"), (save_milliseconds, ".mat"),
-    (save_seconds_and_milliseconds, ".mat"), (save_simulink, ".mat"),
-    (save_control_desk, ".mat"), (save_signal_structs, ".mat"), (save_two_rates, ".mat"),
-    (save_ros_stamps, ".mat"), (save_control_desk_rasters, ".mat"), (save_time_series_structs, ".mat"),
+    *((save, ".mat") for save in MATLAB), (save_datasets, ".h5"), (save_compound, ".hdf5"),
+    (save_table_of_pandas, ".h5"), (save_frame_of_pandas, ".h5"), (save_export_of_asammdf, ".hdf"),
     (save_parquet_with_date_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather")])
@@ -161,13 +285,39 @@ def test_columns_or_rows_of_a_matrix_can_be_named_in_a_run_file(columns: Columns
     np.testing.assert_allclose(load(tmp_path / "drive.run.yaml").velocity_x, columns["velocity_x"])
 
 
-def write_version_7_3(file: Path) -> None:
-    """Header of a file of MATLAB version 7.3, which is an HDF5 file."""
-    file.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(384) + b"\x89HDF\r\n\x1a\n")
+def write_truncated_version_7_3(file: Path) -> None:
+    save_version_7_3(file, {"t": np.arange(1000.0), "x": np.arange(1000.0)})
+    file.write_bytes(file.read_bytes()[:9000])
+
+
+def test_missing_h5py_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    save_version_7_3(tmp_path / "a.mat", {"t": np.arange(9.0)})
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(RunError, match=r"require the package h5py; install it, save it with save\(\.\.\., '-v7'\), or"):
+        load(tmp_path / "a.mat")
+
+
+def test_code_in_an_attribute_of_a_table_is_not_run(columns: Columns, tmp_path: Path):
+    class Code:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (tmp_path.joinpath("run").mkdir, ())
+
+    save_table_of_pandas(tmp_path / "a.h5", columns)
+    with h5py.File(tmp_path / "a.h5", "r+") as target:
+        target["drive"].attrs["info"] = np.bytes_(pickle.dumps(Code(), 0))
+    load(tmp_path / "a.h5")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(("write", "name", "message"), [
-    (write_version_7_3, "a.mat", r"MATLAB 7\.3 file; save it with save\(\.\.\., '-v7'\)"),
+    (write_truncated_version_7_3, "a.mat", r"h5py cannot read the file \(.*truncated.*\); copy it again, or save it"),
+    (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.h5", "h5py cannot read the file"),
+    (lambda file: save_object(file, {"gain": 3.0}, log="timetable", v="timeseries", note="string"), "a.mat",
+     r"objects that only MATLAB can read: log \(timetable\), v \(timeseries\); save their samples as vectors or fields "
+     r"of a struct, for example v = struct\('Time', v\.Time, 'Data', v\.Data\); writetimetable\(log, 'log\.csv'\)"),
+    (lambda file: save_object(file, {"x": np.ones(9), "y": np.ones(9)}, t="duration"), "a.mat",
+     r"only MATLAB can read: t \(duration\); .* for example t = seconds\(t\)"),
+    (lambda file: save_object(file, {"gain": 3.0}, note="string"), "a.mat", "it contains no vectors"),
     (lambda file: file.write_text("t,x,y\n1,2,3\n"), "a.mat", "scipy cannot read the file"),
     (lambda file: savemat(file, {"gain": 3.0, "car": "Leaf"}), "a.mat", "it contains no vectors; save the samples"),
     (lambda file: savemat(file, {"speed": np.ones(9)}), "a.mat",

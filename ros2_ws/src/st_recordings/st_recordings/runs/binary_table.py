@@ -1,5 +1,5 @@
 """Reads tables from MDF files of measured signals (version 3 or 4, as ETAS INCA, Vector CANape and asammdf write them),
-and from files of MATLAB (.mat up to version 7) and Apache Arrow (.parquet, .feather).
+and from files of MATLAB (.mat), HDF5 (.h5, .hdf5, .hdf) and Apache Arrow (.parquet, .feather).
 
 They become text like that of a CSV file, so that names, units, times and rates are handled in the same way.
 """
@@ -18,15 +18,21 @@ import numpy as np
 from ..paths import cached_by_version
 from .columns import Layout, add_fraction, find_ambiguous_steering, find_columns, find_stamp_columns
 from .errors import RunError, shorten
+from .hdf5 import (
+    HDF5_EXTENSIONS,
+    MAX_MATRIX_COLUMNS,
+    SAMPLE_FIELDS,
+    TIME_CLASSES,
+    UNIT_FIELDS,
+    is_hdf5,
+    read_hdf5,
+    reject_objects,
+)
 from .mf4 import MDF_OPTIONS, open_mdf
 
 ARROW_EXTENSIONS = (".parquet", ".feather")
-BINARY_EXTENSIONS = (".mat", *ARROW_EXTENSIONS)
-MAX_MATRIX_COLUMNS = 32
-"""A matrix with more columns and rows is an image or a map; columns or rows of smaller ones become NAME_1, ..."""
-SAMPLE_FIELDS = ("data", "value", "values")
-"""Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
-NAME_FIELDS, UNIT_FIELDS = ("label", "Name", "name"), ("unit", "units", "Unit", "Units")
+BINARY_EXTENSIONS = (".mat", *HDF5_EXTENSIONS, *ARROW_EXTENSIONS)
+NAME_FIELDS = ("label", "Name", "name")
 _RAW_FRAMES = re.compile(rb"\0CAN_(Data|Remote|Error)Frame")
 """A channel name of raw frames directly after a block head, which ends with 0; comments may contain the name, too."""
 _NO_DELIMITERS = str.maketrans(',"\n', "   ")
@@ -48,7 +54,11 @@ class Signal(NamedTuple):
 @cached_by_version(maxsize=4)
 def read_binary_table(file: Path) -> tuple[list[str], str]:
     """(header, comma-separated rows) of a file. Raises RunError if it cannot be read or contains no signals."""
-    frame = _read_arrow(file) if file.suffix.lower() in ARROW_EXTENSIONS else _read_matlab(file)
+    extension = file.suffix.lower()
+    if extension in ARROW_EXTENSIONS:
+        frame = _read_arrow(file)
+    else:
+        frame = _read_hdf5(file) if extension in HDF5_EXTENSIONS or is_hdf5(file) else _read_matlab(file)
     return [str(name) for name in frame.columns], frame.to_csv(index=False, header=False, lineterminator="\n")
 
 
@@ -72,25 +82,32 @@ def _read_matlab(file: Path) -> Any:
 
     try:
         content = loadmat(file, simplify_cells=True)
-    except NotImplementedError:
-        raise RunError(file, "this is a MATLAB 7.3 file", "save it with save(..., '-v7'), or export a CSV "
-                       "file") from None
     except Exception as error:  # any, from scipy
         raise RunError(file, f"scipy cannot read the file ({shorten(error)})", "copy or save it again") from None
     signals = list(_find_signals({name: value for name, value in content.items() if not name.startswith("__")}))
     if "__function_workspace__" in content and len(signals) < 2:  # none, or only the vector tout of Simulink
         raise RunError(file, "it contains objects such as timeseries or timetables, which only MATLAB can read",
                        "save their samples as vectors or fields of a struct")
-    if not signals:
-        raise RunError(file, "it contains no vectors", "save the samples as vectors or fields of a struct")
-    return _join_signals(signals)
+    return _join_signals(file, signals)
 
 
-def _join_signals(signals: list[Signal]) -> Any:
+def _read_hdf5(file: Path) -> Any:
+    structs, objects = read_hdf5(file)
+    signals = list(_find_signals(structs))
+    lacks_times = not any(signal.time for signal in signals) and not TIME_CLASSES.isdisjoint(objects.values())
+    if objects and (len(signals) < 2 or lacks_times):
+        reject_objects(file, objects)
+    return _join_signals(file, signals)
+
+
+def _join_signals(file: Path, signals: list[Signal]) -> Any:
     """Table of the signals with a time vector. With several time vectors, each time [s] has a row, in which signals of
-    the other vectors are NaN. Without any, the table has the signals of the most frequent length."""
+    the other vectors are NaN. Without any, the table has the signals of the most frequent length. Raises RunError
+    without signals."""
     import pandas as pd
 
+    if not signals:
+        raise RunError(file, "it contains no vectors", "save the samples as vectors or fields of a struct")
     own_names = Counter(signal.path[-1] for signal in signals)
     rasters: list[tuple[str, np.ndarray]] = []
     columns: list[dict[str, np.ndarray]] = []

@@ -98,7 +98,7 @@ def read_header(file: Path) -> list[str]:
 
 
 def read_table(file: Path, layout: Layout) -> Table:
-    """Reads a table of text, MDF signals, MATLAB or Arrow. Raises RunError for an unreadable or invalid table."""
+    """Reads a table of text, MDF signals, MATLAB, HDF5 or Arrow. Raises RunError for an unreadable or invalid table."""
     check_readable(file)
     warnings: list[str] = []
     if is_signal_table(file):

@@ -24,7 +24,7 @@ GENERIC_NAMES = ("run", "bag")
 DOCUMENT_EXTENSIONS = (".md", ".txt", ".rst", ".pdf", ".html", ".png", ".jpg", ".json", ".yaml", ".yml", "")
 """Extensions of documents such as README and LICENSE, which are ignored among recordings."""
 MAX_SPLIT_GAP = 5.0  # longest gap or overlap [s] between the end of one file of a split bag and the start of the next
-TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".h5", ".hdf5", ".tdms", ".json", ".erg", ".ld")
+TABLE_EXTENSIONS = (".lvm", ".xls", ".xlsx", ".ods", ".tdms", ".json", ".erg", ".ld")
 """Extensions of tables of other programs. Some of these files are text, which can be read with the extension .csv."""
 TEXT_EXPORTS = (".txt", ".tsv", ".dat")
 """Extensions of text tables that programs often export in addition to their own files."""

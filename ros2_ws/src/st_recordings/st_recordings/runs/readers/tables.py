@@ -1,4 +1,4 @@
-"""Registers the readers of tables (CSV, MDF, MATLAB, Arrow, VBOX) of a drive, or of the INS for a run with CAN logs."""
+"""Registers the readers of tables (CSV, MDF, MATLAB, HDF5, Arrow, VBOX) of a drive or, with CAN logs, of the INS."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,0 +1,179 @@
+"""Reads HDF5 files (MATLAB 7.3, tables of pandas, one dataset for each signal) as dicts, lists and arrays, the form in
+which scipy returns structs of older MATLAB files. Only datasets that are signals or text are read from the disk.
+"""
+
+import pickletools
+import re
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from .errors import RunError, shorten
+
+HDF5_EXTENSIONS = (".h5", ".hdf5", ".hdf")
+MAX_MATRIX_COLUMNS = 32
+"""A matrix with more columns and rows is an image or a map; columns or rows of smaller ones become NAME_1, ..."""
+SAMPLE_FIELDS = ("data", "value", "values")
+"""Fields of a struct, in lower case, that contain the samples of the signal after which the struct is named."""
+UNIT_FIELDS = ("unit", "units", "Unit", "Units")
+TIME_CLASSES = {"duration", "datetime"}
+_MAGIC = b"\x89HDF\r\n\x1a\n"
+_OPAQUE = 3  # attribute MATLAB_object_decode of an object whose content is in an undocumented form
+_MATLAB_ADVICE = {"timeseries": "{0} = struct('Time', {0}.Time, 'Data', {0}.Data)",
+                  "timetable": "writetimetable({0}, '{0}.csv')", "table": "writetable({0}, '{0}.csv')",
+                  "duration": "{0} = seconds({0})", "datetime": "{0} = posixtime({0})"}
+_TIME_KIND = re.compile(r"(?:datetime|timedelta)64\[(\w+)\]")
+
+
+def is_hdf5(file: Path) -> bool:
+    """Whether the content is that of HDF5, with or without the head of a file of MATLAB."""
+    with file.open("rb") as stream:
+        head = stream.read(512 + len(_MAGIC))
+    return _MAGIC in (head[:len(_MAGIC)], head[512:])
+
+
+def read_hdf5(file: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """(structs, names of objects that only MATLAB can read -> their classes). Raises RunError."""
+    try:
+        import h5py
+    except ImportError:
+        old = "save it with save(..., '-v7'), " if file.suffix.lower() == ".mat" else ""
+        raise RunError(file, "HDF5 files, as of MATLAB 7.3, require the package h5py",
+                       f"install it, {old}or export a CSV file") from None
+    objects: dict[str, str] = {}
+    try:
+        with h5py.File(file, "r", locking=False) as content:
+            return _read_group(content, "", objects), objects
+    except Exception as error:  # any, from h5py
+        raise RunError(file, f"h5py cannot read the file ({shorten(error)})", "copy it again, or save it uncompressed"
+                       ) from None
+
+
+def reject_objects(file: Path, objects: dict[str, str]) -> NoReturn:
+    """Raises RunError, with a MATLAB statement for the first object of each known class as advice."""
+    first = {kind: name for name, kind in reversed(objects.items())}
+    statements = [form.format(first[kind]) for kind, form in _MATLAB_ADVICE.items() if kind in first]
+    names = ", ".join(f"{name} ({kind})" for name, kind in objects.items())[:200]
+    raise RunError(file, f"it contains objects that only MATLAB can read: {names}",
+                   "save their samples as vectors or fields of a struct" + (
+                       f", for example {'; '.join(statements)}" if statements else ""))
+
+
+def _read_group(group: Any, path: str, objects: dict[str, str]) -> Any:
+    """A struct, or a list of the structs of an array."""
+    if _text(group.attrs.get("pandas_type")) == "frame":
+        return _read_frame(group)
+    fields: dict[str, Any] = {}
+    for name in group:
+        node = group.get(name)  # None for a link to a missing file or object
+        if name.startswith("#") or node is None or _text(node.attrs.get("CLASS")) == "TINDEX":
+            continue  # parts of other variables in MATLAB, an index of PyTables
+        value = _read_node(node, f"{path}.{name}" if path else name, objects)
+        unit = next((unit for key in UNIT_FIELDS if (unit := _text(node.attrs.get(key)))), "").split(" since ")[0]
+        if unit and name.lower() in SAMPLE_FIELDS:
+            fields["unit"] = unit
+        fields[f"{name} [{unit}]" if unit and name.lower() not in SAMPLE_FIELDS else name] = value
+    if fields and _text(group.attrs.get("MATLAB_class")) == "struct" and all(
+            isinstance(value, list) and "MATLAB_class" not in group[name].attrs for name, value in fields.items()):
+        return [dict(zip(fields, entry, strict=True)) for entry in zip(*fields.values(), strict=True)]
+    return fields
+
+
+def _is_of_references(node: Any) -> bool:
+    return hasattr(node, "dtype") and bool(node.dtype.metadata and "ref" in node.dtype.metadata)
+
+
+def _read_node(node: Any, path: str, objects: dict[str, str]) -> Any:
+    """The value of a group or dataset; None if it is neither numbers nor text."""
+    kind = _text(node.attrs.get("MATLAB_class"))
+    if node.attrs.get("MATLAB_object_decode") == _OPAQUE:
+        if kind != "string":
+            objects[path] = kind
+        return None
+    if "MATLAB_empty" in node.attrs or "MATLAB_sparse" in node.attrs:
+        return None
+    if not hasattr(node, "dtype"):
+        return _read_group(node, path, objects)
+    if node.dtype.names:
+        return None if kind else _read_table(node)  # complex numbers of MATLAB have two fields, too
+    if _is_of_references(node):
+        entries = [_read_node(node.file[reference], f"{path}{{{number}}}", objects) if reference else None
+                   for number, reference in enumerate(node[()].ravel(), 1)]
+        return entries[0] if len(entries) == 1 else entries
+    if kind == "char":
+        return node[()].astype("<u2").tobytes().decode("utf-16-le", "replace")
+    if node.shape == () and node.dtype.kind in "OS":
+        return _text(node[()])
+    sizes = [size for size in node.shape or () if size > 1]
+    is_image = len(sizes) > 2 or (len(sizes) == 2 and min(sizes) > MAX_MATRIX_COLUMNS)
+    if node.dtype.kind not in "biuf" or not sizes or is_image:
+        return None
+    array = np.squeeze(_use_native_order(node[()]))
+    return array.T if kind else array  # MATLAB stores transposed arrays
+
+
+def _use_native_order(array: np.ndarray) -> np.ndarray:
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _read_table(dataset: Any) -> dict[str, Any]:
+    """The columns of a table, with the names that pandas writes into attributes."""
+    numeric = [name for name in dataset.dtype.names if dataset.dtype[name].base.kind in "biufV"]
+    columns = _split_columns(dataset.fields(numeric)[()].ravel()) if numeric else {}
+    table: dict[str, Any] = {}
+    for field, column in columns.items():
+        kind, unit = dataset.attrs.get(f"{field}_kind"), _find_unit(dataset.attrs.get(f"{field}_dtype"))
+        names = _list_pickled_texts(kind)
+        if field == "index" and kind is not None:
+            texts = _list_pickled_texts(dataset.parent.attrs.get("info"))
+            name = texts[texts.index("index_name") + 1] if "index_name" in texts[:-1] else ""
+            table[_name_index(name, kind)] = column
+        elif names and np.shape(column)[1:] == (len(names),):
+            table |= {name + unit: column[:, number] for number, name in enumerate(names)}
+        else:
+            table[field + unit] = column
+    return table
+
+
+def _split_columns(rows: np.ndarray) -> dict[str, Any]:
+    return {name: _split_columns(rows[name]) if rows[name].dtype.names else _use_native_order(rows[name])
+            for name in rows.dtype.names or ()}
+
+
+def _read_frame(group: Any) -> dict[str, np.ndarray]:
+    """A table of pandas in the format "fixed": a matrix for each type of columns."""
+    index = group["axis1"]
+    columns = {_name_index(_text(index.attrs.get("name")).removesuffix("N."), index.attrs.get("kind")): index[()]}
+    for number in range(int(group.attrs["nblocks"])):
+        values, names = group[f"block{number}_values"], group[f"block{number}_items"]
+        if values.dtype.kind in "biuf":
+            unit = _find_unit(values.attrs.get("value_type"))
+            columns |= {_text(name) + unit: column for name, column in zip(names[()], values[()].T, strict=True)}
+    return columns
+
+
+def _name_index(name: str, kind: Any) -> str:
+    unit = _find_unit(kind)
+    return (name or ("time" if unit else "index")) + unit
+
+
+def _find_unit(kind: Any) -> str:
+    """" [ns]" for the type datetime64[ns]; empty for a type without unit."""
+    match = _TIME_KIND.fullmatch(_text(kind))
+    return f" [{match[1]}]" if match else ""
+
+
+def _list_pickled_texts(content: Any) -> list[str]:
+    """The texts of a pickled object, which is not unpickled, because that could run code."""
+    if not isinstance(content, bytes) or not content.endswith(b"."):
+        return []
+    return [text for code, text, _ in pickletools.genops(bytes(content)) if isinstance(text, str) and (
+        "UNICODE" in code.name or "STRING" in code.name)]
+
+
+def _text(value: Any) -> str:
+    """An attribute as text; empty for other types."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
