@@ -358,7 +358,7 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
      "columns a/pos_x and b/pos_x may each be x; name the right one"),
     (lambda log: csv(rows(log), header(x="a/latitude", y="b/latitude")),
      "columns a/latitude and b/latitude may each be latitude; name the right one"),
-    (lambda log: "time,can_id,dlc,data\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
+    (lambda log: "time,can_id,dlc,bytes\n0.1,0x2,8,AAAA\n", "this is a CAN log as a table; export it as"),
     (lambda log: geographic(log).replace("latitude,longitude", "longitude,latitude"), "are interchanged: they agree"),
     (lambda log: positions_in_radians(geographic(log)),
      r"are in radians: if read as degrees, they give 1/\d\d of the driven"),

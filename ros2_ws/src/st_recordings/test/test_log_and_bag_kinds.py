@@ -4,11 +4,13 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import can
 import numpy as np
+import pandas as pd
 import pytest
 from drive_kinds import CAR, NAMES, assert_same, assert_warned, csv, rows, vbo, write_bag
 from mcap.writer import CompressionType, IndexType
@@ -109,6 +111,36 @@ def mdf2csv(lines: list[str]) -> str:
     return "\n".join(out) + "\n"
 
 
+def quoted(lines: list[str]) -> str:
+    """mdf2csv with quotes around every cell, blanks between the bytes, and dates."""
+    rows = [line.split(";") for line in mdf2csv(lines).splitlines()]
+    for row in rows[1:]:
+        row[0] = datetime.fromtimestamp(float(row[0]), UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
+        row[-1] = bytes.fromhex(row[-1]).hex(" ")
+    return "\n".join(",".join(f'"{cell}"' for cell in row) for row in rows) + "\n"
+
+
+def decimal_numbers(lines: list[str]) -> str:
+    """Identifiers and bytes are decimal, as pandas writes a table of frames."""
+    frames = [(time, bus, int(identifier, 16), bytes.fromhex(data))
+              for time, bus, identifier, data in map(split_frame, lines)]
+    table = pd.DataFrame({"Time": [frame[0] for frame in frames], "Bus": [frame[1] for frame in frames],
+                          "ID": [frame[2] for frame in frames], "DLC": [len(frame[3]) for frame in frames]})
+    for number in range(8):
+        table[f"Data{number}"] = pd.array([frame[3][number] if number < len(frame[3]) else None for frame in frames],
+                                          "Int64")
+    return table.to_csv(index=False)
+
+
+def python_can(lines: list[str], style: str) -> str:
+    """CSV of python-can, but with hexadecimal data. style: of the identifiers."""
+    out = ["timestamp,arbitration_id,extended,remote,error,dlc,data"]
+    for time, _, identifier, data in map(split_frame, lines):
+        number, is_extended = format(int(identifier, 16), style), len(identifier) > 3
+        out.append(f"{time:.6f},{number},{is_extended:d},0,0,{len(data) // 2},{data}")
+    return "\n".join(out) + "\n"
+
+
 def truncate_lines(lines: list[str], every: int) -> str:
     return "\n".join(line[:20] if k % every == every - 1 else line for k, line in enumerate(lines)) + "\n"
 
@@ -166,6 +198,10 @@ LOGS = [
     Log("version 1.2", "run.trc", trc_1_2, encoding="cp1252"),
     Log("SavvyCAN", "run.csv", savvycan),
     Log("mdf2csv", "run.csv", mdf2csv),
+    Log("quoted", "run.csv", quoted),
+    Log("decimal numbers", "run.csv", decimal_numbers, "its identifiers were read as decimal numbers"),
+    Log("python-can, decimal", "run.csv", lambda lines: python_can(lines, "d"), "were read as decimal numbers"),
+    Log("python-can, hexadecimal", "run.csv", lambda lines: python_can(lines, "#x")),
     Log("mdf2csv, truncated", "run.csv", lambda lines: truncate_lines(mdf2csv(lines).splitlines(), 3000),
         r"lines \(0\.03\d? %\) cannot be read .* line 3000"),
 ]

@@ -1,6 +1,7 @@
 """Reads CAN logs in text and binary formats with python-can; unreadable lines are skipped."""
 
 import codecs
+import csv
 import re
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +39,15 @@ _ASC_LINE = re.compile(rb"^\s*\d+[.,]\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+[dr]\s
 _TRC_LINE = re.compile(rb"^\s*\d+\)\s", re.MULTILINE)
 _ASC_DATE = re.compile(rb"(?i)date \S+ \S+ +\d+ +\d")  # not "Date Time;x;y" of a table
 _ASC_STAMP = re.compile(r"\s*(\d+)[.,](\d+)(?=\s)")
-# Columns of CAN logs in CSV: of python-can, of mdf2csv (CSS Electronics), and of SavvyCAN (GVRET)
-_CSV_COLUMNS = ({"timestamp", "arbitrationid", "dlc", "data"}, {"timestampepoch", "id", "ide", "databytes"},
-                {"timestamp", "id", "len", "d1"})
+# Columns of CAN logs in CSV, as of python-can, of mdf2csv (CSS Electronics), and of SavvyCAN (GVRET)
+_CSV_COLUMNS = {"time": ("timestampepoch", "timestamp", "timestamps", "time", "times"),
+                "id": ("arbitrationid", "id", "idhex", "iddec", "canid", "identifier"),
+                "length": ("datalength", "len", "length", "dlc"),
+                "data": ("databytes", "data", "datahex", "payload", "d0", "d1", "data0", "data1", "byte0", "byte1")}
+_DECIMAL_IDS = ("arbitrationid", "iddec")  # decimal without 0x, which python-can writes before other numbers
+STANDARD_IDS, EXTENDED_IDS = 0x7FF, 0x1FFFFFFF  # largest identifiers
+EXTENDED_DIGITS = 8  # hexadecimal digits of an extended identifier
+MAX_SCANNED_ROWS = 5000  # rows that show whether identifiers and bytes are decimal
 # Name of an error handler that decodes Windows-1252 bytes in a text that is otherwise UTF-8
 _CP1252_FALLBACK = "single_track_cp1252"
 codecs.register_error(_CP1252_FALLBACK, lambda error: (
@@ -56,6 +64,7 @@ class Lines:
     header = ""
 
     def __init__(self, file: Path):
+        self.file = file
         self._unread: list[str] = []
         with file.open("rb") as stream:
             head = stream.read(1 << 16)
@@ -208,26 +217,39 @@ def _read_trc(lines: Lines, notes: list[str]) -> Any:
     return Reader(lines)
 
 
-def _split_csv_header(line: str) -> tuple[list[str], str]:
-    """(normalised names of the columns, delimiter)."""
-    delimiter = ";" if ";" in line else ","
-    return [normalise(name) for name in line.split(delimiter)], delimiter
+def _split_row(line: str, delimiter: str) -> list[str]:
+    is_quoted = '"' in line
+    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)) if is_quoted else line.split(delimiter)
+    return [cell.strip() for cell in row]
+
+
+def _split_csv_header(line: str) -> tuple[list[str], str, dict[str, int]]:
+    """(normalised names of the columns, delimiter, column of each role in _CSV_COLUMNS)."""
+    delimiter = next((mark for mark in ";\t" if mark in line), ",")
+    names = [normalise(name) for name in _split_row(line, delimiter)]
+    found = {role: next((name for name in known if name in names), None) for role, known in _CSV_COLUMNS.items()}
+    return names, delimiter, {role: names.index(name) for role, name in found.items() if name}
 
 
 def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     make_message = import_module("can").Message
-    names, delimiter = _split_csv_header(next(lines, ""))
+    names, delimiter, roles = _split_csv_header(next(lines, ""))
+    id_base, byte_base = _find_bases(lines.file, names, delimiter, roles)
+    if id_base == 10:
+        notes.append("its identifiers were read as decimal numbers")
+    in_microseconds = (names[roles["time"]], names[roles["data"]]) == ("timestamp", "d1")
 
     def parse(line: str) -> Any:
-        row = [cell.strip() for cell in line.split(delimiter)]
+        row = _split_row(line, delimiter)
         cells = dict(zip(names, row, strict=False))
-        data = _read_csv_data(cells, row[names.index("d1"):] if "d1" in names else ())
-        time = cells.get("timestampepoch") or cells["timestamp"]
+        data = _read_csv_data(cells, row, names[roles["data"]], roles, byte_base)
+        time, identifier = row[roles["time"]], int(row[roles["id"]], id_base)
+        is_extended = _read_flag(cells)
         bus = cells.get("bus") or cells.get("buschannel", "")
         return make_message(
-            timestamp=float(time) * (1e-6 if "d1" in names and "." not in time else 1.0),
-            arbitration_id=int(cells.get("arbitrationid") or cells["id"], 16), data=data, is_fd=len(data) > 8,
-            is_extended_id=(cells.get("extended") or cells.get("ide", "")).lower() in ("1", "true"),
+            timestamp=_parse_time(time) * (1e-6 if in_microseconds and "." not in time else 1.0),
+            arbitration_id=identifier, data=data, is_fd=len(data) > 8,
+            is_extended_id=identifier > STANDARD_IDS if is_extended is None else is_extended,
             is_remote_frame="1" in (cells.get("remote"), cells.get("rtr")), is_error_frame=cells.get("error") == "1",
             is_rx=cells.get("dir", "").lower() not in ("1", "tx"),
             channel=int(bus) - ("buschannel" in cells) if bus.isdigit() else None)
@@ -235,11 +257,55 @@ def _read_csv(lines: Lines, notes: list[str]) -> Iterator[Any]:
     return map(parse, filter(str.strip, lines))
 
 
-def _read_csv_data(cells: Mapping[str, str], data_bytes: Sequence[str]) -> bytes:
+def _read_flag(cells: Mapping[str, str]) -> bool | None:
+    """Whether an identifier is marked as extended; None if the table has no such column."""
+    flag = cells.get("extended") or cells.get("ide")
+    return None if flag is None else flag.lower() in ("1", "true")
+
+
+def _parse_time(text: str) -> float:
+    """Seconds, since 1970 for a date and time. Raises ValueError."""
+    if ":" not in text:
+        return float(text)
+    time = datetime.fromisoformat(text)
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _find_bases(file: Path, names: Sequence[str], delimiter: str, roles: Mapping[str, int]) -> tuple[int, int]:
+    """Bases of the identifiers and of bytes in separate columns, 16 or 10, from the first rows."""
+    ids: list[tuple[str, int]] = []
+    data: list[tuple[str, int]] = []
+    with closing(Lines(file)) as lines:
+        for line in islice(lines, 1, MAX_SCANNED_ROWS):
+            row = _split_row(line, delimiter)
+            if len(row) <= max(roles.values()):
+                continue
+            identifier = row[roles["id"]]
+            flag = _read_flag(dict(zip(names, row, strict=False)))
+            is_extended = len(identifier) >= EXTENDED_DIGITS if flag is None else flag
+            limit = EXTENDED_IDS if is_extended else STANDARD_IDS
+            ids.append((identifier, -1 if names[roles["id"]] in _DECIMAL_IDS else limit))
+            data += [(cell, 0xFF) for cell in row[roles["data"]:] if cell]
+    return 16 if names[roles["id"]] == "idhex" else _find_base(ids), _find_base(data)
+
+
+def _find_base(cells: Sequence[tuple[str, int]]) -> int:
+    """10 if all texts consist of decimal digits and one is larger than its limit when read as hexadecimal digits."""
+    is_decimal = all(text.isdecimal() for text, _ in cells) and any(int(text, 16) > limit for text, limit in cells)
+    return 10 if is_decimal else 16
+
+
+def _read_csv_data(cells: Mapping[str, str], row: Sequence[str], name: str, roles: Mapping[str, int], base: int
+                   ) -> bytes:
     """Data of a frame in any of the formats. Raises ValueError if it does not have the stated length."""
-    length = int(cells.get("datalength") or cells.get("len") or cells["dlc"])
-    data = bytes(int(text, 16) for text in data_bytes[:length]) if data_bytes else bytes.fromhex(
-        cells["databytes"]) if "databytes" in cells else b64decode(cells["data"])
+    length = int(row[roles["length"]])
+    digits = "".join(row[roles["data"]].split())
+    if name[-1].isdigit():
+        data = bytes(int(text, base) for text in row[roles["data"]:][:length])
+    elif name == "data" and not re.fullmatch(f"[0-9A-Fa-f]{{{2 * length}}}", digits):
+        data = b64decode(digits)
+    else:
+        data = bytes.fromhex(digits)
     if len(data) != length and "1" not in (cells.get("remote"), cells.get("rtr")):
         raise ValueError(f"{len(data)} bytes instead of {length}")
     return data
@@ -281,7 +347,7 @@ def _read_blf(file: Path, notes: list[str]) -> Iterator[Any]:
 
 def _is_csv(head: bytes) -> bool:
     first_line = head.replace(b"\0", b"").partition(b"\n")[0].decode("utf-8-sig", "ignore")
-    return any(columns.issubset(_split_csv_header(first_line)[0]) for columns in _CSV_COLUMNS)
+    return _CSV_COLUMNS.keys() == _split_csv_header(first_line)[2].keys()
 
 
 def _is_trc(head: bytes) -> bool:
