@@ -235,6 +235,13 @@ TABLES = [
     Table("timeval.csv", lambda log: in_seconds_and_fractions(log, ("tv_sec", "tv_usec"), 1e-6)),
     Table("sec_usec.csv", lambda log: in_seconds_and_fractions(log, ("sec", "usec"), 1e-6)),
     Table("milliseconds.csv", lambda log: in_seconds_and_fractions(log, ("time_s", "time_ms"), 1e-3)),
+    Table("time_and_milliseconds.csv", lambda log: in_seconds_and_fractions(log, ("Time", "Milliseconds"), 1e-3)),
+    Table("clock_and_milliseconds.csv", lambda log: csv(
+        [[clock(NOON + (k // 100)), str(k % 100 * 10), *row[1:]] for k, row in enumerate(rows(log))],
+        ",".join(("Time", "Millisecond", *NAMES[1:])))),
+    Table("clock_and_ms.csv", lambda log: csv(
+        [["2026-05-04", str(k % 100 * 10), *row[1:], clock(NOON + (k // 100))[:8]] for k, row in enumerate(rows(log))],
+        ",".join(("Date", "ms", *NAMES[1:], "UTC time")))),
     Table("fractions_first.csv", lambda log: re.sub(r"(?m)^([^,]*),([^,]*)", r"\2,\1", in_seconds_and_fractions(
         log, ("timestamp_sec", "timestamp_usec"), 1e-6))),
     Table("complete_microseconds.csv", lambda log: csv(

@@ -106,11 +106,11 @@ COLUMNS: Mapping[str, Channel] = {
     "compass_heading": Channel("angle", "true heading, clockwise from north; read if yaw is missing: yaw = 90° - "
                                "heading", _split(
         "compass_heading heading heading_angle angle_heading heading_ned heading_north heading_true true_heading "
-        "compass azimuth yaw_ned")),
+        "compass azimuth yaw_ned true_head")),
     "course": Channel("angle", "direction of motion over ground, clockwise from north; replaces missing yaw or "
                       "velocity_y", _split(
         "course course_over_ground course_angle gps_heading gnss_heading cog track track_angle heading_of_motion "
-        "bearing angle_track kurs_ueber_grund")),
+        "bearing angle_track kurs_ueber_grund gcrs")),
     **{f"orientation_{axis}": Channel("ratio", "quaternion from body to map axes, read if yaw is missing", _split(
         f"pose_pose_orientation_{axis} pose_orientation_{axis} orientation_{axis} q{axis} quat_{axis}"))
        for axis in "xyzw"},
@@ -119,7 +119,7 @@ COLUMNS: Mapping[str, Channel] = {
         "velocity_longitudinal longitudinal_velocity v_longitudinal v_long vel_long v_lon vel_lon long_vel "
         "long_velocity speed_forward forward_speed longitudinal_speed twist_linear_x twist_twist_linear_x "
         "linear_velocity_x x_velocity linear_vel_x linear_vels_x v_ego laengsgeschwindigkeit speed velocity vel v "
-        "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit")),
+        "ground_speed speed_over_ground gps_speed speed_gps geschwindigkeit spd")),
     "velocity_y": Channel("speed", "to the left, body axes, at the INS point; if missing, derived or else 0", _split(
         "velocity_y vy vel_y velocity_lateral vel_lateral v_lateral lateral_velocity lateral_vel v_lat vel_lat "
         "lat_vel lat_velocity velocity_left vel_left lateral_speed twist_linear_y twist_twist_linear_y "
@@ -135,8 +135,8 @@ COLUMNS: Mapping[str, Channel] = {
     "acceleration_x": Channel("acceleration", "forward, body axes", _split(
         "acceleration_x acceleration_forward acc_forward accel_forward acceleration_longitudinal "
         "longitudinal_acceleration longitudinal_accel longitudinal_acc acc_longitudinal a_longitudinal a_long acc_long "
-        "accel_long long_acc long_accel lon_acc laengsbeschleunigung linear_acceleration_x ax acc_x accel_x x_acc "
-        "x_accel")),
+        "accel_long long_acc long_accel lon_acc lon_accel laengsbeschleunigung linear_acceleration_x ax acc_x accel_x "
+        "x_acc x_accel")),
     "acceleration_y": Channel("acceleration", "to the left, body axes", _split(
         "acceleration_y acceleration_left acceleration_lateral lateral_acceleration lateral_accel lateral_acc "
         "acc_lateral accel_lateral a_lateral a_lat acc_lat accel_lat lat_acc lat_accel querbeschleunigung "
@@ -285,7 +285,7 @@ def find_ambiguous(names: Sequence[str]) -> dict[str, list[str]]:
 
 def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
     """Indices of the columns of a stamp in two parts, and the unit [s] of the second: header.stamp.sec (or secs) and
-    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms. None without such a pair."""
+    nanosec (or nsecs) of ROS, tv_sec and tv_usec, time_s and time_ms, Time and Millisecond. None without a pair."""
     normalised = [normalise(name) for name in names]
     for number, name in enumerate(normalised):
         if not (match := _FRACTION.fullmatch(name)):
@@ -295,6 +295,8 @@ def find_stamp_columns(names: Sequence[str]) -> tuple[int, int, float] | None:
         for seconds in ("sec", "secs", "second", "seconds") if ending != "s" else ("s",) * is_time:
             if stem + seconds in normalised:
                 return normalised.index(stem + seconds), number, _FRACTION_FACTORS[unit]
+        if not stem and (times := _find_best_columns(names).get("t")) and times[0].factor == 1.0:
+            return times[0].column, number, _FRACTION_FACTORS[unit]
     return None
 
 
