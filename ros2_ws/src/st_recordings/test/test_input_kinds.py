@@ -355,6 +355,8 @@ def test_parts_of_a_table_are_one_run(tmp_path: Path, drive_log: DriveLog, kind:
     (lambda log: with_times(log, lambda s: "04 Mxy 2026 " + clock(s)), r"the first is '04 Mxy 2026 .*export seconds"),
     (lambda log: geographic(log).replace(",5", ",520"),
      r"latitude \(column latitude\) is about 520\d[.\d]* deg, which is impossible; export"),
+    (lambda log: re.sub(r"(?m)^(\d[^,]*),[^,]*,[^,]*", r"\1,0.0,0", geographic(log)),
+     "latitude and longitude are 0 or empty in all rows, so the receiver had no fix; export x and y"),
     (lambda log: re.sub(r"(,-\d\.\d*)", r"\1W", geographic(log)),
      r"column longitude has no numbers, but text such as '-1\.5\d*W'; export"),
     (lambda log: csv(rows(log), csv(rows(log)[:1]).splitlines()[1]),

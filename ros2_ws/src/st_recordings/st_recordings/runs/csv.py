@@ -79,6 +79,7 @@ def build_drive(table: Table, vehicle: VehicleParameters | None = None, yaw_scal
     has_ins = table.is_usable & all_finite(columns, INS_SIGNALS)
     has_steering = table.is_usable & all_finite(columns, steering_channels)
     if min(has_ins.sum(), has_steering.sum()) < 2:
+        _reject_without_fix(table)
         reason, advice = "", "remove it from the command"
         if has_ins.sum() < 2 and all(np.isfinite(each[table.is_usable]).sum() > 1 for each in table.columns.values()):
             reason, advice = ": its channels have numbers at different times", "export them with times of one clock"
@@ -124,6 +125,7 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
                 and (name in required or (name == "yaw" and np.isfinite(columns[name]).any()))]
     rows = table.is_usable & all_finite(columns, channels)
     if rows.sum() < 2:
+        _reject_without_fix(table)
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
     counted = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
     _count_missing(table, counted, (), notes)
@@ -206,6 +208,14 @@ def _require_columns(table: Table, required: Sequence[str], can: str = "") -> No
         raise RunError(table.file, f"column {doubtful} may be the angle of the steering wheel or of the road wheels",
                        f"declare it: --steering-field '{doubtful}' --steering-is wheel (or road); or in a run.yaml, as "
                        f"columns: {{{STEERING_WHEEL}: {doubtful}}} or {{{ROAD_WHEEL}: {doubtful}}}")
+
+
+def _reject_without_fix(table: Table) -> None:
+    """Raises RunError if the position is that of latitude and longitude, and these are 0 or empty in all rows."""
+    angles = [table.columns[name] for name in ("latitude", "longitude") if name in table.columns.keys() - table.texts]
+    if len(angles) == 2 and not {"x", "y"} <= table.columns.keys() and not np.nan_to_num(angles).any():
+        raise RunError(table.file, "latitude and longitude are 0 or empty in all rows, so the receiver had no fix",
+                       "export x and y, or a part with a fix")
 
 
 def _derive_channels(table: Table, notes: list[str], frame_id: str = ""
