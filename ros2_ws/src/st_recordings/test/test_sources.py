@@ -237,7 +237,7 @@ def test_pattern_of_a_run_yaml_leaves_out_can_logs_in_csv(tmp_path: Path) -> Non
 
 
 def test_table_of_can_frames_is_not_a_can_log(tmp_path: Path) -> None:
-    touch(tmp_path, "run.ncom", "run.csv", content="Time,CAN ID,Dir,Bus,LEN,Data\n")
+    touch(tmp_path, "run.ncom", "run.csv", content="Time,CAN ID,Dir,Bus,LEN,Bytes\n")
     (run,) = find_runs([tmp_path])
     assert "no CAN log has the same name; " in str(run.problem) and "if run.csv is a CAN log, " in str(run.problem)
 
