@@ -268,7 +268,7 @@ class Syncer:
     power failure then loses only the last data of the file.
 
     error: text of the last error, or "". It is never cleared, because data of a failed call may be missing even if
-    later calls succeed. call_count: number of calls, including failed ones. longest_call: its duration [s].
+    later calls succeed. call_count: including failed calls. longest_call: duration of the longest call [s].
     """
 
     def __init__(self, descriptor: int, folders: Sequence[Path]):

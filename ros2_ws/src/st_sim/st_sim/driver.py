@@ -68,7 +68,7 @@ class Driver:
         elif demand.steering == "path":
             is_fast_enough = speed > MIN_STEERING_SPEED
             if self._is_holding and is_fast_enough:
-                # The steering wheel was held: move the road to the car, so that the steering does not jump.
+                # The steering wheel was held: move the road to the car, so that the steering angle does not jump.
                 course = s[YAW] + math.atan2(s[VY], s[VX])
                 self.plan.path.anchor(self.distance, Pose(s[X], s[Y], course))
                 self._offset_integral = 0.0

@@ -111,7 +111,7 @@ class _Run:
 def _find_can_tables(options: argparse.Namespace) -> tuple[Path, Path]:
     """Find the DBC and signal table of the Leaf, whose messages the virtual car sends with every vehicle file.
 
-    They are searched for in the folder of the vehicle file (with --config, only if that contains it), then in --config;
+    They are searched for in the folder of the vehicle file (with --config, only if in its folder), then in --config;
     without --config, in the folder above that of the vehicle file, and in config/ of the checkout and of the current
     folder and its parents.
     """

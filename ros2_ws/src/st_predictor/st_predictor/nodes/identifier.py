@@ -103,7 +103,7 @@ class IdentifierNode(Node):
         self._vehicle, self._file_text, self._problem = vehicle, text, ""
         if has_changed:
             self._core.reset(vehicle)
-            self._fit = None  # a fit that is still running uses the previous values
+            self._fit = None  # a fit still in progress uses the previous values
             self._statuses = {}
             self._resets += 1
             self.get_logger().info(f"{self._file} has changed: all estimates are reset")

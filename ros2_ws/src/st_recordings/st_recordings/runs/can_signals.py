@@ -112,7 +112,7 @@ def _describe_similar_id(ids: np.ndarray, key: int) -> str:
 @dataclass(frozen=True)
 class _DecodedMessage:
     """Signals of one message. fault: description of its faults. rejected_times_ns: log times of rejected frames.
-    n_frames: number of its frames. n_valid: number of those that are usable and valid."""
+    n_frames: number of its frames. n_valid: number of its usable and valid frames."""
 
     signals: tuple[Signal, ...]
     fault: str
@@ -123,12 +123,12 @@ class _DecodedMessage:
 
 def _decode_message(frames: Frames, rows: np.ndarray, spec: MessageSpec) -> _DecodedMessage:
     n_frames, payload, lengths = len(rows), frames.payload[rows], frames.length[rows]
-    fits = has_length(payload, lengths, spec.dbc.length)
-    rows = rows[fits]
+    has_dbc_length = has_length(payload, lengths, spec.dbc.length)
+    rows = rows[has_dbc_length]
     length_fault = _describe_length_fault(spec, lengths, len(rows))
     if not len(rows):
         return _DecodedMessage((), length_fault, np.zeros(0, np.int64), n_frames)
-    data, time_ns = stack_bytes(payload[fits], spec.dbc.length), frames.time_ns[rows]
+    data, time_ns = stack_bytes(payload[has_dbc_length], spec.dbc.length), frames.time_ns[rows]
     columns = spec.to_si(data)
     keep, valid, fault = check_frames(spec, data, time_ns, columns)
     rejected_times_ns = time_ns[~keep]

@@ -70,8 +70,8 @@ def load_typestore() -> Typestore:
 
 
 def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]], types: Iterable[str]) -> Typestore:
-    """A type store in which these types have their recorded definitions; the given store if none differs, or if they
-    contradict each other.
+    """A type store in which these types have their recorded definitions; the given store if none differs, or if the
+    definitions contradict each other.
 
     definitions: as returned by bag_storage.Storage.definitions. A definition that cannot be parsed is ignored: its type
     remains as it is in the store, or unknown.

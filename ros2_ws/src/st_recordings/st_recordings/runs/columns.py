@@ -80,7 +80,7 @@ class Channel:
 
     kind: str  # kind of quantity, a key of UNITS
     meaning: str  # description for users
-    names: tuple[str, ...]  # preferred ones first; compared by letters and digits only, ignoring case
+    names: tuple[str, ...]  # in order of preference; compared by letters and digits only, ignoring case
 
 
 def _split(text: str) -> tuple[str, ...]:

@@ -107,10 +107,10 @@ def read_table(file: Path, layout: Layout) -> Table:
     if file.suffix.lower() in BINARY_EXTENSIONS:
         return parse_table(file, *read_binary_table(file), ",", layout, warnings)
     text = read_text(file)
-    skipped = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
-    *preamble, header, body = (text + "\n").split("\n", skipped + 1)
-    if skipped > 1 or (skipped and not _SEPARATOR.match(preamble[0])):
-        warnings.append(f"{file}: the header is in line {skipped + 1}; the {skipped} lines before it were skipped")
+    n_above = _find_header_line(text.split("\n", MAX_HEADER_LINES + 1)[:MAX_HEADER_LINES], layout)
+    *preamble, header, body = (text + "\n").split("\n", n_above + 1)
+    if n_above > 1 or (n_above and not _SEPARATOR.match(preamble[0])):
+        warnings.append(f"{file}: the header is in line {n_above + 1}; the {n_above} lines before it were skipped")
     names, delimiter = _split_header(header)
     if delimiter == " ":
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))

@@ -84,7 +84,7 @@ def join_problems(problems: Iterable[str]) -> str:
 
 
 def _list_files(messages: Sequence[str]) -> str:
-    """The files that messages name, at most 10 of them."""
+    """The files that the messages name, at most 10."""
     more = f" and {len(messages) - 10} more" if len(messages) > 10 else ""
     return ", ".join(message.partition(": ")[0] for message in messages[:10]) + more
 

@@ -32,7 +32,7 @@ def read(source: RunSource, vehicle: VehicleParameters | None = None,
     settings = settings or ReadSettings()
     if source.problem is not None:
         raise source.problem
-    # Hashing releases the GIL, so it runs in parallel with reading.
+    # Hashing releases the GIL, so that it runs in parallel with reading.
     with ThreadPoolExecutor(1) as pool:
         digests = pool.submit(hash_files, (*source.files, *source.can))
         reader = READERS[source.kind]

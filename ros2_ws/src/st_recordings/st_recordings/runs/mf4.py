@@ -109,7 +109,7 @@ def open_mdf(path: Path, open_file: Callable[[], Any], advice: str) -> Iterator[
     """
     from asammdf.blocks.mdf_v4 import MDF4
 
-    # The destructor would close the file, too, and complain on stderr after a failed __init__.
+    # The destructor would also close the file, and print an error on stderr after a failed __init__.
     MDF4.__del__ = lambda mdf: None  # type: ignore[method-assign]
     logger = logging.getLogger("asammdf")
     level, mdf = logger.level, None

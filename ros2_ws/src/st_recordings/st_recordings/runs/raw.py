@@ -48,7 +48,7 @@ class RawRun:
 
 def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True) -> RawRun:
     """Reads and aligns the INS recording and CAN logs of a run; if the whole log cannot be aligned, uses its longest
-    part that can. Raises RunError, but not for a refused alignment, which is part of the result.
+    alignable part. Raises RunError, but not for a refused alignment, which is part of the result.
 
     keep_frames: False discards the raw frames after decoding, because they use most of the memory.
     """

@@ -76,7 +76,7 @@ def _log_unused_run_file(error: RunError) -> None:
 
 
 def read_yaml_mapping(file: Path) -> dict[str, Any]:
-    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError for any other content."""
+    """Reads the mapping in a YAML file; {} for an empty file. Raises RunError if it is unreadable or not a mapping."""
     try:
         table = yaml_text.load(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -67,7 +67,7 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     if any(f.suffix.lower() in CAN_EXTENSIONS for f in other_files):  # CAN logs that no run.yaml describes
         described_runs = [run for run in described_runs if not run.can]
         other_files = [f for f in single_files if not any(f in run.files for run in described_runs)]
-    described_runs = [run for run in described_runs if run not in runs]  # its run.yaml is listed, too
+    described_runs = [run for run in described_runs if run not in runs]  # its run.yaml is also given
     return _assign_distinct_names([*runs, *described_runs, *_group_files(other_files, named_by_user=True)])
 
 
@@ -126,7 +126,7 @@ def _search_folder(folder: Path) -> list[RunSource]:
 
 
 def _may_belong_to_run(path: Path, files: Sequence[Path]) -> bool:
-    """Whether a file that was found in a folder may belong to a run; False for tables and bags without a drive."""
+    """Whether a file found in a folder may belong to a run; False for tables and bags without a drive."""
     reader = find_reader(path)
     if reader is None or reader.needs_can or is_can_log(path):
         return True

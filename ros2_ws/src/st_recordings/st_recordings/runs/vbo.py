@@ -127,8 +127,8 @@ def _read_midnight(text: str) -> float:
 
 
 def _correct_signs(table: Table) -> Table:
-    """Makes longitude positive to the east and the yaw rate positive in left turns. The derivative of the heading shows
-    the sign of the yaw rate, and replaces a yaw rate that does not agree with it."""
+    """Makes longitude positive to the east and the yaw rate positive in left turns. The derivative of the heading gives
+    the sign of the yaw rate, and replaces a yaw rate that contradicts it."""
     columns, notes = dict(table.columns), list(table.warnings)
     if "longitude" in columns:
         columns["longitude"] = -columns["longitude"]

@@ -231,7 +231,7 @@ def _make_streams(run: RawRun, vehicle: VehicleParameters, settings: ReadSetting
     assert isinstance(ins, NcomLog) and steering is not None  # import_run reads only such runs
     columns, covariances = ins.columns, Covariances(ins)
     packets = np.flatnonzero(columns.navigation_status != 11)  # 11: structure B, a packet without navigation data
-    # A packet with no time near the fixes gets the time of the previous one.
+    # A packet without a time near the fixes gets the time of the previous packet.
     utc_ns = columns.utc_ns[packets]
     is_near_fix = (utc_ns >= ins.time_ns[0] - TIME_MARGIN_NS) & (utc_ns <= ins.time_ns[-1] + TIME_MARGIN_NS)
     is_near_fix &= utc_ns != file_decoder.UNKNOWN_TIME
