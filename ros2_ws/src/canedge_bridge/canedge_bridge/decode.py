@@ -207,7 +207,7 @@ def _physical_to_raw(signal: DbcSignal, physical: float) -> float:
 
 
 def _override_checks(table: SignalTable, overrides: Mapping[str, str]) -> SignalTable:
-    """The table with other modes of counters and checksums. Raises TableError for an invalid override."""
+    """The table with some modes of counters and checksums overridden. Raises TableError for an invalid override."""
     messages = dict(table.messages)
     for key, text in overrides.items():
         message, _, kind = key.partition(".")

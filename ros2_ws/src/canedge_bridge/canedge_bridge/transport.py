@@ -56,7 +56,7 @@ def open_bus(interface: str, channel: str, filters: list[dict[str, Any]] | None 
 
 
 def link_is_up(name: str) -> bool | None:
-    """Whether a network interface of this machine is switched on; None for an unknown interface."""
+    """Whether a network interface of this machine is up; None for an unknown interface."""
     try:
         return bool(int(Path("/sys/class/net", name, "flags").read_text(), 16) & _IFF_UP) if name else None
     except (OSError, ValueError):

@@ -163,7 +163,7 @@ LONG_RANGE = Validity("b6 < 150 and b7 > 0", lambda raw, data: data[6] < 150 and
 
 
 def valid_unless(*codes: int, fresh: bool = False) -> Validity:
-    """Valid unless the raw number is one of the codes; the first code is written for an invalid value."""
+    """Validity of all raw numbers except the codes, the first of which is written for an invalid value."""
     text = "b6 < 150 and " * fresh + f"not {', '.join(map(str, codes))}"
     return Validity(text, lambda raw, data: raw not in codes and (not fresh or data[6] < 150), codes[0],
                     flag_byte=6 if fresh else None)
@@ -177,17 +177,17 @@ UNDULATION = Validity("not -32768, and not -1 while HDOP and PDOP are invalid",
 
 
 def _byte(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
-    """One byte, 0xFF = invalid."""
+    """Field of one byte; 0xFF: invalid."""
     return F(name, "u8", first_byte, unit, scale, BYTE, offset)
 
 
 def _word(name: str, first_byte: int, unit: str = "1", scale: float = 1, offset: float = 0) -> Field:
-    """Two bytes, 0xFFFF = invalid."""
+    """Field of two bytes; 0xFFFF: invalid."""
     return F(name, "u16", first_byte, unit, scale, WORD, offset)
 
 
 def _xyz(names: Iterable[str], kind: str, scale: float, unit: str, validity: Validity) -> list[Field]:
-    """Three consecutive two-byte values, the first at byte 0."""
+    """Three consecutive two-byte fields, the first at byte 0."""
     return [F(name, kind, 2 * i, unit, scale, validity) for i, name in enumerate(names)]
 
 
@@ -204,7 +204,7 @@ def _angles(prefix: str) -> list[Field]:
 
 
 def _innovations(*names: str, first: int = 0) -> list[Field]:
-    """Kalman filter innovations, normalised by their standard deviation."""
+    """Fields of Kalman filter innovations, normalised by their standard deviation."""
     return [F(name, "shifted", first + i, "sigma", 0.1, BIT0_SET) for i, name in enumerate(names)]
 
 
@@ -230,7 +230,7 @@ def _nibbles(first_byte: int, low: str, high: str) -> list[Field]:
 
 
 def _trigger(channel: int) -> list[Field]:
-    """GPS time of an event (minutes, milliseconds and units of 4 us) and its count; see decode_event_time()."""
+    """Fields of the GPS time of an event (minutes, milliseconds, units of 4 us) and its count: decode_event_time()."""
     name = TRIGGER_CHANNELS[channel].removesuffix("Time")
     return [F(f"{name}Minutes", "i32", 0, "min", validity=POSITIVE), F(f"{name}Milliseconds", "u16", 4, "ms"),
             F(f"{name}Fine", "i8", 6, "4 us"), F(f"{name}Count", "u8", 7, validity=POSITIVE)]

@@ -97,7 +97,7 @@ class Origin:
             self._set(GIVEN, *given)
 
     def update(self, motion: Motion, status: StatusTracker, now_ns: int) -> LocalFrame | None:
-        """The map frame, chosen now if not before; None while waiting for the unit's local frame.
+        """The map frame, chosen now if it was not before; None while waiting for the unit's local frame.
 
         now_ns: current time of any clock [ns]; the wait ends if it jumps back to before the start of the wait.
         """

@@ -114,7 +114,7 @@ def foxglove(
     vehicle: Path | None = typer.Option(
         None, help="Vehicle file, for the outline; default config/vehicle/leaf.yaml.", **shared.FILE),
 ) -> None:
-    """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; open config/foxglove/st.json there."""
+    """Relay a running suite to Foxglove and draw its markers, until Ctrl-C; the layout is config/foxglove/st.json."""
     from st_live.configuration import resolve_vehicle_file
     from st_live.suite import Suite, merge_parameters, read_domain_id
     from st_recordings.paths import config

@@ -22,7 +22,7 @@ NAMES = ("lanes", "numpy")
 
 
 def get_backend(name: str | None = None) -> ModuleType:
-    """A backend; None: the fastest. Raises ConfigurationError for an unknown name, and for lanes without numba."""
+    """Backend by name; None: fastest. Raises ConfigurationError for an unknown name, and for lanes without numba."""
     if name is None:
         name = "lanes" if has_numba() else "numpy"
         if name == "numpy":

@@ -150,8 +150,8 @@ _lock = Lock()
 
 def advance(model: Model, p: Any, start: np.ndarray, w: np.ndarray, offsets: np.ndarray, step: float,
             points: np.ndarray) -> np.ndarray:
-    """States of all columns at the points, as defined in the package; computed by numpy, with a warning, if numba
-    cannot compile the model."""
+    """States of all columns at the points, see the package; computed by numpy, with a warning, if numba cannot compile
+    the model."""
     numbers: list[float] = []
     kernel = _get_kernel(model, p, _collect_numbers(p, numbers), len(w), len(start))
     if kernel is None:
@@ -227,7 +227,7 @@ def make_kernel(model: Model, type_of_p, fields: int, states: int):
 
 @contextmanager
 def interleave_vectors() -> Iterator[None]:
-    """Compile with INTERLEAVED_VECTORS full-width vectors.
+    """Context in which LLVM compiles with INTERLEAVED_VECTORS full-width vectors.
 
     By default LLVM uses one vector, of half the width on Intel server processors, which is 40 % slower. The options
     apply to the whole process and are therefore reset.

@@ -41,7 +41,7 @@ class _Results:
 
 def check(log: DriveLog, vehicle: VehicleParameters | None = None,
           auxiliary: AuxiliaryData | None = None) -> DriveCheck:
-    """Findings of one recording.
+    """Result of all checks of one recording.
 
     The order is: sampling; units, signs and axes; relations valid for any vehicle (position, yaw, velocity,
     accelerations, other speeds); and, with a vehicle, comparison with it and trial of the corrections. Each check uses

@@ -130,7 +130,7 @@ def _find_best_offsets(pair: Pair, cutoff: float) -> list[Fit]:
 
 
 def _compute_f_limit(samples: float, cutoff: float, level: float = 0.975) -> float:
-    """Quantile of the ratio of two estimates of equal variances, at probability `level`."""
+    """Quantile, at probability `level`, of the ratio of two estimates of one variance. samples: number in each."""
     degrees_of_freedom = max(2.0 * cutoff * STEP * samples, 1.0)
     return float(fisher.ppf(level, degrees_of_freedom, degrees_of_freedom))
 
@@ -336,7 +336,7 @@ def correct_yaw_rate(motion: Motion, agreement: Agreement) -> Motion:
 
 
 def check_accelerations(motion: Motion) -> list[CheckResult]:
-    """Compare both accelerations with the derivative of velocity; empty if the axes of the velocity are wrong."""
+    """Results of comparing accelerations with the derivative of velocity; empty if the velocity has wrong axes."""
     if motion.moves_sideways:
         return []
     time, speed = motion.time, float(np.median(np.abs(motion.velocity_x)))
@@ -369,7 +369,7 @@ def check_accelerations(motion: Motion) -> list[CheckResult]:
 
 
 def check_speeds(motion: Motion) -> list[CheckResult]:
-    """Compare the speeds from other sources with the forward speed of the INS."""
+    """Results of comparing the speeds from other sources with the forward speed of the INS."""
     results = []
     for name in motion.speeds:
         scale, lag = SPEED_LIMITS[name]

@@ -63,7 +63,7 @@ class Motion:
         return replace(self, time=self.time / factor, steering_time=self.steering_time / factor, speeds=speeds)
 
     def apply_entry(self, entry: Mapping[str, Any]) -> "Motion":
-        """The motion with the `columns` of an entry of run.yaml, and the scale and add of its `correct`."""
+        """The motion with an entry of run.yaml applied: `columns`, and scale and add of `correct`."""
         signals = {name: getattr(self, source) for name, source in entry.get("columns", {}).items()}
         for channel, values in entry.get("correct", {}).items():
             for name in COMPONENTS.get(channel, (channel,)):

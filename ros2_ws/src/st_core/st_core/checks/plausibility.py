@@ -146,7 +146,7 @@ def find_broken_channels(findings: Iterable[Finding]) -> set[str]:
 
 
 def _detect_motion(log: DriveLog, instants_ns: np.ndarray) -> np.ndarray:
-    """Whether the car moves at instants [ns], by velocity or by positions, either of which may drop out."""
+    """Mask (n,) of the instants [ns] at which the car moves by velocity or positions, either of which may drop out."""
     if len(log.ins_time_ns) < 2:
         return np.zeros(len(instants_ns), bool)
     time, instants = ((t - log.ins_time_ns[0]) * NANOSECOND for t in (log.ins_time_ns, instants_ns))

@@ -40,7 +40,7 @@ MIN_GAIN = 1e-6  # ratio of measured to derived angle below which the steering i
 
 
 def check_steering(motion: Motion, vehicle: VehicleParameters, has_steering_wheel: bool) -> CheckResult:
-    """Compare steering with curvature. has_steering_wheel: whether the steering wheel angle was recorded."""
+    """Result of comparing steering with curvature. has_steering_wheel: whether its angle was recorded."""
     moving = motion.velocity_x > MIN_SPEED
     curvature = np.where(moving, motion.yaw_rate / np.maximum(motion.velocity_x, MIN_MOVING_SPEED), np.nan)
     derived = np.arctan(vehicle.wheelbase * curvature)
@@ -219,7 +219,7 @@ def _make_finding(name: str, channels: tuple[str, ...], text: str, estimate: Est
 
 
 def check_rear_axle(motion: Motion, vehicle: VehicleParameters) -> CheckResult:
-    """Check the alignment of the heading and the position of the INS point against the motion of the rear axle."""
+    """Result of comparing heading alignment and INS position with the motion of the rear axle."""
     windows = motion.make_windows(WINDOW)
     means = [windows.mean(values) for values in (motion.velocity_x, motion.velocity_y, motion.yaw_rate)]
     usable = (means[0] > MIN_SPEED) & (np.abs(means[0] * means[2]) < MAX_LATERAL_ACCELERATION)
