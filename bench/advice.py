@@ -11,7 +11,7 @@ from st_core.log_evaluation import EvaluationSettings
 from st_core.palette import MODEL_COLOUR
 from st_offline.evaluation import advice as advice_report
 from st_offline.evaluation.advice import find_cheapest, measure_runs
-from st_offline.evaluation.drawing import TEXT, WIDTH, FigureOutput, apply_style, save_figure
+from st_offline.evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, apply_style, save_figure
 from st_offline.evaluation.work import Task
 from st_recordings.paths import project_root
 from st_recordings.runs import find_runs
@@ -37,12 +37,13 @@ def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
         for axes, second in zip(panels[0], seconds, strict=True):
             for (model, step), one in accuracies.items():
                 k, marker = one.seconds.index(second), MARKERS[steps.index(step) % len(MARKERS)]
-                cost, colour = 1e6 * advice_report.get_processor_time(costs[model, step]), MODEL_COLOUR.get(model, TEXT)
+                cost = 1e6 * advice_report.get_processor_time(costs[model, step])
+                colour = MODEL_COLOUR.get(model, TEXT_COLOUR)
                 axes.plot(cost, one.rms[k], marker, color=colour, ms=5)
                 if one.half_widths is not None:
                     axes.plot([cost, cost], [one.rms[k], one.half_widths[k]], color=colour, lw=0.7)
                     axes.plot(cost, one.half_widths[k], marker, color=colour, ms=5, mfc="none")
-            axes.axhline(tolerance, color=TEXT, lw=0.7, ls=(0, (4, 3)))
+            axes.axhline(tolerance, color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)))
             axes.set(title=f"{second} s ahead", xscale="log", yscale="log", xlabel="µs per prediction")
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
@@ -50,12 +51,13 @@ def draw_advice(costs: Mapping[advice_report.Key, advice_report.Cost],
             axes.xaxis.set_minor_formatter(NullFormatter())
         panels[0, 0].set_ylabel("lateral error, m")
         models = list(dict.fromkeys(model for model, _ in accuracies))
-        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT), label=m) for m in models]
-        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT, label=f"step {step:g} s")
+        handles = [Line2D([], [], ls="", marker="o", color=MODEL_COLOUR.get(m, TEXT_COLOUR), label=m) for m in models]
+        handles += [Line2D([], [], ls="", marker=MARKERS[k % len(MARKERS)], color=TEXT_COLOUR, label=f"step {step:g} s")
                     for k, step in enumerate(steps)]
-        handles += [Line2D([], [], ls="", marker="D", color=TEXT, ms=5, label="error, rms"),
-                    Line2D([], [], ls="", marker="D", color=TEXT, ms=5, mfc="none", label="half-width of the band"),
-                    Line2D([], [], color=TEXT, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
+        handles += [Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, label="error, rms"),
+                    Line2D([], [], ls="", marker="D", color=TEXT_COLOUR, ms=5, mfc="none",
+                           label="half-width of the band"),
+                    Line2D([], [], color=TEXT_COLOUR, lw=0.7, ls=(0, (4, 3)), label=f"{tolerance:g} m")]
         drawn.legend(handles=handles, loc="outside lower left", ncols=6)
         save_figure(drawn, output, "advice", "Cost and accuracy of each model and step",
                            f"Filled: rms error; hollow: half-width of the band; dashed: {tolerance:g} m.")

@@ -20,7 +20,7 @@ from st_core.discovery.library_fit import fit_healthy_car
 from st_core.log import DriveLog
 from st_core.model_file import ModelFile
 from st_core.vehicle import VehicleParameters
-from st_offline.discovery.discover_command import sensor_estimates, write_results
+from st_offline.discovery.discover_command import pool_sensor_estimates, write_results
 from st_offline.discovery.drives import Drive, Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.runs import ReadSettings, find_runs
@@ -84,7 +84,7 @@ def discover_hidden(folder: Path, effects: Mapping[str, float], seed: int, refer
     drives = load_drives(write_drives(folder / "raw", effects, seed))
     settings = DiscoverySettings(locate_errors=False)
     found = discover(logs(drives), CAR, "nonlinear", logs(reference), settings,
-                     sensor_estimates=sensor_estimates(drives))
+                     sensor_estimates=pool_sensor_estimates(drives))
     out = folder / "out"
     out.mkdir()
     request = Request("nonlinear", CAR, str(LEAF), LEAF.read_text(), settings, drives=drives,

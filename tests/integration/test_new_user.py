@@ -2,7 +2,7 @@
 
 import pytest
 from st_core.discovery import DiscoverySettings, discover
-from st_offline.discovery.discover_command import sensor_estimates
+from st_offline.discovery.discover_command import pool_sensor_estimates
 from st_offline.discovery.drives import Request, read_drives
 from st_offline.discovery.vehicle_update import update_vehicle
 from st_recordings.car import read_vehicle
@@ -31,7 +31,7 @@ def discovery(tmp_path_factory):
     loaded = read_drives(find_runs([folder / "drives"]), vehicle, ReadSettings(), 1, lambda: None)
     request = Request("nonlinear", vehicle, str(file), file.read_text(), DiscoverySettings(), drives=loaded)
     found = discover([d.log for d in loaded], vehicle, settings=request.settings,
-                     sensor_estimates=sensor_estimates(loaded))
+                     sensor_estimates=pool_sensor_estimates(loaded))
     return truth, found, update_vehicle(found, request)
 
 

@@ -15,7 +15,7 @@ from discovery_drives import recorded
 from st_cli.cli import app
 from st_core.discovery import DiscoverySettings, discover
 from st_core.log import DriveLog
-from st_offline.discovery.discover_command import sensor_estimates
+from st_offline.discovery.discover_command import pool_sensor_estimates
 from st_offline.discovery.drives import read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF, read_car, shared
@@ -50,7 +50,7 @@ def discover_in_files(files: list[Path]) -> dict[str, Any]:
     drives = read_drives(find_runs(files), car, ReadSettings(), 1, lambda: None)
     assert not [d.problem for d in drives if d.problem]
     return discover([d.log for d in drives if d.log is not None], car, settings=SETTINGS,
-                    sensor_estimates=sensor_estimates(drives)).document()
+                    sensor_estimates=pool_sensor_estimates(drives)).document()
 
 
 def parameters_of(content: dict[str, Any], effect: str) -> dict[str, dict[str, Any]]:

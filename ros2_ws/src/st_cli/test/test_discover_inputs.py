@@ -14,8 +14,8 @@ from st_core.model_file import ModelFile, ModelProvenance
 from st_core.vehicle import VehicleParameters
 from st_live.configuration import make_model_parameters
 from st_live.suite import SuiteError
-from st_offline.discovery.discover_command import _check_reference, sensor_estimates
-from st_offline.discovery.drives import clock_deviations, read_drive, read_drives
+from st_offline.discovery.discover_command import _check_reference, pool_sensor_estimates
+from st_offline.discovery.drives import collect_clock_deviations, read_drive, read_drives
 from st_recordings.runs import ReadSettings, find_runs
 from support import LEAF, ROOT
 
@@ -94,10 +94,11 @@ def test_rows_without_a_number_are_excluded_and_reported(drive, tmp_path):
 
 def test_deviations_of_aligned_clocks_are_collected(drive):
     read = read_drive(find_runs([drive])[0], load_vehicle(LEAF), ReadSettings())
-    assert clock_deviations([read]) == {}  # one clock
+    assert collect_clock_deviations([read]) == {}  # one clock
     poor = replace(read, metadata={**read.metadata, "clock_deviation_s": 0.039})
-    assert clock_deviations([replace(read, name="other"), poor]) == {read.name: 0.039}
-    assert clock_deviations([replace(poor, log=None), replace(poor, metadata={"clock_deviation_s": None})]) == {}
+    assert collect_clock_deviations([replace(read, name="other"), poor]) == {read.name: 0.039}
+    unknown = replace(poor, metadata={"clock_deviation_s": None})
+    assert collect_clock_deviations([replace(poor, log=None), unknown]) == {}
 
 
 def test_drive_is_refused_as_its_own_reference(drive, tmp_path):
@@ -135,7 +136,7 @@ def test_reference_option_takes_all_paths_and_needs_remaining_runs(drive, tmp_pa
 def test_sensor_estimates_of_the_checks_are_pooled_over_runs(tmp_path):
     files = [write_drive(tmp_path / f"{seconds:.0f}.csv", weave(seconds)) for seconds in (30.0, 40.0)]
     one, two = read_drives(find_runs(files), load_vehicle(LEAF), ReadSettings(), 1, lambda: None)
-    alone, both = sensor_estimates([one]), sensor_estimates([one, two])
+    alone, both = pool_sensor_estimates([one]), pool_sensor_estimates([one, two])
     assert alone["yaw_rate_bias"] == tuple(one.metadata["estimates"]["yaw_rate_bias"])
     value, low, high = both["yaw_rate_bias"]
     assert low <= value <= high and set(both) >= set(alone)

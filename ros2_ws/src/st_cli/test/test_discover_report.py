@@ -76,7 +76,7 @@ def test_title_and_table_list_values_with_the_largest_effect_first(logs):
 
 def test_value_on_its_bound_is_marked_except_shape_factors():
     (ratio,) = quantities.format_parameters("steering_ratio", {"factor": FittedParameter(0.5, "1", (0.4, 0.6), 1.0)})
-    assert ratio == "× 0.50 on its bound (0.40 to 0.60)"
+    assert ratio == "× 0.50 at a limit of its range (0.40 to 0.60)"
     (_, curvature) = quantities.format_parameters("front_tyre_curve", {
         "peak": FittedParameter(0.98, "1", (0.62, 1.30), 1.0),
         "curvature": FittedParameter(0.05, "1", (-0.17, 0.28), 1.0)})
@@ -114,8 +114,8 @@ def test_file_with_one_of_two_alternatives_mentions_the_other(logs, strength, wh
 
 def test_causes_outside_the_library_are_listed_for_a_named_effect(logs):
     found = discovery(logs, (("steering_ratio", {"factor": 0.94}, 0.5),), 1.7)
-    assert any(text.startswith("measure steering ratio on the car, and check what would have the same effect and is "
-                               "not in the library: a wrong wheelbase in the vehicle file")
+    assert any(text.startswith("measure steering ratio on the car, and check causes that have the same effect but "
+                               "are not in the library: a wrong wheelbase in the vehicle file")
                for text in report_text.recommend(found, None))
     assert "or a cause outside the library with the same effect" in report_text.format_title(found)
     mass = discovery(logs, (("mass", {"factor": 0.94}, 0.5),), 1.7)
@@ -324,10 +324,10 @@ def test_every_input_changes_the_key_of_the_result_cache(logs):
               (2, replace(CAR, mass=1600.0)), (3, augment("nonlinear", {"mass": {"factor": 1.1}})),
               (3, augment("linear", {})), (4, DiscoverySettings(seed=1)), (5, {"mine.py": "ab"}),
               (6, {"yaw_rate_bias": (0.1, 0.0, 0.2)}), (7, {"a": 0.02})]
-    keys = {drives.result_key(*inputs)}
+    keys = {drives.make_result_key(*inputs)}
     for place, value in changes:
-        keys.add(drives.result_key(*inputs[:place], value, *inputs[place + 1:]))
-    assert len(keys) == 1 + len(changes) and drives.result_key(*inputs) in keys
+        keys.add(drives.make_result_key(*inputs[:place], value, *inputs[place + 1:]))
+    assert len(keys) == 1 + len(changes) and drives.make_result_key(*inputs) in keys
 
 
 @pytest.mark.parametrize(("given", "expected"), [

@@ -253,7 +253,7 @@ def test_different_vehicle_gives_different_predictions(bag, tmp_path):
     kinematic, linear = found.comparisons
     assert not found.same_configuration and kinematic.path_difference < 1e-9 and linear.path_difference > 0.01
     assert linear.start_difference < 1e-9
-    assert "another vehicle" in st_verify(bag, "--vehicle", other).output
+    assert "a different vehicle" in st_verify(bag, "--vehicle", other).output
 
 
 def test_recording_without_predictions_has_nothing_to_compare(live):

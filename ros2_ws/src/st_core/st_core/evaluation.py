@@ -150,7 +150,7 @@ class Evaluator:
         no_inputs = (self._describe_unknown("INS", self.history.ins, times, ins[:, DERIVATIVE], start_ns)
                      or self._describe_unknown("steering", self.history.steering, times, angle, start_ns))
         # All models are scored at the same points, although some do not need the input at the last point.
-        scorable = inputs.known_so_far[::2]
+        scorable = inputs.is_known_so_far[::2]
         breaks = self.history.ins.breaks
         jump_ns = min((time_ns for time_ns in breaks if start_ns < time_ns <= times[-1]), default=int(times[-1]) + 1)
         jump = (f"INS: {breaks[jump_ns]} at {(jump_ns - start_ns) * NANOSECOND:.3f} s of the horizon"

@@ -303,7 +303,7 @@ def _evaluate_block(models: Sequence[Model], vehicle: VehicleParameters, signals
     errors: dict[tuple[str, Mode], np.ndarray] = {
         (model.name, mode): reading_errors(model, vehicle, trajectories[model.name, mode], *measured_pose)
         for model in models for mode in (*MODES, *planned)}
-    inputs_known = InputSequence(angle, acceleration).known_so_far
+    inputs_known = InputSequence(angle, acceleration).is_known_so_far
     for model in models:
         errors[model.name, "hindsight"][~inputs_known[:, ::2]] = np.nan
     complete, has_ended = inputs_known[:, -1], times[:, -1] > signals.log.common_span_ns[1]

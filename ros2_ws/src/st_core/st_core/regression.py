@@ -32,8 +32,8 @@ def symmetric_interval(value: float, standard_uncertainty: float,
     """95 % confidence interval value -/+ t u, with Student's t (1.96 for infinitely many degrees of freedom)."""
     from scipy.stats import t as student  # imported here: it takes half a second, and nodes do not need it
 
-    half = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
-    return value - half, value + half
+    half_width = float(student.ppf(0.975, degrees_of_freedom)) * standard_uncertainty
+    return value - half_width, value + half_width
 
 
 def count_decimals(half_width: float) -> int:
@@ -116,7 +116,7 @@ class Spread:
 class Blocks:
     """Partition of samples into blocks."""
 
-    block_of: np.ndarray  # (n,) block index of each sample
+    block_index: np.ndarray  # (n,) block index of each sample
     run: np.ndarray  # (k,) run of each block
     block: np.ndarray  # (k,) number within the run, ascending
     name: str  # description, such as "8 runs"
@@ -128,7 +128,7 @@ class Blocks:
         """Sums of values (n, ...) over the samples of each block, (k, ...)."""
         values = np.asarray(values, float)
         result = np.zeros((len(self), *values.shape[1:]))
-        np.add.at(result, self.block_of, values)
+        np.add.at(result, self.block_index, values)
         return result
 
     def make_spread(self, influence: np.ndarray) -> Spread:
@@ -188,9 +188,9 @@ def make_blocks(run_index: Sequence[int] | np.ndarray, time: Sequence[float] | n
     if len(runs) >= MIN_RUN_BLOCKS:
         return Blocks(number, runs, np.zeros(len(runs), np.int64), f"{len(runs)} runs")
     keys = np.stack((run_index, np.floor(np.asarray(time) / BLOCK_LENGTH).astype(np.int64)), axis=1)
-    sections, section_of = np.unique(keys, axis=0, return_inverse=True)
+    sections, section_index = np.unique(keys, axis=0, return_inverse=True)
     plural = "s" if len(runs) > 1 else ""
-    return Blocks(section_of.ravel(), sections[:, 0], sections[:, 1],
+    return Blocks(section_index.ravel(), sections[:, 0], sections[:, 1],
                   f"{len(sections)} blocks of {BLOCK_LENGTH:g} s from {len(runs)} run{plural}")
 
 

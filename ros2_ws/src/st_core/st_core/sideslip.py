@@ -28,7 +28,7 @@ MAX_COURSE_ERROR = 0.0015
 as a course. It is 0.003 to 0.03 in Genesis drives with the heading of the INS, up to 0.0004 with GNSS courses."""
 
 
-def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
+def compute_steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
     """v_y [m/s] at the INS point in steady cornering; see the module docstring."""
     slip = rear_slip_coefficient(vehicle)
     return log.yaw_rate * (vehicle.cg_to_rear_axle - slip * log.velocity_x**2 + vehicle.cg_to_ins_x)
@@ -36,13 +36,13 @@ def steady_velocity_y(log: DriveLog, vehicle: VehicleParameters) -> np.ndarray:
 
 def with_steady_sideslip(log: DriveLog, vehicle: VehicleParameters) -> DriveLog:
     """The drive with steady-state sideslip; unchanged if it has velocity_y, little sideslip or a heading as yaw."""
-    fast = log.velocity_x > MIN_SPEED
-    if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not fast.any():
+    is_fast = log.velocity_x > MIN_SPEED
+    if log.velocity_y.any() or len(log.ins_time_ns) < 3 or not is_fast.any():
         return log
     smoothed_log = replace(log, yaw_rate=moving_average(log.ins_time_ns, log.yaw_rate, RATE_WIDTH_NS))
-    angle = np.arctan2(steady_velocity_y(smoothed_log, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
-    angle = np.interp(log.ins_time_ns, log.ins_time_ns[fast], angle[fast])
-    if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, smoothed_log.yaw_rate, fast):
+    angle = np.arctan2(compute_steady_velocity_y(smoothed_log, vehicle), np.maximum(log.velocity_x, MIN_SPEED))
+    angle = np.interp(log.ins_time_ns, log.ins_time_ns[is_fast], angle[is_fast])
+    if np.std(angle) < MAX_COURSE_ERROR or not _is_course(log, smoothed_log.yaw_rate, is_fast):
         return log
     speed, yaw = log.velocity_x, log.yaw - angle
     rate = derive_yaw_rate(log.ins_time_ns, yaw) if has_derived_yaw_rate(log) else log.yaw_rate
@@ -57,21 +57,22 @@ def derive_yaw_rate(time_ns: np.ndarray, yaw: np.ndarray) -> np.ndarray:
 
 def has_derived_yaw_rate(log: DriveLog) -> bool:
     """Whether the yaw rate of the moving car is the derivative of yaw, so that no gyroscope was recorded."""
-    fast = log.velocity_x > MIN_SPEED
-    error = np.abs(derive_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[fast]
-    return bool(fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)
+    is_fast = log.velocity_x > MIN_SPEED
+    error = np.abs(derive_yaw_rate(log.ins_time_ns, log.yaw) - log.yaw_rate)[is_fast]
+    return bool(is_fast.any() and np.median(error) < MAX_DERIVATIVE_ERROR)
 
 
-def _is_course(log: DriveLog, yaw_rate: np.ndarray, fast: np.ndarray) -> bool:
+def _is_course(log: DriveLog, yaw_rate: np.ndarray, is_fast: np.ndarray) -> bool:
     """Whether yaw is the direction of the displacement; sideslip is about a r / v + b r v with constants a and b."""
     time = (log.ins_time_ns - log.ins_time_ns[0]) * NANOSECOND
     ends = time - 0.5 * COURSE_TIME, time + 0.5 * COURSE_TIME
     east, north = (np.subtract(*(np.interp(t, time, values) for t in ends[::-1])) for values in (log.x, log.y))
-    usable = fast & (ends[0] >= time[0]) & (ends[1] <= time[-1]) & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
-    if not usable.any():
+    is_inside = (ends[0] >= time[0]) & (ends[1] <= time[-1])
+    is_usable = is_fast & is_inside & (np.hypot(east, north) > MIN_SPEED * COURSE_TIME)
+    if not is_usable.any():
         return False
-    difference = wrap_angle(np.arctan2(north, east) - log.yaw)[usable]
-    rate, speed = yaw_rate[usable], log.velocity_x[usable]
+    difference = wrap_angle(np.arctan2(north, east) - log.yaw)[is_usable]
+    rate, speed = yaw_rate[is_usable], log.velocity_x[is_usable]
     regressors = np.stack([rate / speed, rate * speed, np.ones_like(rate)], axis=1)
     coefficients = np.linalg.lstsq(regressors, difference, rcond=None)[0]
     return float(np.std(regressors @ coefficients)) < MAX_COURSE_ERROR

@@ -56,7 +56,7 @@ class VehicleState:
     velocity_x: float  # body axes, forward [m/s]
     velocity_y: float  # body axes, left [m/s]
     yaw: float  # from map x (east) counter-clockwise, not wrapped [rad]
-    yaw_rate: float  # left turn + [rad/s]
+    yaw_rate: float  # positive in a left turn [rad/s]
 
     def as_tuple(self) -> tuple[float, ...]:
         """The six values as Python floats, in state order."""
@@ -66,10 +66,10 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class ControlInput:
-    """Inputs of every model at one instant: road_wheel_angle [rad], front axle mean, left +; velocity_x_dot [m/s^2]."""
+    """Inputs of every model at one instant."""
 
-    road_wheel_angle: float
-    velocity_x_dot: float
+    road_wheel_angle: float  # mean of the front wheels, positive to the left [rad]
+    velocity_x_dot: float  # derivative of the forward velocity [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class InputSequence:
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
-    def known_so_far(self) -> np.ndarray:
+    def is_known_so_far(self) -> np.ndarray:
         """Whether both inputs are known at each point and at all points before it."""
         return np.logical_and.accumulate(np.isfinite(self.road_wheel_angle) & np.isfinite(self.velocity_x_dot), axis=-1)
 
@@ -123,7 +123,7 @@ class InsSample(NamedTuple):
     yaw: float  # from east counter-clockwise, wrapped or not [rad]
     velocity_x: float  # body axes, forward [m/s]
     velocity_y: float  # body axes, left [m/s]
-    yaw_rate: float  # left turn + [rad/s]
+    yaw_rate: float  # positive in a left turn [rad/s]
 
 
 def wrap_angle(angle: Number) -> Number:
@@ -160,7 +160,7 @@ def ins_to_cg(sample: InsSample, cg_to_ins_x: float, cg_to_ins_y: float = 0.0) -
 
         p_cg = p_ins - R(yaw) d,    v_x,cg = v_x,ins + r d_y,    v_y,cg = v_y,ins - r d_x
 
-    d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point seen from the CG, forward and left; behind the CG d_x < 0.
+    d = (cg_to_ins_x, cg_to_ins_y) [m] is the INS point relative to the CG, forward and left; behind the CG d_x < 0.
     Source: Aertssen et al., AVEC 2026, equation of the sensor offset, in which d has the opposite sign. Checked by:
     test_frames.py.
     """

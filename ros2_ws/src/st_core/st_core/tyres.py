@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 from .ops import absolute, atan, maximum, minimum, sign, sin
 from .types import Quantity
 
-GRAVITY = 9.81  # m/s^2, as in the paper
+GRAVITY = 9.81  # m/s^2, the value in the paper
 MINIMUM_LOAD = 1.0  # N, of one tyre; the load is a divisor, and a jump of the speed can imply a lifted axle
 
 
@@ -27,13 +27,13 @@ class MagicFormula(NamedTuple):
     p_ky1: Annotated[float, Quantity("1", -200.0, -1.0)]
     p_ky2: Annotated[float, Quantity("1", 0.1, 20.0)]
     p_ky4: Annotated[float, Quantity("1", 0.1, 4.0)]
-    lambda_ky: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # scale of the stiffness
-    lambda_cy: Annotated[float, Quantity("1", 0.1, 10.0, required=False)] = 1.0  # scale of the shape
-    lambda_muy: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # scale of the friction
+    lambda_ky: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # factor of the cornering stiffness
+    lambda_cy: Annotated[float, Quantity("1", 0.1, 10.0, required=False)] = 1.0  # factor of the shape
+    lambda_muy: Annotated[float, Quantity("1", 0.01, 10.0, required=False)] = 1.0  # factor of the friction
 
 
 def slip_angle(velocity_lateral, velocity_forward, minimum_speed):
-    """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; + when the wheel slides to its left.
+    """alpha = atan(v_sy / max(|v_x|, v_eps)) [rad], in wheel axes; positive when the wheel slides to its left.
 
     velocity_lateral, velocity_forward: velocity of the wheel in wheel axes [m/s]. minimum_speed: v_eps [m/s], > 0;
     below it the angle is deliberately underestimated. Source: paper, slip angle equation.
@@ -73,7 +73,7 @@ def magic_formula_coefficients(load, tyre: MagicFormula):
 def magic_formula_force(slip, stiffness_factor, peak, curvature, tyre: MagicFormula):
     """F_y = D sin(C atan(B a - min(E (1 - p_ey3 sgn a), 1) (B a - atan(B a)))) [N], a = slip angle [rad].
 
-    Without the limit 1 the curve folds back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
+    Without the limit of 1, the curve would turn back (Pacejka, Tire and Vehicle Dynamics, eq. 4.E24).
     C = p_cy1 lambda_cy; B, D, E from `magic_formula_coefficients`; twice D gives the force of an axle. With p_ky1 < 0
     the force opposes the slip angle. Source: paper, appendix. Checked by: test_tyres.py.
     """

@@ -65,7 +65,7 @@ class Provenance:
 
 
 def road_wheel_angle(steering_wheel_angle: Number, offset: Number, ratio: Number) -> Number:
-    """Road wheel angle (angle - offset) / ratio, mean of the front axle. All angles [rad], left +; ratio [1]."""
+    """Road wheel angle (angle - offset) / ratio, mean of the front axle. Angles [rad]: left positive; ratio [1]."""
     return (steering_wheel_angle - offset) / ratio
 
 
@@ -90,7 +90,7 @@ class VehicleParameters:
     cg_to_ins_x: Annotated[float, Quantity("m", -15.0, 15.0)]  # INS point ahead of the CG, behind it < 0
     cg_to_ins_y: Annotated[float, Quantity("m", -3.0, 3.0)]  # INS point to the left of the CG
     steering_ratio: Annotated[float, Quantity("1", 1.0, 60.0)]
-    # Reading of the steering wheel sensor when driving straight, left +.
+    # Reading of the steering wheel sensor when driving straight, positive to the left.
     steering_wheel_offset: Annotated[float, Quantity("rad", -math.pi, math.pi, other_units={"deg": math.pi / 180.0})]
     cornering_stiffness_front: Annotated[float, Quantity("N/rad", 1.0, 5.0e6)]  # per axle
     cornering_stiffness_rear: Annotated[float, Quantity("N/rad", 1.0, 5.0e6)]  # per axle
@@ -150,7 +150,7 @@ class VehicleParameters:
         return default.size * (abs(value_of(self, key)) if default.relative else 1.0) or None
 
     def road_wheel_angle(self, steering_wheel_angle: Number) -> Number:
-        """Road wheel angle [rad], mean of the front axle, at a measured steering wheel angle [rad]; both left +."""
+        """Road wheel angle [rad], mean of the front axle, at a measured steering wheel angle [rad]; left positive."""
         return road_wheel_angle(steering_wheel_angle, self.steering_wheel_offset, self.steering_ratio)
 
     def steering_wheel_angle(self, road_wheel_angle: Number) -> Number:

@@ -39,7 +39,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        seen = set()
+        keys = set()
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if key_node.tag == "tag:yaml.org,2002:merge":
@@ -51,12 +51,12 @@ class _Loader(yaml.SafeLoader):
                 raise ConfigurationError(f"{_shorten(key)}: a key must be a string (line {line}){comma}")
             if not key.isprintable():
                 raise ConfigurationError(f"{_shorten(key)}: a key must be printable (line {line})")
-            if key in seen:
+            if key in keys:
                 raise ConfigurationError(f"{key}: given twice (line {line}); remove one")
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
-    def construct_scalar_checked(self, node: yaml.ScalarNode) -> Any:
+    def construct_checked_scalar(self, node: yaml.ScalarNode) -> Any:
         """A number or date; a failed conversion raises ConfigurationError with the line number."""
         try:
             value = yaml.SafeLoader.yaml_constructors[node.tag](self, node)
@@ -68,7 +68,7 @@ class _Loader(yaml.SafeLoader):
 
 
 for _kind in ("int", "float", "timestamp"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_scalar_checked)
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_checked_scalar)
 
 
 def load(text: str) -> Any:

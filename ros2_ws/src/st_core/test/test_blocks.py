@@ -14,7 +14,7 @@ def test_blocks_are_runs_or_parts_of_few_runs():
     run_index, time = np.repeat(np.arange(9), 30), np.tile(np.arange(30.0), 9)
     assert make_blocks(run_index, time).name == "9 runs"
     group = make_blocks(run_index[:60], time[:60])
-    assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.block_of), [10] * 6)
+    assert group.name == "6 blocks of 10 s from 2 runs" and np.array_equal(np.bincount(group.block_index), [10] * 6)
 
 
 def test_intervals_contain_the_mean_at_their_level():

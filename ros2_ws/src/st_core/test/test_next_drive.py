@@ -87,4 +87,4 @@ def test_relation_found_without_an_accelerometer_has_a_next_drive(leaf):
     assert (one.candidate.term, one.candidate.quantity) == ("yaw_moment", "acceleration_x")
     most_precise = min(one.next_drives.options, key=lambda o: o.deviation.max())
     assert most_precise.manoeuvre.name == "brake_in_turn" and most_precise.deviation.max() < one.deviation.max()
-    assert any(low < -2.0 < high for low, high in one.next_drives.sparse)
+    assert any(low < -2.0 < high for low, high in one.next_drives.sparse_ranges)

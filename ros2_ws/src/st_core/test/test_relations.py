@@ -314,7 +314,7 @@ def test_curve_at_its_bound_is_refused(leaf, fits):
     c = Candidate("side_force", "speed", 0.0, 3.0, 20.0)
     assert describe_unusable_curve(fits, fit_with_curve(fits, c, np.full(SPLINES, 1.0))) == ""
     at_bound = fit_with_curve(fits, c, np.eye(SPLINES)[2] * 100.0)
-    assert "side_force over speed reaches its bound" in describe_unusable_curve(fits, at_bound)
+    assert "side_force over speed reaches its limit" in describe_unusable_curve(fits, at_bound)
 
 
 @pytest.mark.slow

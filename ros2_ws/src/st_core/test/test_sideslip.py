@@ -11,7 +11,7 @@ from st_core.identification.ins_mounting import identify_ins_mounting
 from st_core.identification.result import IdentificationError
 from st_core.log import DriveLog
 from st_core.log_evaluation import evaluate_log
-from st_core.sideslip import derive_yaw_rate, has_derived_yaw_rate, steady_velocity_y, with_steady_sideslip
+from st_core.sideslip import compute_steady_velocity_y, derive_yaw_rate, has_derived_yaw_rate, with_steady_sideslip
 from support import read_car
 from winding_road import Truth, winding_road
 
@@ -40,7 +40,7 @@ def test_heading_and_lateral_velocity_are_reconstructed(heading: DriveLog, cours
     assert not found.sideslip_measured and not CHANNELS["velocity_y"].is_measured_in(found)
     assert np.std(course.yaw - heading.yaw) > 0.008
     assert np.std(found.yaw - heading.yaw) < 0.003
-    assert np.std(found.velocity_y - steady_velocity_y(heading, CAR)) < 0.05
+    assert np.std(found.velocity_y - compute_steady_velocity_y(heading, CAR)) < 0.05
 
 
 def test_predictions_improve_with_the_reconstructed_heading(course: DriveLog) -> None:

@@ -51,7 +51,7 @@ def make_bridge_parameters(vehicle: Path, ins: dict[str, Any], can: dict[str, An
     lever_arm = [float(car.cg_to_ins_x), float(car.cg_to_ins_y), 0.0]
     files = {"vehicle_file": str(vehicle), "dbc_file": str((dbc or config("can/leaf_ze0.dbc")).absolute()),
              "signals_file": str((signals or config("can/leaf_ze0.yaml")).absolute())}
-    # Raw frames are recorded, so that the bag can be decoded with another DBC.
+    # Raw frames are recorded, so that the bag can be decoded with a different DBC.
     return {"oxts_bridge": {"base_to_ins": lever_arm, **ins},
             "canedge_bridge": {**can, **files, "publish_frames": True}}
 
@@ -60,7 +60,7 @@ def make_live_parameters(folder: Path, vehicle: Path, bridges: Parameters, model
                          record_all: bool = False) -> Parameters:
     """Parameters of config/nodes.yaml, updated for a live run in `folder`.
 
-    model: result of `make_model_parameters`. record_all: also record topics that can be reconstructed from others.
+    model: result of `make_model_parameters`. record_all: whether to record topics that others can reconstruct.
     """
     from st_predictor.params import ALL_TOPICS  # needs ROS, which `load_model` does not
 
@@ -113,7 +113,7 @@ def make_model_parameters(model: Path | None, effects: Path | None, vehicle: Pat
 def load_model(model: Path | None, effects: Path | None, car: VehicleParameters, origin: str) -> Model:
     """The model in a model file (.yaml), nonlinear without one. effects: folder of its user-defined effects.
 
-    origin: source of `car`, for errors. Raises StCoreError for a file that is not a model or belongs to another
+    origin: source of `car`, for errors. Raises StCoreError for a file that is not a model or belongs to a different
     car, and for effects without a model file.
     """
     if model is None:
@@ -130,7 +130,7 @@ def set_bands_and_course(parameters: Parameters, bands: Path | None, course: Pat
     """Copy of the parameters in which the predictor uses the given bands file and course; None: unchanged.
 
     adaptive: whether bands adapt to the errors of the run; None: unchanged. Raises SuiteError for an unreadable or
-    invalid file, and for bands of another car, model or configuration.
+    invalid file, and for bands of a different car, model or configuration.
     """
     changed = {node: {**values} for node, values in parameters.items()}
     predictor, recorder = changed["predictor"], changed["recorder"]
@@ -179,8 +179,8 @@ def find_bag(path: Path) -> Path:
 class VirtualCar:
     """The virtual Leaf on a free UDP port and a CAN multicast group of the loopback interface.
 
-    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated_vehicle: that of
-    the simulated car, by default `vehicle`. Raises SimulationError for invalid options.
+    vehicle: vehicle file of bridges and nodes. options: further arguments of virtual_leaf. simulated_vehicle: vehicle
+    file of the simulated car, by default `vehicle`. Raises SimulationError for invalid options.
     """
 
     def __init__(self, vehicle: Path, options: Sequence[str], simulated_vehicle: Path | None = None):

@@ -29,9 +29,9 @@ TABLE_MODES = ("hindsight", "forecast", "course", "plan")
 AXES, STATISTICS = ("longitudinal", "lateral"), ("mean", "max", "rmse")
 STATUS_TIMEOUT = 5.0  # s without an update until a status counts as silent, or MISSED_REPORTS intervals if longer
 MISSED_REPORTS = 3  # nodes report rarely in a slow replay
-COMPARED_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
-LEVELS = ("ok", "warning", "error", "stale")
-ERROR, STALE = LEVELS.index("error"), LEVELS.index("stale")
+N_INTERVALS = 3  # newest reporting intervals; the longest counts, because a change is reported at once
+LEVEL_NAMES = ("ok", "warning", "error", "stale")
+ERROR, STALE = LEVEL_NAMES.index("error"), LEVEL_NAMES.index("stale")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Monitor:
     def wait_for_nodes(self, names: set[str], timeout: float) -> set[str]:
         """Wait until all nodes publish diagnostics, at most `timeout` [s]; returns the missing ones.
 
-        The predictor is in the graph seconds before: it compiles its models first.
+        The predictor is in the graph seconds earlier, because it first compiles its models.
         """
         end = time.monotonic() + timeout
         while time.monotonic() < end:
@@ -145,7 +145,7 @@ class Monitor:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now, health = time.monotonic(), self.state.health
-        intervals = {name: (*status.intervals, now - status.received_at)[-COMPARED_INTERVALS:]
+        intervals = {name: (*status.intervals, now - status.received_at)[-N_INTERVALS:]
                      for name, status in health.items()}
         self.add_statuses(Status(s.name, int.from_bytes(s.level, "little"), s.message, now, intervals.get(s.name, ()))
                           for s in message.status)
@@ -186,7 +186,7 @@ def render_errors(state: SuiteState) -> RenderableType:
 
 
 def make_error_table(models: Mapping[str, Mapping[str, Any]], title: str | None = None, digits: int = 3) -> Table:
-    """Table of mean, largest magnitude and RMS of the horizon-mean errors [m]; the best of each mode is bold.
+    """Table of mean, largest magnitude and RMS of the horizon means of the errors [m]; the best of each mode is bold.
 
     models: as in summary.json. digits: number of decimal places.
     """
@@ -230,7 +230,7 @@ def render_health(state: SuiteState) -> Text:
         silent = status.is_silent(now)
         if status.level == 0 and not silent:
             continue
-        level = "silent" if silent else LEVELS[min(status.level, STALE)]
+        level = "silent" if silent else LEVEL_NAMES[min(status.level, STALE)]
         style = "red" if status.level >= ERROR or silent else "yellow"
         text.append(f"{level}: {status.name}: {status.message}\n", style=style)
     return text if text else Text("all nodes OK" if state.health else "", style="green")

@@ -46,7 +46,7 @@ PROXY_HEADERS = {"connection", "keep-alive", "transfer-encoding", "date", "serve
 RERUN_POLICY = ("default-src 'self' data: blob:; connect-src 'self' data: blob:; "
                 "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
                 "worker-src 'self' blob:")
-RECORDING = "/recording.rrd"
+RECORDING_PATH = "/recording.rrd"
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -224,7 +224,7 @@ class _RerunHandler(_Handler):
     recording: ClassVar[Path]
 
     def do_GET(self) -> None:
-        if self.path.partition("?")[0] == RECORDING:
+        if self.path.partition("?")[0] == RECORDING_PATH:
             with self.recording.open("rb") as stream:
                 self.send_head({"Content-Type": "application/octet-stream",
                                 "Content-Length": str(self.recording.stat().st_size)})
@@ -258,7 +258,7 @@ def show_recording(folder: Path, file: Path, console: Console) -> None:
     handler = type("Handler", (_RerunHandler,), {"rerun_port": rerun_port, "recording": file})
     page, processes = ThreadingHTTPServer((LOOPBACK, 0), handler), Processes(folder)
     threading.Thread(target=page.serve_forever, name="page", daemon=True).start()
-    recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING}"
+    recording = f"http://{LOOPBACK}:{page.server_port}{RECORDING_PATH}"
     try:
         rerun = _start_rerun(processes, recording, rerun_port)
         show_address(f"http://{LOOPBACK}:{page.server_port}/?url={quote(recording, safe='')}", console)

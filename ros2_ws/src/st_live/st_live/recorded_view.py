@@ -29,11 +29,11 @@ PLOT_SPAN = 40.0  # s
 RANGE_AHEAD, RANGE_BEHIND, RANGE_SIDEWAYS = 44.0, 16.0, 34.0  # m shown, heading up; 5 s at 30 km/h are 42 m
 MAP_RANGE, GRID_SPACING = 50.0, 20.0  # m shown around the car on the map, and between the lines of its grid
 PLOTS = {
-    "lateral": "mean lateral error over the last horizon, m (+ predicted left)",
-    "longitudinal": "mean longitudinal error, m (+ predicted ahead)",
-    "steering": "road wheel angle, deg (left +)",
+    "lateral": "mean lateral error over the last horizon, m (positive: predicted left)",
+    "longitudinal": "mean longitudinal error, m (positive: predicted ahead)",
+    "steering": "road wheel angle, deg (left positive)",
     "speed": "speed, m/s",
-    "lateral_acceleration": "lateral acceleration v_x r, m/s² (left +)",
+    "lateral_acceleration": "lateral acceleration v_x r, m/s² (left positive)",
 }
 WHITE = (255, 255, 255)
 RINGS = (10, 20, 30, 40, 50, 60)  # m around the car
@@ -48,7 +48,7 @@ MODEL_WIDTHS = tuple(rr.Radius.ui_points(points) for points in (3.2, 2.0, 1.0, 0
 FRAME_PERIOD_NS = 100_000_000
 FLUSH_PERIOD = 5.0  # s between writes; few large chunks load quickly
 TEXT_PERIOD_NS = 1_000_000_000
-LEVELS = ("ok", "warning", "**error**", "stale")
+LEVEL_NAMES = ("ok", "warning", "**error**", "stale")
 TOPICS = {  # kind of message by topic
     "predictor/status": "status", "ins/odometry": "odometry", "vehicle/steering": "steering",
     **{f"predictor/{model}/prediction": "prediction" for model in MODEL_COLOUR},
@@ -109,7 +109,7 @@ class Scene:
         self._stream, self._car, self._map_frame = recording, car, map_frame
         self._history = History()
         self._sample: InsSample | None = None
-        self._angle: float | None = None  # road-wheel angle, left + [rad]
+        self._angle: float | None = None  # road-wheel angle, positive to the left [rad]
         self._statistics: list[Any] = []
         self._ticks = render_ticks(None).plain
         self._health: dict[str, tuple[int, str, str]] = {}
@@ -290,7 +290,7 @@ def format_errors(statistics: Sequence[Any], ticks: str, health: Sequence[tuple[
         lines = ["Waiting for the end of the first prediction."]
     lines += ["", *(f"- {line}" for line in format_band_lines(statistics)), "", ticks, ""]
     problems = [entry for entry in health if entry[0] > 0]
-    lines += [f"- {LEVELS[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]
+    lines += [f"- {LEVEL_NAMES[min(level, 3)]}: {name}: {text}" for level, name, text in sorted(problems, reverse=True)]
     if health and not problems:
         lines.append("All nodes OK.")
     return "\n".join(lines)

@@ -39,7 +39,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
                        "st evaluate and st verify reconstruct them from raw packets and frames")
     if drive.conversions:
         raise RunError(bag, f"cannot be played as recorded: {drive.conversions[0]}",
-                       "st check, st evaluate and st discover read it converted")
+                       "st check, st evaluate and st discover convert it")
     for line in describe_omissions(bag, drive.unknown_topics):
         console.out(line, style="yellow", highlight=False)
     car, recorded, _ = find_configuration(drive.records, vehicle)
@@ -53,7 +53,7 @@ def replay_bag(bag: Path, folder: Path, vehicle: Path | None, rate: float, conso
     parameters = make_replay_parameters(folder, files["vehicle"], recorded, files.get("model"))
     parameters = set_bands_and_course(parameters, bands, course or files.get("course"), adaptive)
     if "map_frame" not in recorded_predictor:
-        for node in ("predictor", "evaluator"):  # external recordings may use another frame
+        for node in ("predictor", "evaluator"):  # external recordings may use a different frame
             parameters[node]["map_frame"] = drive.frame
     predictor = parameters["predictor"]
     player = {"bag": str(bag.absolute()), "rate": rate, "odometry": drive.topics[ODOMETRY],

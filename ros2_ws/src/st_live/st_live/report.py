@@ -76,7 +76,7 @@ def _print_problems(folder: Path, outcome: Outcome, console: Console) -> None:
 
 
 def draw_paths(results: Results, title: str, file: Path) -> None:
-    """Draw a map of measured and predicted paths of the INS point, and the horizon-mean errors over start time.
+    """Draw a map of measured and predicted paths of the INS point, and horizon means of the errors versus start time.
 
     The map shows the hindsight predictions (measured inputs in the horizon, as in the paper). Hindsight and forecast
     have separate error plots, because their errors differ by an order of magnitude when the driver acts.
@@ -150,9 +150,9 @@ def describe_incomplete(models: dict[str, Any]) -> str:
 
 
 def make_headline(summary: dict[str, Any]) -> str:
-    """Text of the figure's title: the lateral RMSE in hindsight, the best model first."""
+    """Text of the figure's title: lateral hindsight RMSE of each model, the best first."""
     lateral = {model: modes["hindsight"]["lateral"]["rmse"] for model, modes in summary["models"].items()}
     ranking = sorted((rmse, model) for model, rmse in lateral.items() if rmse is not None)
     if not ranking:
         return "no complete horizon"
-    return "in hindsight, lateral RMSE " + ", ".join(f"{model} {rmse:.2f} m" for rmse, model in ranking)
+    return "hindsight, lateral RMSE " + ", ".join(f"{model} {rmse:.2f} m" for rmse, model in ranking)

@@ -1,4 +1,4 @@
-"""Starts the nodes of a run, shows the run and stops them in order; a supervisor restarts nodes that end or hang."""
+"""Starts the nodes of a run, shows its progress, stops them in order; a supervisor restarts nodes that end or hang."""
 
 import math
 import signal
@@ -19,8 +19,8 @@ from .suite import REALTIME_PERMISSION, Parameters, Suite, SuiteError, claim_dom
 
 SILENCE_TIMEOUT = 8.0  # s without /diagnostics (published once a second) after which a running node counts as hung
 FIRST_STATUS_TIMEOUT = 30.0  # s from the start of a node to its first /diagnostics
-BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # s between a failure and the restart
-BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the back-off restarts at BACK_OFF_FIRST
+MIN_BACK_OFF, MAX_BACK_OFF = 0.5, 10.0  # s between a failure and the restart
+BACK_OFF_RESET_TIME = 60.0  # s without a failure after which the back-off restarts at MIN_BACK_OFF
 MAX_OWN_DELAY = 2.0  # s; after a longer delay of this process, messages of the nodes may still be unread
 WARN, ERROR = 1, 2
 NODES = (  # package, executable; subscribers start first, so that they miss no message
@@ -52,7 +52,7 @@ class _SupervisedNode:
     started_at: float
     has_responded: bool = False
     restart_at: float | None = None
-    back_off: float = BACK_OFF_FIRST
+    back_off: float = MIN_BACK_OFF
     restarts: int = 0
     cause: str = ""
 
@@ -71,7 +71,7 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """Number of restarts by node, including one that is still due; without nodes that never failed."""
+        """Number of restarts by node, including one that is still due; only of nodes that failed."""
         return {node.name: node.restarts for node in self._nodes if node.restarts}
 
     def update(self) -> None:
@@ -107,9 +107,9 @@ class Supervisor:
 
     def _schedule_restart(self, node: _SupervisedNode, now: float, cause: str) -> None:
         if now - node.started_at > BACK_OFF_RESET_TIME:
-            node.back_off = BACK_OFF_FIRST
+            node.back_off = MIN_BACK_OFF
         node.cause, node.restart_at = cause, now + node.back_off
-        node.back_off = min(2 * node.back_off, BACK_OFF_LAST)
+        node.back_off = min(2 * node.back_off, MAX_BACK_OFF)
         node.restarts += 1
 
 
@@ -134,7 +134,7 @@ class Outcome:
 def run(folder: Path, parameters: Parameters, title: str, console: Console, view: LiveView,
         source: Callable[[Suite], Progress], nodes: Sequence[tuple[str, str]] = NODES,
         default_domain: int | None = None, supervised: bool = False, realtime: bool = False) -> Outcome:
-    """Start the nodes, then the source, show the run until it is over or until Ctrl-C, and stop everything in order.
+    """Start the nodes and the source, show progress until the run is over or Ctrl-C, and stop everything in order.
 
     source: function that starts the source of the data, if it is not the real car, and returns the progress of the run.
     default_domain: ROS domain unless ROS_DOMAIN_ID is set; None: a free one, isolated from other suites. supervised:
@@ -175,7 +175,7 @@ def _check_no_other_suite(monitor: Monitor, domain: int, allowed: int) -> None:
     others = [name for _, name in NODES if counts[name] > allowed]
     if others:
         raise SuiteError(f"another suite is running in ROS domain {domain} ({', '.join(others)}): end it, or set "
-                         "ROS_DOMAIN_ID to another number")
+                         "ROS_DOMAIN_ID to a different number")
 
 
 def make_timer(*durations: float | None) -> Progress:
@@ -205,7 +205,7 @@ def _start_nodes(suite: Suite, monitor: Monitor, nodes: Sequence[tuple[str, str]
 
 def _watch(suite: Suite, monitor: Monitor, supervisor: Supervisor | None, console: Console, title: str,
            progress: Progress, stop_requested: Callable[[], bool]) -> str:
-    """Show the run until it is over or until Ctrl-C; returns an empty string.
+    """Show the progress of the run until it is over or Ctrl-C is pressed; returns an empty string.
 
     Without a supervisor, the run also ends when a process ends; the returned message then names this process.
     """

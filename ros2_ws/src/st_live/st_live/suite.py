@@ -3,7 +3,8 @@
 Each child leaves the process group of the terminal: Ctrl-C reaches only this process, which then ends the children in
 order. If this process is killed, the kernel interrupts the children (parent-death signal of setpriv, if installed).
 
-Recorder, evaluator and passenger lower their priority; `st live --realtime` runs bridges and predictor in real time.
+Recorder, evaluator and passenger lower their priority; `st live --realtime` gives bridges and predictor real-time
+scheduling.
 """
 
 import os
@@ -212,7 +213,7 @@ def make_loopback_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
     The discovery range LOCALHOST does so with any middleware, but makes Fast DDS use shared memory, over which a node
     restarted after `kill -9` may receive nothing (docs/manual/reliability.md, Transport). Fast DDS therefore gets the
-    profile config/dds/loopback.xml instead, unless the user has set another profile.
+    profile config/dds/loopback.xml instead, unless the user has set a different profile.
     """
     profile = str(config("dds/loopback.xml"))
     uses_fast_dds = environment.get(RMW, "rmw_fastrtps_cpp").startswith("rmw_fastrtps")

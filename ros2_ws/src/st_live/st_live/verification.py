@@ -193,9 +193,9 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
                    console: Console, read_settings: ReadSettings) -> int:
     """Run `st verify`, print the result and return the exit status.
 
-    0: no difference exceeds `tolerance` [m; rad for yaw angles], and the reason is known for every score that is
-    complete on one side only; 1: any other result; 2: nothing to compare. replay: whether to play the recording
-    through the nodes and compare their output, even if it contains predictions.
+    0: no difference exceeds `tolerance` [m; rad for yaw angles], and every score that is complete on one side only has
+    a known reason; 1: any other result; 2: nothing to compare. replay: whether to play the recording through the nodes
+    and compare their output, even if it contains predictions.
     """
     from .replaying import replay_bag  # needs ROS; comparing does not
 
@@ -221,7 +221,7 @@ def verify_command(bag: Path, vehicle: Path | None, tolerance: float, replay: bo
         return 2
     console.print(_make_table(result))
     if not result.same_configuration:
-        console.print("[yellow]the predictions were made with another vehicle or other settings[/yellow]")
+        console.print("[yellow]the predictions were made with a different vehicle or settings[/yellow]")
     return _print_conclusion(result, tolerance, console)
 
 

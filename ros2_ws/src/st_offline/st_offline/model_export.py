@@ -1,4 +1,4 @@
-"""Exports a model and its bands for a controller, as CasADi functions or C, with a description of x, u and p."""
+"""Exports a model and its bands for a controller, as CasADi functions or C code, and describes its variables."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -50,10 +50,10 @@ def export_model(model: Model, vehicle: VehicleParameters, folder: Path, kind: F
             name = f"{model.name}_band_{mode}_{100 * level:.0f}"
             files.append(folder / f"{name}.casadi")
             make_half_width_function(band, level, vehicle, name).save(str(files[-1]))
-    written = [*files, folder / "model.json", folder / "README.md"]
-    written[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
-    written[-1].write_text(_format_readme(description, kind), encoding="utf-8")
-    return written
+    files += [folder / "model.json", folder / "README.md"]
+    files[-2].write_text(json.dumps(description, indent=2) + "\n", encoding="utf-8")
+    files[-1].write_text(_format_readme(description, kind), encoding="utf-8")
+    return files
 
 
 def make_description(symbolic: SymbolicModel, model: Model, vehicle: VehicleParameters,

@@ -12,13 +12,13 @@ from st_core.palette import MODEL_COLOUR
 from .checking import check_report
 
 # The colours of the models suit white paper; a dark page needs lighter ones.
-DARK = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
+DARK_COLOURS = {"kinematic": "#6cb4ee", "linear": "#ffa657", "nonlinear": "#d08be0", "augmented": "#3fd0a4"}
 MAX_UNWRAPPED = 30  # characters; a column with a longer text wraps
 
 
 @dataclass(frozen=True)
 class Table:
-    """A collapsible table of a page. about: text next to the title. note: paragraph above. rows: a text per column."""
+    """A collapsible table. about: text next to the title. note: paragraph above it. rows: one text per column each."""
 
     title: str
     note: str
@@ -46,5 +46,5 @@ def load_template(name: str) -> jinja2.Template:
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(drawing=Markup, cells=lambda row: list(row.values()))
-    environment.globals.update(checking=check_report, columns=make_columns, colours=MODEL_COLOUR, dark=DARK)
+    environment.globals.update(checking=check_report, columns=make_columns, colours=MODEL_COLOUR, dark=DARK_COLOURS)
     return environment.get_template(name)

@@ -26,7 +26,7 @@ def make_table(rows: Sequence[Mapping[str, str]], **options) -> Table:
 
 
 def format_count(number: int, noun: str) -> str:
-    """A number of things, such as "1 run" or "2 runs"."""
+    """A number with its noun, such as "1 run" or "2 runs"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 

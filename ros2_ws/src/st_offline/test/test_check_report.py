@@ -13,8 +13,8 @@ from st_core.checks import Advice, Comparison, DriveCheck, Finding, Sampling, Se
 from st_core.clock_types import Alignment, Verdict
 from st_core.vehicle import VehicleParameters
 from st_offline.checking import check_report
-from st_offline.checking.check_command import append_corrections, check_file_name, run_yaml
-from st_offline.checking.check_page import page_summary, page_title, write_page
+from st_offline.checking.check_command import append_corrections, check_file_name, make_run_yaml
+from st_offline.checking.check_page import make_summary, make_title, write_page
 from st_offline.checking.check_report import (
     CheckedRun,
     build_document,
@@ -96,18 +96,20 @@ def test_time_ranges_and_effect_of_a_finding():
 
 
 def test_verdict_counts_findings_and_states_their_consequence():
-    assert check_report.verdict(make_check()) == "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
-    assert check_report.verdict(make_check([MOVED])) == "1 warning: an evaluation would be biased"
+    expected = "1 error, 2 warnings, 1 note: an evaluation would be meaningless"
+    assert check_report.format_verdict(make_check()) == expected
+    assert check_report.format_verdict(make_check([MOVED])) == "1 warning: an evaluation would be biased"
     biased = Finding("acceleration_y_bias", Severity.WARNING, ("acceleration_y",), "too low")
-    assert check_report.verdict(make_check([biased])) == "1 warning: results of identify and discover would be biased"
-    assert check_report.verdict(make_check([MOVED, biased])) == "2 warnings: an evaluation would be biased"
-    assert check_report.verdict(make_check([])) == "no findings in 1 comparison"
-    assert "nothing could be compared" in check_report.verdict(DriveCheck((), {}, ()))
-    assert check_report.headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
+    expected = "1 warning: results of identify and discover would be biased"
+    assert check_report.format_verdict(make_check([biased])) == expected
+    assert check_report.format_verdict(make_check([MOVED, biased])) == "2 warnings: an evaluation would be biased"
+    assert check_report.format_verdict(make_check([])) == "no findings in 1 comparison"
+    assert "nothing could be compared" in check_report.format_verdict(DriveCheck((), {}, ()))
+    assert check_report.format_headline(make_check([DEGREES])) == "1 error: yaw rate is 57.3 times too large: deg/s?"
 
 
 def test_findings_are_sorted_by_severity():
-    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.severity_rank) == [DEGREES, MOVED, JUMPS, COARSE]
+    assert sorted((COARSE, MOVED, JUMPS, DEGREES), key=check_report.rank_severity) == [DEGREES, MOVED, JUMPS, COARSE]
 
 
 def test_terminal_prints_all_findings_and_no_markup_of_names():
@@ -136,7 +138,7 @@ def test_opposite_steering_sign_comes_first_with_its_correction():
     assert "`st check logs/drive.csv --propose-correction run.yaml`" in first
     assert "opposite sign" in str(RefusedRunError("a.csv", [OPPOSITE_SIGN]))
     assert "opposite" not in str(RefusedRunError("a.csv", [DEGREES]))
-    assert page_summary([make_run("drive", (OPPOSITE_SIGN,))])[1].startswith("The steering angle has the opposite sign")
+    assert make_summary([make_run("drive", (OPPOSITE_SIGN,))])[1].startswith("The steering angle has the opposite sign")
 
 
 def test_opposite_steering_sign_of_a_can_log_is_corrected_in_car_yaml():
@@ -195,7 +197,7 @@ def test_page_contains_every_finding_escaped_and_loads_nothing(tmp_path):
     assert "57.30 ± 0.10" in text and "1.0 to 1.5 s, 3.0 to 3.2 s" in text and "after 5 s by about 130 m" in text
     assert text.count("<figure>") == 2 and "var(--bad)" in text and "prefers-color-scheme: dark" in text
     assert "correct: {&#34;yaw_rate&#34;: {&#34;scale&#34;: 0.01745}}" in text
-    assert page_title(runs).startswith("Errors in 1 of 2 runs (<script>")
+    assert make_title(runs).startswith("Errors in 1 of 2 runs (<script>")
 
 
 def test_page_of_many_runs_is_small(tmp_path):
@@ -206,7 +208,8 @@ def test_page_of_many_runs_is_small(tmp_path):
 
 def test_proposed_run_yaml_contains_all_corrections_with_their_findings(tmp_path):
     file = tmp_path / "corrected" / "run.yaml"
-    text = run_yaml(make_source(tmp_path), ALL_FINDINGS, file, ReadSettings(steering_sign=-1, offset=1695000123.456))
+    settings = ReadSettings(steering_sign=-1, offset=1695000123.456)
+    text = make_run_yaml(make_source(tmp_path), ALL_FINDINGS, file, settings)
     content = yaml.safe_load(text)
     assert content == {"name": "drive", "csv": "../drive.csv", "offset": 1695000123.456,
                        "correct": {"yaw_rate": {"scale": 0.01745}}, "leave_out": [[1.0, 1.5], [3.0, 3.25]]}
@@ -224,7 +227,7 @@ def test_proposed_run_yaml_contains_the_steering_column_of_the_option(tmp_path, 
     """A run.yaml has no sign of the steering; a wrong one would be read without an error."""
     source = replace(make_source(tmp_path), settings={"layout": Layout({"yaw": "psi"})})
     read = ReadSettings(steering_sign=sign, steering=SteeringField("", "swa", "wheel", "deg", sign))
-    text = run_yaml(source, [], tmp_path / "run.yaml", read)
+    text = make_run_yaml(source, [], tmp_path / "run.yaml", read)
     assert yaml.safe_load(text) == {"name": "drive", "csv": "drive.csv", **content}
     assert "# read with --steering-field 'swa' --steering-is wheel" in text
     assert ("--steering-sign -1" in text) is (sign == -1)
@@ -232,16 +235,16 @@ def test_proposed_run_yaml_contains_the_steering_column_of_the_option(tmp_path, 
 
 def test_multiline_finding_remains_a_comment(tmp_path):
     multiline = Finding("yaw_lag", Severity.NOTE, (), "late\nname: other", advice=Advice("look", "x\ny: 1"))
-    assert yaml.safe_load(run_yaml(make_source(tmp_path), [multiline], tmp_path / "run.yaml", ReadSettings())) == {
+    assert yaml.safe_load(make_run_yaml(make_source(tmp_path), [multiline], tmp_path / "run.yaml", ReadSettings())) == {
         "name": "drive", "csv": "drive.csv"}
 
 
 def test_more_severe_of_two_contradicting_corrections_is_applied(tmp_path):
     scaled = correct_by(correct={"yaw_rate": {"scale": 2.0}})
     other = Finding("yaw_rate_bias", Severity.WARNING, (), "too high", advice=scaled)
-    text = run_yaml(make_source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
+    text = make_run_yaml(make_source(tmp_path), [DEGREES, other], tmp_path / "run.yaml", ReadSettings())
     assert yaml.safe_load(text)["correct"] == {"yaw_rate": {"scale": 0.01745}}
-    assert "#   not applied, an earlier finding has another value: correct:" in text
+    assert "#   not applied, an earlier finding has a different value: correct:" in text
 
 
 def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
@@ -249,13 +252,13 @@ def test_column_corrections_are_proposed_for_csv_and_vbo_only(tmp_path):
                         advice=correct_by(columns={"x": "y", "y": "x"}))
     for kind, applied in (("csv", True), ("vbo", True), ("bag", False)):
         source = replace(make_source(tmp_path), kind=kind)
-        text = run_yaml(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
+        text = make_run_yaml(source, [exchanged], tmp_path / "run.yaml", ReadSettings())
         assert ("columns" in yaml.safe_load(text)) is applied
         assert ("#   not applied, only a csv or vbo has columns and units: " in text) is not applied
 
 
 def test_time_range_excluded_by_several_findings_is_listed_once(tmp_path):
-    text = run_yaml(make_source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
+    text = make_run_yaml(make_source(tmp_path), [JUMPS, replace(JUMPS, name="channel_frozen")], tmp_path / "run.yaml",
                     ReadSettings())
     assert yaml.safe_load(text)["leave_out"] == [[1.0, 1.5], [3.0, 3.25]]
 
@@ -308,8 +311,8 @@ def test_clock_offset_of_a_time_zone_is_explained():
 
 def test_correction_is_offered_only_if_one_exists():
     without_correction = replace(COARSE, severity=Severity.WARNING)
-    assert len(page_summary([make_run("drive", (without_correction,))])) == 1
-    (_, correct) = page_summary([replace(make_run("drive", (JUMPS,)), arguments="a/run.yaml")])
+    assert len(make_summary([make_run("drive", (without_correction,))])) == 1
+    (_, correct) = make_summary([replace(make_run("drive", (JUMPS,)), arguments="a/run.yaml")])
     assert correct.startswith("To correct the recording, run `st check a/run.yaml --propose-correction run.yaml` with")
 
 

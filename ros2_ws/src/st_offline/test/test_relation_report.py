@@ -26,8 +26,8 @@ from st_offline.discovery.relation_report import (
     RelationReport,
     build_relation_document,
     describe_next_drives,
-    effect_name,
-    effect_source,
+    make_effect_code,
+    name_effect,
     report_relation,
     write_files,
 )
@@ -66,9 +66,9 @@ def format_report(search: RelationSearch) -> str:
                          ids=[f"{p}-{q}-{b}" for p, q, _, b in CANDIDATES])
 def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, place, quantity, parity, by):
     relation = make_relation(place, quantity, parity, by)
-    (tmp_path / f"{effect_name(relation)}.py").write_text(effect_source(relation, ["lap"], "2026-01-01T00:00:00"))
-    assert load_folder(str(tmp_path)) == (effect_name(relation),)
-    written = augment("nonlinear", {effect_name(relation): {"share": 1.0}})
+    (tmp_path / f"{name_effect(relation)}.py").write_text(make_effect_code(relation, ["lap"], "2026-01-01T00:00:00"))
+    assert load_folder(str(tmp_path)) == (name_effect(relation),)
+    written = augment("nonlinear", {name_effect(relation): {"share": 1.0}})
     heights = {f"c{k}": h for k, h in enumerate(relation.coefficients)}
     fitted = augment("nonlinear", {relation.candidate.effect: heights | relation.candidate.constants})
     state, readings = (0.0, 0.0, 12.0, -0.2, 0.1, 0.3), Measured(1.0, 2.0, 0.1, 12.0, 0.1, 0.3, 0.5, 3.6)
@@ -93,16 +93,16 @@ def test_effect_file_has_the_effect_of_the_fitted_curve(tmp_path, registry, plac
 def test_effect_file_meets_the_requirements_on_an_effect(tmp_path, registry, place, quantity, parity, by):
     relation = make_relation(place, quantity, parity, by)
     gentle = replace(relation, coefficients=0.3 * relation.coefficients)
-    (tmp_path / f"{effect_name(relation)}.py").write_text(effect_source(gentle, ["lap"], "2026-01-01T00:00:00"))
+    (tmp_path / f"{name_effect(relation)}.py").write_text(make_effect_code(gentle, ["lap"], "2026-01-01T00:00:00"))
     load_folder(str(tmp_path))
-    assert not any(check_effect(EFFECTS[effect_name(relation)], CAR).values())
+    assert not any(check_effect(EFFECTS[name_effect(relation)], CAR).values())
 
 
 def test_curve_is_drawn_in_engineering_units():
     assert set(quantities.TERM_NAMES) == set(ALL_TERMS)
-    assert [quantities.curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
+    assert [quantities.get_curve_unit(unit)[1] for unit in ("rad", "1", "m/s^2", "rad per rad/s")] == [
         "°", "%", "m/s²", "rad per rad/s"]
-    assert quantities.curve_unit("1")[0] == 100.0 and quantities.curve_unit("rad")[0] == pytest.approx(57.2958)
+    assert quantities.get_curve_unit("1")[0] == 100.0 and quantities.get_curve_unit("rad")[0] == pytest.approx(57.2958)
     drawn = draw_relation(make_relation("front_grip", "speed", NO_PARITY), FigureOutput(None, ()))
     assert "0.800 m without it, 0.500 m with it" in drawn.title and "y in 1, u in m/s" in drawn.caption
     pushed = draw_relation(make_relation("yaw_moment", "acceleration_x", NO_PARITY), FigureOutput(None, ()))
@@ -116,7 +116,7 @@ def test_variation_between_runs_is_reported_and_relation_of_time_writes_no_file(
     lines = format_report(search)
     sizes = "lap 1.2 ± 0.2, other 0.1 ± 0.2, third 0.9 ± 1.0"
     assert f"less than half the overall size in other (relative size by run, 95 %: {sizes})" in lines
-    assert "no effect file is written" in lines and "once from another starting point" in lines
+    assert "no effect file is written" in lines and "once from a different starting point" in lines
     assert write_files(search, CAR, ["lap"], "2026-01-01", {}, tmp_path) == {} and not list(tmp_path.iterdir())
 
 
@@ -136,7 +136,7 @@ def test_written_files_and_report_describe_the_proposal(tmp_path, registry):
     assert "1 of 1 runs" in lines
     assert "widest interval at -6 m/s²: " in lines and "± 1.1 ° (95 %)" in lines
     assert "y = 2 u (linear; keeps 97% of" in lines and "textbook causes: a cause. These" in lines
-    assert "u: lateral acceleration (forward speed times yaw rate; left +), m/s²" in lines
+    assert "u: lateral acceleration (forward speed times yaw rate; positive to the left), m/s²" in lines
     assert "physics = \"y = curve of the lateral acceleration: additional steer angle of the rear wheels" in text
     content = build_relation_document(search)
     assert content["proposal"]["place"] == "rear_steer" and len(content["proposal"]["curve"]["at"]) == 41

@@ -18,7 +18,7 @@ MIN_DRIVING, MIN_SPEED = 20.0, 1.0  # duration [s] of driving above a speed [m/s
 MAX_STEP = 0.25  # s; a longer interval between samples counts as this much driving
 SAMPLE_PERIOD_NS = 20_000_000  # 20 ms: only the first sample of each such period is used
 CHECK_PERIOD = 10.0  # s of measurements between checks
-CPU_SHARE = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
+MAX_CPU_FRACTION = 0.018  # maximum processor time as a fraction of one core; checks run less often to stay below it
 # Findings not reported live: a single bend does not distinguish a heading error from a wrong INS lever arm. Gaps and
 # implausible samples are reported by the bridges; here they would persist for WINDOW.
 NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "sample_spikes", "sentinel_values",
@@ -27,7 +27,7 @@ NOT_REPORTED_LIVE = ("heading_misaligned", "measuring_point", "time_gaps", "samp
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check. severity: of the worst confirmed fault; else "note" if there is any finding, or ""."""
+    """Result of a check. severity: of the worst confirmed fault; without one, "note" if there is a finding, else ""."""
 
     severity: str
     message: str
@@ -40,12 +40,12 @@ class Consistency:
     Measurements before a position jump are not used. A check of so little data may be wrong, so a fault is reported
     only if two successive checks find it; the first check without the fault clears it.
 
-    share: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict: result of
-    the newest check. cpu_time: processor time of all checks [s].
+    max_cpu_fraction: limit of the processor time of all checks since the first poll, as a fraction of a core. verdict:
+    result of the newest check. cpu_time: processor time of all checks [s].
     """
 
-    def __init__(self, vehicle: VehicleParameters, share: float = CPU_SHARE):
-        self._vehicle, self._share = vehicle, share
+    def __init__(self, vehicle: VehicleParameters, max_cpu_fraction: float = MAX_CPU_FRACTION):
+        self._vehicle, self._max_cpu_fraction = vehicle, max_cpu_fraction
         self.verdict = _make_pending_verdict(0.0)
         self.cpu_time = 0.0
         self._faults: frozenset[str] = frozenset()  # found by the last check
@@ -85,7 +85,7 @@ class Consistency:
             findings = [one for one in check(log, self._vehicle).findings if one.name not in NOT_REPORTED_LIVE]
         finally:
             self.cpu_time += time.thread_time() - cpu_start
-            self._not_before = first_poll + self.cpu_time / self._share
+            self._not_before = first_poll + self.cpu_time / self._max_cpu_fraction
         self._faults = frozenset(finding.name for finding in findings if finding.severity != "note")
         self.verdict = _make_verdict(findings, previous_faults, log.duration)
 

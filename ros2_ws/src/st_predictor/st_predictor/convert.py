@@ -100,7 +100,7 @@ def make_prediction_message(start: Start, model: str, trajectory: Trajectory, ve
 
 
 def read_planned_inputs(message: InputPlan, base_frame: str, vehicle: VehicleParameters) -> PlannedInputs | str:
-    """The plan of a message, or the reason why it cannot be used. Speed and curvature refer to the CG."""
+    """The plan in a message, or the reason why it cannot be used. Speed and curvature refer to the CG."""
     if message.header.frame_id != base_frame:
         return f"plan: header.frame_id is {message.header.frame_id!r}, expected {base_frame!r} (parameter plan_frame)"
     pairs = [(message.road_wheel_angle, message.velocity_x_dot), (message.speed, message.curvature)]

@@ -39,7 +39,7 @@ def make_car_outline(pose: Pose, car: VehicleParameters) -> tuple[np.ndarray, np
 
 @dataclass(frozen=True, eq=False)
 class Ribbon:
-    """Left and right edge of a band in the map frame, (n, 2) each [m], start first. level: probability, 0 to 1."""
+    """Left and right edges of a band in the map frame, (n, 2) each [m], start first. level: probability, 0 to 1."""
 
     level: float
     left: np.ndarray
@@ -54,13 +54,13 @@ class Ribbon:
                                np.stack([right[:-1], right[1:], left[1:]], axis=1)])
 
 
-def make_ribbon(level: float, pose: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
+def make_ribbon(level: float, poses: tuple[np.ndarray, np.ndarray, np.ndarray], along: np.ndarray,
                 across: np.ndarray) -> Ribbon:
     """The band around a path of poses x, y [m], yaw [rad] with half-widths along and across [m], all (n,).
 
     The band extends `along[-1]` beyond the end of the path.
     """
-    x, y, yaw = pose
+    x, y, yaw = poses
     ahead = np.append(np.zeros(len(x)), along[-1])
     half_width, heading = np.append(across, across[-1]), np.append(yaw, yaw[-1])
     middle = np.stack([np.append(x, x[-1]), np.append(y, y[-1])], axis=1)

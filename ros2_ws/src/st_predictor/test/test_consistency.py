@@ -9,7 +9,7 @@ import pytest
 from st_core.measurement_history import MeasurementHistory
 from st_core.types import InsSample
 from st_core.vehicle import VehicleParameters
-from st_predictor.consistency import CHECK_PERIOD, CPU_SHARE, MIN_DRIVING, WINDOW, Consistency, Verdict
+from st_predictor.consistency import CHECK_PERIOD, MAX_CPU_FRACTION, MIN_DRIVING, WINDOW, Consistency, Verdict
 from support import LEAF
 from winding_road import RATE, Truth, winding_road
 
@@ -165,7 +165,7 @@ def test_failed_check_is_a_warning(road: np.ndarray) -> None:
     assert verdict.message.startswith("check failed: AttributeError: ")
 
 
-@pytest.mark.parametrize("share", [CPU_SHARE, 0.5 * CPU_SHARE, 0.002])
+@pytest.mark.parametrize("share", [MAX_CPU_FRACTION, 0.5 * MAX_CPU_FRACTION, 0.002])
 def test_check_uses_at_most_its_share_of_a_core(road: np.ndarray, share: float) -> None:
     drive = CheckedDrive(share=share).drive(road)
     times = [t for t, _ in drive.verdicts]

@@ -29,7 +29,7 @@ def test_second_publisher_is_reported_immediately_and_rejected():
     for k in range(1, 101):
         assert lock.accept(1000 + k, now)
         assert not lock.accept(k, now)
-    assert lock.rejected == 100
+    assert lock.rejected_count == 100
     lock.update([OURS])
     assert lock.describe_competition(now) == "" and lock.accept(1101, now)
 

@@ -178,7 +178,7 @@ def test_overrun_skips_ticks_and_queues_none(processes: Processes) -> None:
     warnings = {name: [text for _, level, text in output if level == WARNING]
                 for name, output in health(messages).items()}
     assert any("skipped by overrun" in text for text in warnings["predictor: timing"])
-    assert any("another vehicle" in text for text in warnings["evaluator: scoring"])
+    assert any("a different vehicle" in text for text in warnings["evaluator: scoring"])
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from ..identification.axle_forces import (
 )
 from ..log import DriveLog
 from ..readings import correct_log
-from ..sideslip import steady_velocity_y
+from ..sideslip import compute_steady_velocity_y
 from ..tyres import GRAVITY
 from ..vehicle import STIFFNESS_LIMITS, VehicleParameters
 from .evidence import JointFit
@@ -58,7 +58,7 @@ class Axles:
             log = correct_log(corrected, run)
             angle = corrected.effective_road_wheel_angle(log.road_wheel_angle, vehicle)
             log = replace(log, road_wheel_angle=angle, steering_wheel_angle=None)
-            logs.append(log if self.has_sideslip else replace(log, velocity_y=steady_velocity_y(log, car)))
+            logs.append(log if self.has_sideslip else replace(log, velocity_y=compute_steady_velocity_y(log, car)))
         self.regressions = fit_axle_regressions(logs, car)
         self.near_models: list[AugmentedModel] = []
         self.draws: list[AugmentedModel] = []

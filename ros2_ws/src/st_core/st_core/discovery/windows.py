@@ -24,7 +24,7 @@ from ..integrate import required_substeps
 from ..log import INS_SIGNALS, DriveLog, LogSignals, share_memory
 from ..models import Model
 from ..readings import predict_ideal_readings
-from ..sideslip import steady_velocity_y
+from ..sideslip import compute_steady_velocity_y
 from ..timeseries import NANOSECOND, Neighbours, moving_average
 from ..vehicle import VehicleParameters
 from .settings import DiscoverySettings
@@ -139,7 +139,7 @@ class Windows:
         self._stencil_indices = np.searchsorted(stencil, np.stack([self._points - 1, self._points, self._points + 1]))
         yaw_rate = moving_average(self.joined.ins_time_ns, self.joined.yaw_rate, YAW_RATE_SMOOTHING_NS)
         initial = replace(self.joined, yaw_rate=yaw_rate)
-        initial = initial if with_sideslip else replace(initial, velocity_y=steady_velocity_y(initial, vehicle))
+        initial = initial if with_sideslip else replace(initial, velocity_y=compute_steady_velocity_y(initial, vehicle))
         signals = Signals(initial, MAX_GAP)
         self._batch = Batch(vehicle, self.MIN_SUBSTEPS, signals, starts, steps * STEP, STEP,
                             points=np.round(stencil * STEP, 6))

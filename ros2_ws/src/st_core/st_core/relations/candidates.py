@@ -10,7 +10,7 @@ from ..effects import _relation
 from ..timeseries import NANOSECOND, moving_average
 
 ODD, NO_PARITY = -1.0, 0.0  # parity of a curve
-TAIL_SHARE = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
+TAIL_FRACTION = 0.01  # fraction of the samples below and above the range of a curve; the curve is constant there
 MIN_SPEED = 2.0  # m/s; at lower speed, slip angles are ill-defined
 QUANTITIES = {"slip_front": "rad", "slip_rear": "rad", "steering": "rad", "acceleration_y": "m/s^2",
               "acceleration_x": "m/s^2", "speed": "m/s", "yaw_rate": "rad/s", "steering_rate": "rad/s",
@@ -27,7 +27,7 @@ ODD_QUANTITIES = ("slip_front", "slip_rear", "steering", "acceleration_y", "yaw_
 """Quantities that change sign in a mirrored drive; curves in them are odd."""
 FILTERED_QUANTITIES = {"steering_rate": ("steering", "rate", 0.1), "lagging_steering": ("steering", "lagging", 0.2),
             "lean": ("acceleration_y", "lagging", 0.15)}
-"""Lagged quantity, or rate of a quantity -> (source, kind, lag [s])."""
+"""Lagged quantity, or rate of a quantity -> (source, kind, time constant [s])."""
 ALL_TERMS = {**_relation.TERMS, "both_grip": ("1", "relative change of the lateral force of both axles")}
 SENSOR_READINGS = {"sensor_yaw_rate": "yaw_rate", "sensor_acceleration_y": "acceleration_y",
                    "sensor_velocity_y": "velocity_y", "sensor_heading": "yaw"}
@@ -80,7 +80,7 @@ RELATIONS = {
     ("sensor_acceleration_y", "acceleration_y", ""): "an accelerometer that rolls with the body",
     ("sensor_acceleration_y", "speed", ""): "",
     ("sensor_velocity_y", "yaw_rate", ""): "an error of the longitudinal INS lever arm",
-    ("sensor_velocity_y", "acceleration_y", ""): "a velocity at another point, or axes rotated by roll",
+    ("sensor_velocity_y", "acceleration_y", ""): "a velocity at a different point, or axes rotated by roll",
     ("sensor_velocity_y", "speed", ""): "a misaligned INS",
     ("sensor_heading", "acceleration_y", ""): "a heading affected by body roll",
     ("sensor_heading", "speed", ""): "a heading that depends on speed: a misaligned antenna baseline",
@@ -170,7 +170,7 @@ def compute_run_time(windows: Windows, time_ns: np.ndarray) -> np.ndarray:
 
 def compute_quantities(windows: Windows) -> dict[str, np.ndarray]:
     """Every quantity at INS samples faster than MIN_SPEED; slip angles for small angles, from the measured velocity.
-    Each lag is approximated by a moving average over twice its duration, which has a similar range."""
+    Each lag is approximated by a moving average over twice its time constant, which has a similar range."""
     log, vehicle = windows.joined, windows.vehicle
     is_moving = log.velocity_x > MIN_SPEED
     stamps, speed, rate = log.ins_time_ns, log.velocity_x, log.yaw_rate
@@ -214,4 +214,4 @@ def find_candidates(windows: Windows) -> list[Candidate]:
 
 def _find_range(values: np.ndarray) -> np.ndarray:
     """(low, high) of the finite values without their tails."""
-    return np.quantile(values[np.isfinite(values)], [TAIL_SHARE, 1.0 - TAIL_SHARE])
+    return np.quantile(values[np.isfinite(values)], [TAIL_FRACTION, 1.0 - TAIL_FRACTION])

@@ -14,8 +14,8 @@ from .relation_fit import RelationFit, RelationFits
 MAX_FORMULAS, POINTS = 3, 61  # largest number of formulas; number of points in the range of a curve
 MIN_EXPLAINED_FRACTION = 0.5  # minimum fraction of the curve's gain (quadratic approximation) that a shape explains
 MIN_EXPLAINED_INCREASE = 1e-3  # minimum increase of this fraction over any shape with fewer parameters
-FULL_SHARE = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
-NEAR_SHARE = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
+EQUAL_GAIN = 0.98  # fraction of the gain of the best shape: a simpler shape that explains more is preferred
+SIMILAR_GAIN = 0.9  # the same for a simpler shape with a held-out loss that is not significantly higher
 MIN_RETAINED_GAIN = 0.9  # minimum fraction of the held-out gain of the curve that a formula retains when simulated
 MAX_VALUE_RATIO = 2.0  # maximum ratio of the largest value of a formula to that of the curve, within its range
 
@@ -84,22 +84,22 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
     by block, all other parameters profiled out; fold: (b,).
 
     The parameters of a shape minimise the loss. Only shapes that explain MIN_EXPLAINED_FRACTION are considered; the
-    best has the lowest held-out loss. A shape with fewer parameters is preferred if it explains FULL_SHARE of the gain
-    of the best shape, or NEAR_SHARE with a held-out loss at most one standard error above the best, from the paired
+    best has the lowest held-out loss. A shape with fewer parameters is preferred if it explains EQUAL_GAIN of the gain
+    of the best shape, or SIMILAR_GAIN with a held-out loss at most one standard error above the best, from the paired
     differences of the blocks (Breiman et al. 1984).
     """
     points = np.linspace(candidate.low, candidate.high, POINTS)
     splines = candidate.compute_splines(points)
     to_splines, value = np.linalg.pinv(splines.T, rcond=1e-6), coefficients @ splines
-    size, reach = float(np.abs(value).max()), float(np.abs(points).max())
+    size, max_u = float(np.abs(value).max()), float(np.abs(points).max())
     sign = float(np.sign(np.sum(value * np.sign(points)))) or 1.0
-    starts = [np.array([sign * size / max(reach, 1e-9), share * reach, share * reach]) for share in (0.15, 0.4, 0.8)]
+    starts = [np.array([sign * size / max(max_u, 1e-9), share * max_u, share * max_u]) for share in (0.15, 0.4, 0.8)]
     total = float(profile.rise(-coefficients).sum())
     if total <= 1e-20:
         return ()
     shapes = []
     for shape, (text, count, function) in (SHAPES if candidate.parity != NO_PARITY else ASYMMETRIC_SHAPES).items():
-        if shape == "inverse" and np.abs(points).min() < 0.05 * reach:
+        if shape == "inverse" and np.abs(points).min() < 0.05 * max_u:
             continue
 
         def fit_parameters(blocks: np.ndarray, count: int = count, function: ShapeFunction = function) -> np.ndarray:
@@ -119,8 +119,8 @@ def fit_shapes(candidate: Candidate, coefficients: np.ndarray, profile: Quadrati
         if explained >= MIN_EXPLAINED_FRACTION:
             by_fold = {int(k): fit_parameters(fold != k) for k in np.unique(fold)}
             held_out = np.zeros(len(fold))
-            for k, others in by_fold.items():
-                held_out[fold == k] = profile.rise(compute_distance(others))[fold == k]
+            for k, parameters in by_fold.items():
+                held_out[fold == k] = profile.rise(compute_distance(parameters))[fold == k]
             shapes.append(FittedShape(shape, text, function, best, by_fold, explained, held_out))
     return _sort_shapes(shapes)
 
@@ -137,15 +137,15 @@ def _sort_shapes(shapes: Sequence[FittedShape]) -> Sequence[FittedShape]:
 
     def is_as_good(shape: FittedShape) -> bool:
         loss_increase = shape.held_out - best.held_out
-        share = shape.explained_fraction / best.explained_fraction
+        fraction = shape.explained_fraction / best.explained_fraction
         within_error = float(loss_increase.sum()) <= float(loss_increase.std(ddof=1)) * np.sqrt(len(loss_increase))
-        return share >= FULL_SHARE or (share >= NEAR_SHARE and within_error)
+        return fraction >= EQUAL_GAIN or (fraction >= SIMILAR_GAIN and within_error)
 
     first = min(filter(is_as_good, order), key=lambda shape: len(shape.parameters))
     return (first, *(shape for shape in order if shape is not first))[:MAX_FORMULAS]
 
 
-def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit) -> tuple[Formula, ...]:
+def simulate_formulas(fits: RelationFits, fit: RelationFit, base_fit: RelationFit) -> tuple[Formula, ...]:
     """Formulas that retain at least MIN_RETAINED_GAIN of the held-out gain of the curve when simulated in its place.
 
     Each fold is simulated with the formula fitted to the other folds, after one refitting step of the parameters of the
@@ -155,12 +155,12 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     held-out position error must not exceed the in-sample error of the discovered model.
     """
     assert fit.candidate is not None
-    candidate, gain = fit.candidate, float((without.held_out - fit.held_out).sum())
+    candidate, gain = fit.candidate, float((base_fit.held_out - fit.held_out).sum())
     formulas = []
     for shape in fit_shapes(candidate, fit.coefficients, fits.profile(fit), fits.fold):
         offsets = (False, True) if candidate.parity == NO_PARITY and shape.name != "constant" else (False,)
         for with_offset in offsets:
-            shape_gain, offset = _simulate_shape(fits, fit, without, shape, with_offset)
+            shape_gain, offset = _simulate_shape(fits, fit, base_fit, shape, with_offset)
             if shape_gain >= MIN_RETAINED_GAIN * gain:
                 text = shape.text.format(*shape.parameters).replace("+ -", "- ")
                 text += f" {'-' if offset < 0.0 else '+'} {abs(offset):.3g}" if with_offset else ""
@@ -172,7 +172,7 @@ def simulate_formulas(fits: RelationFits, fit: RelationFit, without: RelationFit
     return tuple(formulas)
 
 
-def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, shape: FittedShape,
+def _simulate_shape(fits: RelationFits, fit: RelationFit, base_fit: RelationFit, shape: FittedShape,
                     with_offset: bool) -> tuple[float, float]:
     """(held-out gain of a shape, its offset); the gain is -inf if its sign differs from that of the curve, its
     magnitude exceeds MAX_VALUE_RATIO, or the position error is larger."""
@@ -209,10 +209,10 @@ def _simulate_shape(fits: RelationFits, fit: RelationFit, without: RelationFit, 
         held_out[in_fold] = np.bincount(fits.block, loss.window_losses(vector), fits.blocks)[in_fold]
         windows = in_fold[fits.block]
         position[windows] = fits.problem.position_error(loss.errors.at(vector))[windows]
-    baseline_error = fits.problem.position_error(without.residuals)
+    baseline_error = fits.problem.position_error(base_fit.residuals)
     if np.isfinite(position).any() and np.nanmean(position) > np.nanmean(baseline_error):
         return -np.inf, offset
-    return float((without.held_out - held_out).sum()), offset
+    return float((base_fit.held_out - held_out).sum()), offset
 
 
 def _avoid_zero(number: float) -> float:

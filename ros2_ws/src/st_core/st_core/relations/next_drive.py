@@ -33,10 +33,10 @@ class Option:
 
 @dataclass(frozen=True, eq=False)
 class NextDrives:
-    """Simulated further drives. sparse: sparsely driven ranges of the quantity. current_separation: from each rival,
-    in the existing runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
+    """Simulated further drives. sparse_ranges: of the quantity, in the existing runs. current_separation: from each
+    rival, in these runs. options: all simulated manoeuvres; none for quantities in INDEPENDENT_OF_MANOEUVRE."""
 
-    sparse: Sequence[Range] = ()
+    sparse_ranges: Sequence[Range] = ()
     current_separation: Mapping[str, float] = field(default_factory=dict)
     options: Sequence[Option] = ()
 
@@ -74,7 +74,7 @@ def find_sparse_ranges(points: np.ndarray, density: np.ndarray, parity: float) -
 
 def suggest_drives(fits: RelationFits, fit: RelationFit, rivals: Mapping[str, RelationFit], design_effect: float,
                    points: np.ndarray, deviation: np.ndarray, sparse: Sequence[Range]) -> NextDrives:
-    """Simulate what each manoeuvre would add to the runs. rivals: equally good relations. design_effect: see
+    """Simulate the runs with each manoeuvre added. rivals: equally good relations. design_effect: see
     `ScreenedCandidate`. points: (k,) of the quantity. deviation: (k,) of the curve. sparse: `find_sparse_ranges`."""
     candidate = fit.candidate
     assert candidate is not None

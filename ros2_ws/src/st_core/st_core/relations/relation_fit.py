@@ -154,14 +154,14 @@ class RelationFits:
         step = np.linalg.solve(add_ridge(q.hessian.sum(axis=0)) + penalty, q.gradient.sum(axis=0) - penalty @ distance)
         return self.find_held_out_steps(q.after(step), penalty, distance + step)[1]
 
-    def fit(self, candidate: Candidate, without: RelationFit) -> RelationFit:
+    def fit(self, candidate: Candidate, base_fit: RelationFit) -> RelationFit:
         """Fit a candidate by Gauss-Newton with simulation, repeatedly with decreasing smoothing. The first fit starts
         from zero coefficients, the others from the previous fit. Returns the last fit that lowers the held-out loss."""
         indices = np.concatenate([self.refitted_indices, self.relation_indices])
         loss = self.make_loss(candidate)
-        sensitivities = np.concatenate([without.sensitivities, np.zeros((SPLINES, *without.sensitivities.shape[1:]))])
+        sensitivities = np.concatenate([base_fit.sensitivities, np.zeros((SPLINES, *base_fit.sensitivities.shape[1:]))])
         strong, *weaker = sorted(PENALTIES, reverse=True)
-        best = self._fit(candidate, loss, indices, strong, sensitivities, without.vector)
+        best = self._fit(candidate, loss, indices, strong, sensitivities, base_fit.vector)
         for smoothing in weaker:
             fit = self._fit(candidate, loss, indices, smoothing, best.sensitivities, best.vector)
             if fit.held_out.sum() >= best.held_out.sum():
@@ -170,7 +170,7 @@ class RelationFits:
         return best
 
     def profile(self, fit: RelationFit) -> Quadratic:
-        """Quadratic by block about the fit, in the coefficients; all others, with the vehicle's, are profiled out."""
+        """Quadratic by block about the fit, in the coefficients; all others, also of the vehicle, profiled out."""
         assert fit.candidate is not None
         loss = self.make_loss(fit.candidate)
         car = loss.sensitivities(fit.vector, self.vehicle_indices)

@@ -121,25 +121,25 @@ def find_relation(discovery: Discovery, runs: Sequence[DriveLog], vehicle: Vehic
     names = [e.name for e in (*discovery.effects, *discovery.minor)]
     fits = RelationFits(windows, model, discovery.acceleration_gain, names, settings, threads)
     tick()
-    without = fits.fit_without_relation()
-    screened = selection.screen(fits, without, tick)
-    if not screened:
+    base_fit = fits.fit_without_relation()
+    trials = selection.screen(fits, base_fit, tick)
+    if not trials:
         return RelationSearch(None, "no candidate relation changes a prediction of these drives: turn to both sides, "
                               "accelerate and brake, at several speeds")
-    return _select(screened, fits, without, [e.name for e in discovery.effects], reported, tick)
+    return _select(trials, fits, base_fit, [e.name for e in discovery.effects], reported, tick)
 
 
-def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
+def _select(trials: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
             effect_names: Sequence[str], reported: Collection[tuple[str, str]],
             tick: Callable[[], None]) -> RelationSearch:
     """The best significant candidate, or the reason why none is reported. effect_names: those of the result."""
     limits, residual_count = fits.limits, fits.loss.residual_count
-    p_values = selection.compute_p_values(screened, fits.blocks)
+    p_values = selection.compute_p_values(trials, fits.blocks)
     statistics = {s.candidate.name: (s.gain / residual_count, p_values[s.candidate.name])
-             for s in sorted(screened, key=lambda s: -s.gain)}
-    level = limits.false_alarm / len(screened)
-    detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in screened}
-    significant = sorted((s for s in screened if p_values[s.candidate.name] <= limits.false_alarm),
+             for s in sorted(trials, key=lambda s: -s.gain)}
+    level = limits.false_alarm / len(trials)
+    detection_limits = {s.candidate.name: s.compute_detection_limit(level, fits.blocks) for s in trials}
+    significant = sorted((s for s in trials if p_values[s.candidate.name] <= limits.false_alarm),
                          key=lambda s: -s.gain)
     if not significant:
         name, (gain, p_value) = next(iter(statistics.items()))
@@ -149,7 +149,7 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: 
     imitated_faults = {trial: fault for trial in significant
                        if (fault := _find_imitated_fault(trial.candidate, reported))}
     remaining = [s for s in significant if s not in imitated_faults]
-    fitted, accepted, rejections = _fit_candidates(remaining, fits, without, tick)
+    fitted, accepted, rejections = _fit_candidates(remaining, fits, base_fit, tick)
     rejections |= {trial: f"{trial.candidate.name} is significant, but may be the sensor fault that st check reports: "
                           f"{fault}. Correct it first and search again" for trial, fault in imitated_faults.items()}
     if not accepted:
@@ -158,31 +158,31 @@ def _select(screened: Sequence[ScreenedCandidate], fits: RelationFits, without: 
     # A candidate of two quantities must be better by at least the smallest relevant gain.
     best = min(accepted, key=lambda s: float(accepted[s].held_out.sum())
                + (limits.relevant * residual_count if s.candidate.factor else 0.0))
-    relation, gain_text = _make_relation(best, fitted, without, fits, p_values[best.candidate.name],
+    relation, gain_text = _make_relation(best, fitted, base_fit, fits, p_values[best.candidate.name],
                                          effect_names)
     return RelationSearch(relation, gain_text, statistics, detection_limits)
 
 
-def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, without: RelationFit,
+def _fit_candidates(significant: Sequence[ScreenedCandidate], fits: RelationFits, base_fit: RelationFit,
                     tick: Callable[[], None]) -> tuple[FitByCandidate, FitByCandidate, dict[ScreenedCandidate, str]]:
     """Fit candidates by simulation: (fits with a usable curve, the accepted ones, reasons to reject the others)."""
     fitted: FitByCandidate = {}
     accepted: FitByCandidate = {}
     rejections: dict[ScreenedCandidate, str] = {}
-    before = selection.compute_position_errors(fits, without)
+    before = selection.compute_position_errors(fits, base_fit)
     # The best candidate of every term is fitted first.
     first = {trial.candidate.term: trial for trial in reversed(significant)}
     trials = list(dict.fromkeys([*sorted(first.values(), key=lambda s: -s.gain), *significant]))
     for trial in trials[:MAX_FITTED_CANDIDATES]:
         tick()
-        fit = fits.fit(trial.candidate, without)
+        fit = fits.fit(trial.candidate, base_fit)
         name, after = trial.candidate.name, selection.compute_position_errors(fits, fit)
         if problem := selection.describe_unusable_curve(fits, fit):
             rejections[trial] = problem
             continue
         fitted[trial] = fit  # may be an alternative to the accepted relation, even if it is rejected
         reason = selection.describe_deterioration(fits, name, before, after) or selection.describe_small_gain(
-            fits, trial.candidate, without.held_out - fit.held_out, before - after)
+            fits, trial.candidate, base_fit.held_out - fit.held_out, before - after)
         if reason:
             rejections[trial] = reason
         else:
@@ -197,16 +197,17 @@ def _find_imitated_fault(candidate: Candidate, reported: Collection[tuple[str, s
     return next((name for name, channel in reported if channel == SENSOR_READINGS.get(candidate.term)), "")
 
 
-def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: RelationFit, fits: RelationFits,
+def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, base_fit: RelationFit, fits: RelationFits,
                    p_value: float, effect_names: Sequence[str]) -> tuple[Relation, str]:
     """The relation with its statistics, and a sentence on its gain."""
     fit, c = fitted[best], best.candidate
-    gains = without.held_out - fit.held_out
-    before, after = (selection.compute_position_errors(fits, f) for f in (without, fit))
+    gains = base_fit.held_out - fit.held_out
+    before, after = (selection.compute_position_errors(fits, f) for f in (base_fit, fit))
     others = [trial for trial in fitted if trial is not best]
     excess = np.array([fitted[trial].held_out - fit.held_out for trial in others])
-    as_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
-    rivals = {trial.candidate.name: fitted[trial] for trial, is_rival in zip(others, as_good, strict=True) if is_rival}
+    is_equally_good = selection.find_equally_good(excess, fits.limits.undecided_p, fits.settings.seed)
+    rivals = {trial.candidate.name: fitted[trial]
+              for trial, is_rival in zip(others, is_equally_good, strict=True) if is_rival}
     u = compute_quantities(fits.windows)[c.quantity]
     points = np.linspace(c.low, c.high, selection.POINTS)
     splines = c.compute_splines(points)
@@ -223,8 +224,8 @@ def _make_relation(best: ScreenedCandidate, fitted: FitByCandidate, without: Rel
         float(gains.sum()) / fits.loss.residual_count, p_value,
         (float(np.nanmean(before)), float(np.nanmean(after))), runs, library_part,
         {name: selection.compute_cosine(fits, fit, other) for name, other in rivals.items()},
-        simulate_formulas(fits, fit, without), selection.compare_runs(fits, fit),
-        selection.find_redundant_effects(fits, fit, without, effect_names),
+        simulate_formulas(fits, fit, base_fit), selection.compare_runs(fits, fit),
+        selection.find_redundant_effects(fits, fit, base_fit, effect_names),
         suggest_drives(fits, fit, rivals, best.design_effect, points, deviation,
                        find_sparse_ranges(points, density, c.parity)))
     return relation, f"it {selection.describe_gain(fits, gains, before - after)}"

@@ -16,7 +16,7 @@ from .relation_fit import PENALTIES, RelationFit, RelationFits, profile_coeffici
 
 DRAWS = 999  # number of draws of random block signs
 POINTS = 41  # number of points at which a curve is evaluated
-BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as on it
+BOUND_MARGIN = 0.02  # fraction of the bound of the coefficients; a curve nearer to the bound counts as at the bound
 MIN_INFORMATION = 0.02  # fraction of the information on the relation; a run with less gets no separate estimate
 
 
@@ -48,49 +48,49 @@ class ScreenedCandidate:
         return float(np.sqrt(required / max(float(line @ self.information @ line), 1e-30)))
 
 
-def screen(fits: RelationFits, without: RelationFit, tick: Callable[[], None]) -> list[ScreenedCandidate]:
-    """Statistics of every excited candidate that changes a prediction. without: fit without a relation."""
-    distance = fits.problem.distance(without.vector)[without.indices]
-    base = fits.predict_held_out_loss(without.quadratic, without.penalty, distance)
-    vehicle_sensitivities = fits.loss.sensitivities(without.vector, fits.vehicle_indices)
+def screen(fits: RelationFits, base_fit: RelationFit, tick: Callable[[], None]) -> list[ScreenedCandidate]:
+    """Statistics of every excited candidate that changes a prediction. base_fit: fit without a relation."""
+    distance = fits.problem.distance(base_fit.vector)[base_fit.indices]
+    base = fits.predict_held_out_loss(base_fit.quadratic, base_fit.penalty, distance)
+    vehicle_sensitivities = fits.loss.sensitivities(base_fit.vector, fits.vehicle_indices)
     signs = np.random.default_rng(fits.settings.seed).choice([-1.0, 1.0], (DRAWS, fits.blocks))
-    screened = []
+    trials = []
     for candidate in find_candidates(fits.windows):
         tick()
-        if trial := _screen_candidate(fits, without, base, vehicle_sensitivities, candidate, signs):
-            screened.append(trial)
-    return screened
+        if trial := _screen_candidate(fits, base_fit, base, vehicle_sensitivities, candidate, signs):
+            trials.append(trial)
+    return trials
 
 
-def compute_p_values(screened: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
+def compute_p_values(trials: Sequence[ScreenedCandidate], blocks: int) -> dict[str, float]:
     """p-value of each candidate, corrected for the number of candidates and of tests: twice the smaller p-value of two
     tests. Sign flips: the statistic is compared with the largest of all candidates under random block signs. Likelihood
     ratio (F test): twice the held-out gain divided by the design effect (at least the median of all) and by the degrees
     of freedom, with a Bonferroni correction; it detects relations that act in few blocks."""
-    largest = np.max([s.null_statistics for s in screened], axis=0)
-    median = float(np.median([s.design_effect for s in screened]))
+    largest = np.max([s.null_statistics for s in trials], axis=0)
+    median = float(np.median([s.design_effect for s in trials]))
     p_values = {}
-    for s in screened:
+    for s in trials:
         p_score = (1 + int((largest >= s.statistic).sum())) / (1 + DRAWS)
         ratio = 2.0 * max(s.gain, 0.0) / max(median, s.design_effect) / s.degrees_of_freedom
-        p_ratio = len(screened) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
+        p_ratio = len(trials) * float(stats.f.sf(ratio, s.degrees_of_freedom, blocks - 1))
         p_values[s.candidate.name] = min(2.0 * min(p_score, p_ratio), 1.0)
     return p_values
 
 
-def _screen_candidate(fits: RelationFits, without: RelationFit, base: np.ndarray, vehicle_sensitivities: np.ndarray,
+def _screen_candidate(fits: RelationFits, base_fit: RelationFit, base: np.ndarray, vehicle_sensitivities: np.ndarray,
                       candidate: Candidate, signs: np.ndarray) -> ScreenedCandidate | None:
     """Statistics of a candidate by the efficient scores of its coefficients, with other parameters projected out; None
     if it changes no prediction. base: (b,) held-out loss without a relation. signs: (DRAWS, b)."""
     loss = fits.make_loss(candidate)
-    sensitivities = loss.sensitivities(without.vector, fits.relation_indices)
-    q = fits.sum_quadratic(loss, without.residuals, np.concatenate([without.sensitivities, sensitivities]))
+    sensitivities = loss.sensitivities(base_fit.vector, fits.relation_indices)
+    q = fits.sum_quadratic(loss, base_fit.residuals, np.concatenate([base_fit.sensitivities, sensitivities]))
     h = q.hessian.sum(axis=0)
     if float(np.trace(h[-SPLINES:, -SPLINES:])) <= 1e-9 * float(np.trace(h)):
         return None
-    to_all = np.concatenate([without.sensitivities, vehicle_sensitivities, sensitivities])
-    q_all = fits.sum_quadratic(loss, without.residuals, to_all)
-    distance = fits.problem.distance(without.vector)[np.concatenate([without.indices, fits.relation_indices])]
+    all_sensitivities = np.concatenate([base_fit.sensitivities, vehicle_sensitivities, sensitivities])
+    q_all = fits.sum_quadratic(loss, base_fit.residuals, all_sensitivities)
+    distance = fits.problem.distance(base_fit.vector)[np.concatenate([base_fit.indices, fits.relation_indices])]
     penalties = {smoothing: fits.make_penalty(candidate, h, smoothing) for smoothing in PENALTIES}
     losses = {smoothing: fits.predict_held_out_loss(q, penalty, distance) for smoothing, penalty in penalties.items()}
     smoothing = min(losses, key=lambda level: float(losses[level].sum()))
@@ -123,11 +123,11 @@ def average_by_block(fits: RelationFits, values: np.ndarray) -> np.ndarray:
 
 
 def describe_unusable_curve(fits: RelationFits, fit: RelationFit) -> str:
-    """Reason to reject a curve regardless of its gain, or "": it is at its bound, or it makes the car unstable."""
+    """Reason to reject a curve regardless of its gain, or "": it reaches its limit, or it makes the car unstable."""
     assert fit.candidate is not None
     name, vehicle = fit.candidate.name, fits.windows.vehicle
     if np.abs(fit.coefficients).max() > (1.0 - BOUND_MARGIN) * MAX_COEFFICIENT:
-        return (f"the curve of {name} reaches its bound of {MAX_COEFFICIENT * fit.candidate.typical_size:.3g} "
+        return (f"the curve of {name} reaches its limit of {MAX_COEFFICIENT * fit.candidate.typical_size:.3g} "
                 f"{fit.candidate.unit}, beyond any physical relation: check the vehicle file, and run st check")
     model = fits.make_space(fit.candidate).at(fit.vector)
     low, high = np.quantile(fits.windows.speeds[np.isfinite(fits.windows.speeds)], [0.05, 0.95])
@@ -140,19 +140,19 @@ def describe_deterioration(fits: RelationFits, name: str, before: np.ndarray, af
     """Reason to reject a relation that increases the mean held-out position error after 5 s, or increases it in one run
     significantly and by at least `Limits.relevant_position`; "" if there is none. Runs with fewer than
     three blocks are not tested. before, after: (n,) [m]."""
-    rise = after - before
-    if not np.isfinite(rise).any():
+    increase = after - before
+    if not np.isfinite(increase).any():
         return ""
-    if np.nanmean(rise) > 0.0:
+    if np.nanmean(increase) > 0.0:
         return (f"{name} is significant, but raises the held-out position error after 5 s from "
                 f"{np.nanmean(before):.3f} to {np.nanmean(after):.3f} m")
-    blocks, run, names = average_by_block(fits, rise), fits.problem.run_of_block, fits.windows.names
+    blocks, run, names = average_by_block(fits, increase), fits.problem.run_of_block, fits.windows.names
     for k in np.unique(run):
-        run_rises = blocks[(run == k) & np.isfinite(blocks)]
+        run_increases = blocks[(run == k) & np.isfinite(blocks)]
         windows = fits.windows.run == k
-        if len(run_rises) <= 2 or np.nanmean(rise[windows]) < fits.limits.relevant_position:
+        if len(run_increases) <= 2 or np.nanmean(increase[windows]) < fits.limits.relevant_position:
             continue
-        if compute_lower_bound(run_rises, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
+        if compute_lower_bound(run_increases, fits.limits.undecided_p / len(names)) > 0.0:  # Bonferroni over the runs
             return (f"{name} is significant, but raises the held-out position error of {names[k]} after 5 s from "
                     f"{np.nanmean(before[windows]):.3f} to {np.nanmean(after[windows]):.3f} m")
     return ""
@@ -211,17 +211,17 @@ def compare_runs(fits: RelationFits, fit: RelationFit) -> Agreement:
     gradient = fit.quadratic.gradient @ direction
     curvature = np.einsum("i,bij,j->b", direction, fit.quadratic.hessian, direction)
     run = fits.problem.run_of_block
-    informative = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
-    if len(informative) < 2:
+    informative_runs = [k for k in np.unique(run) if curvature[run == k].sum() > MIN_INFORMATION * curvature.sum()]
+    if len(informative_runs) < 2:
         return Agreement({}, 1.0, 0.0)
-    excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative}
-    scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative)
-    is_informative = np.isin(run, informative)
-    variance_ratio = 2.0 * scatter / curvature[is_informative].sum()
-    design_effect = max(variance_ratio * is_informative.sum() / max(is_informative.sum() - len(informative), 1), 1.0)
-    variances = np.array([0.5 * design_effect / curvature[run == k].sum() for k in informative])
-    ratios = np.array([1.0 + excess[k] for k in informative])
-    return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative])
+    excess = {k: gradient[run == k].sum() / curvature[run == k].sum() for k in informative_runs}
+    scatter = sum(float(np.square(gradient - excess[k] * curvature)[run == k].sum()) for k in informative_runs)
+    is_informative = np.isin(run, informative_runs)
+    variance_ratio, count = 2.0 * scatter / curvature[is_informative].sum(), is_informative.sum()
+    design_effect = max(variance_ratio * count / max(count - len(informative_runs), 1), 1.0)
+    variances = np.array([0.5 * design_effect / curvature[run == k].sum() for k in informative_runs])
+    ratios = np.array([1.0 + excess[k] for k in informative_runs])
+    return pool_ratios(ratios, variances, [fits.windows.names[k] for k in informative_runs])
 
 
 def compute_position_errors(fits: RelationFits, fit: RelationFit) -> np.ndarray:
@@ -246,20 +246,20 @@ def compute_cosine(fits: RelationFits, first: RelationFit, other: RelationFit) -
     return float(effects[0] @ effects[1] / max(np.linalg.norm(effects[0]) * np.linalg.norm(effects[1]), 1e-30))
 
 
-def find_redundant_effects(fits: RelationFits, fit: RelationFit, without: RelationFit,
+def find_redundant_effects(fits: RelationFits, fit: RelationFit, base_fit: RelationFit,
                            names: Sequence[str]) -> dict[str, float]:
     """Effects of the result that the relation makes redundant, with the residual reduction [1] that each still adds. An
     effect is redundant if its held-out gain in addition to the relation is too small or not significant, and the
     relation without it explains significantly more than the result without the relation."""
     redundant, limits = {}, fits.limits
-    with_both = compute_position_errors(fits, fit)
+    errors_with_both = compute_position_errors(fits, fit)
     # An effect that turns the base model into another (`converts`) is a precondition of the relation.
     for name in (n for n in names if not get_effect(n).converts):
         reduced = fits.fit_without_effect(fit, name)
         gains = reduced.held_out - fit.held_out
-        position = float(np.nanmean(compute_position_errors(fits, reduced) - with_both))
+        position = float(np.nanmean(compute_position_errors(fits, reduced) - errors_with_both))
         relevant = gains.sum() >= limits.relevant * fits.loss.residual_count or position >= limits.relevant_position
         is_needed = relevant and compute_lower_bound(gains, limits.undecided_p) > 0.0
-        if not is_needed and compute_lower_bound(without.held_out - reduced.held_out, limits.undecided_p) > 0.0:
+        if not is_needed and compute_lower_bound(base_fit.held_out - reduced.held_out, limits.undecided_p) > 0.0:
             redundant[name] = max(float(-np.expm1(-gains.sum() / fits.loss.residual_count)), 0.0)
     return redundant

@@ -36,7 +36,7 @@ PATH_STRIDE = 2  # every PATH_STRIDE-th point of a prediction is sent
 MAX_AGE = 1.0  # s since receipt; an older prediction or steering angle is not shown
 DIAGNOSTICS_TIMEOUT = 3.0  # s without a message on /diagnostics_agg, which `st_live.node.Monitor` sends once a second
 BAND_LEVEL = 0.9
-LEVELS = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
+LEVEL_NAMES = ("ok", "warning", "error", "error")  # of diagnostic_msgs; stale counts as an error
 INPUTS_OF_MODE = {"forecast": "held", "course": "of the course", "plan": "planned"}  # the last mode with data is shown
 TOPICS = {  # by topic: kind of message, type, and queue depth; the scores of one instant arrive together
     "predictor/status": ("status", PredictorStatus, 3), "ins/status": ("ins_status", InsStatus, 3),
@@ -60,7 +60,7 @@ class PassengerFrames:
         self._steering: tuple[float | None, float] = None, -math.inf  # [rad], received [s]
         self._reason = ""
         self._position_mode: tuple[str, float] = ("", 0.0)  # text, received [s]
-        self._track: deque[tuple[float, float, float]] = deque()  # (measured s, x, y)
+        self._track: deque[tuple[float, float, float]] = deque()  # (time of measurement [s], x, y [m])
         # By mode and model: time of arrival [s], and the message, or the errors [m] with the horizon [s].
         self._predictions: dict[str, dict[str, tuple[float, Any]]] = {mode: {} for mode in INPUTS_OF_MODE}
         self._errors: dict[str, dict[str, tuple[float, dict[str, float]]]] = {mode: {} for mode in INPUTS_OF_MODE}
@@ -141,7 +141,7 @@ class PassengerFrames:
         if level == 0:
             return "ok", "all checks OK"
         others = sum(other > 0 for other, _ in checks) - 1
-        return LEVELS[min(level, 3)], text + (f", and {others} more" if others else "")
+        return LEVEL_NAMES[min(level, 3)], text + (f", and {others} more" if others else "")
 
     def _take_odometry(self, message: Any, now: float) -> None:
         sample = convert.read_ins_sample(message, self._map_frame)
@@ -160,7 +160,7 @@ class PassengerFrames:
 
 
 def _to_car_axes(x: np.ndarray, y: np.ndarray, pose: Pose) -> list[list[float]]:
-    """[[forward, left], ...] in m of map points x, y [m], seen from a car at `pose`."""
+    """[[forward, left], ...] [m] of map points x, y [m], relative to a car at `pose`."""
     forward, left = map_to_body(x - pose.x, y - pose.y, pose.yaw)
     return np.round(np.stack([forward, left], axis=1), 2).tolist()
 

@@ -33,10 +33,10 @@ CLOCK_STEP_NS = 10_000_000
 QUEUE_DEPTH = 1000
 DISCOVERY_TIMEOUT = 15.0  # s
 STATUS_PERIOD = 0.5  # s
-SUBSCRIBERS = 3  # expected for each topic: predictor, evaluator, recorder
+MIN_SUBSCRIBERS = 3  # of a topic: predictor, evaluator, recorder
 PLAN, ORIGIN = "/plan/inputs", "/ins/origin"
-FEWER_SUBSCRIBERS = {PLAN: 2, ORIGIN: 1}  # plan: predictor and recorder; origin: at least the recorder
-# s, longest wait for a node at rate 0; the short one follows a wait without progress, for example at standstill.
+SUBSCRIBER_EXCEPTIONS = {PLAN: 2, ORIGIN: 1}  # plan: predictor and recorder; origin: at least the recorder
+# s, longest wait for a node at rate 0; the short one applies after a wait without progress, for example at standstill.
 TIMEOUT, SHORT_TIMEOUT = 2.0, 0.005
 DRAIN_TIME = 1.0  # s after the last message, for the last predictions to reach evaluator and recorder
 SCORE_DELAY = 1.0  # s; the clock may lead the newest scored start by the horizon plus this delay
@@ -165,7 +165,7 @@ class Player:
     def _wait_for_subscribers(self, publishers: Sequence[Publisher]) -> bool:
         """Wait for the subscribers of every topic and of the clock; False after the timeout or a stop signal."""
         end = time.monotonic() + DISCOVERY_TIMEOUT
-        expected = {p: FEWER_SUBSCRIBERS.get(p.topic_name, SUBSCRIBERS) for p in (*publishers, self._clock)}
+        expected = {p: SUBSCRIBER_EXCEPTIONS.get(p.topic_name, MIN_SUBSCRIBERS) for p in (*publishers, self._clock)}
         while any(p.get_subscription_count() < count for p, count in expected.items()):
             if time.monotonic() > end or self._stop.requested:
                 return False
@@ -183,7 +183,7 @@ class Player:
         return clock_ns
 
     def _report(self, played_time: float, duration: float, wall_time: float = 0.0) -> None:
-        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at once with the `wall_time` of the end.
+        """Print the progress as a line of JSON, at most every STATUS_PERIOD; at once if `wall_time` is given (the end).
 
         played_time, duration: of the recording; wall_time: taken to play it; all in s.
         """

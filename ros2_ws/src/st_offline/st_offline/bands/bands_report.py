@@ -36,7 +36,7 @@ class Scorer:
     adaptive: whether to count the coverage of adaptive bands, which start from `bands`. files: sha256 of each file of
     the run, by path."""
 
-    ADAPTATION_TIME = 120.0  # s; the coverage of adaptive bands is also counted for starts at least this much later
+    ADAPTATION_TIME = 120.0  # s; coverage of adaptive bands is also counted without the starts in this initial time
 
     def __init__(self, bands: Bands | None, adaptive: bool, signals: LogSignals, files: Mapping[str, str],
                  prediction: PredictionSettings):
@@ -105,15 +105,15 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     second = np.ceil(np.round(time, 6)).astype(int)
     at_seconds = [k for k in range(len(time)) if abs(time[k] - round(time[k])) < 1e-6]
     by_point, by_axis = ratio.max(axis=2), ratio.max(axis=1)
-    largest_ratio, within = by_point.max(axis=1, initial=0.0), {}
+    largest_ratio, is_inside = by_point.max(axis=1, initial=0.0), {}
     sums: Sums = {"starts": len(errors), "coverage": {}, "axes": {}, "interval_score": {}, "half_width": {},
                   "conditions": {}, "cells": {},
                   "reliability": {f"{level:g}": int((largest_ratio <= c).sum()) for level, c in band.factors.items()},
                   "crps": _name_axes(_sum_crps(band, scale[:, at_seconds], errors[:, at_seconds]))}
     for level in levels:
         key, c = f"{level:g}", band.factors[level]
-        within[key] = largest_ratio <= c
-        sums["coverage"][key] = int(within[key].sum())
+        is_inside[key] = largest_ratio <= c
+        sums["coverage"][key] = int(is_inside[key].sum())
         sums["axes"][key] = _name_axes((by_axis <= c).sum(axis=0))
         score = scoringrules.interval_score(errors, -c * scale, c * scale, 1.0 - level, backend="numpy")
         sums["interval_score"][key] = _name_axes(score.mean(axis=1).sum(axis=0))
@@ -125,7 +125,7 @@ def sum_band_scores(band: Band, conditions: np.ndarray, errors: np.ndarray) -> S
     cells = {name: find_bins(conditions, name) for name in EDGES}
     for name, cell in cells.items():
         sums["conditions"][name.replace("_", " ")] = {
-            _label_bin(name, k): _count_coverage(cell == k, within) for k in np.unique(cell).tolist()}
+            _label_bin(name, k): _count_coverage(cell == k, is_inside) for k in np.unique(cell).tolist()}
     for v, a in np.unique(np.stack([cells["speed"], cells["lateral_acceleration"]], axis=1), axis=0).tolist():
         rows = (cells["speed"] == v) & (cells["lateral_acceleration"] == a)
         for column, s in enumerate(np.unique(second)):
@@ -147,8 +147,8 @@ def _sum_crps(band: Band, scale: np.ndarray, errors: np.ndarray) -> np.ndarray:
     return crps
 
 
-def _count_coverage(rows: np.ndarray, within: Mapping[str, np.ndarray]) -> Sums:
-    return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in within.items()}}
+def _count_coverage(rows: np.ndarray, is_inside: Mapping[str, np.ndarray]) -> Sums:
+    return {"starts": int(rows.sum()), "coverage": {key: int(inside[rows].sum()) for key, inside in is_inside.items()}}
 
 
 def _name_axes(values: np.ndarray) -> dict[str, float]:

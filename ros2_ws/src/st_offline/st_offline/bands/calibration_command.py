@@ -79,19 +79,19 @@ def make_bands(samples: Sequence[ErrorSamples], task: Task, models: Sequence[Mod
     check_levels(levels, len(samples))
     settings = task.settings.as_dict()
     time = make_times(task.settings.prediction.horizon, task.settings.prediction.step)
-    calibrated: dict[tuple[str, str], Band] = {}
+    bands: dict[tuple[str, str], Band] = {}
     for model in models:
         for mode in MODES:
             console.print(f"[dim]calibrating {escape(model.name)}, {mode}[/dim]", highlight=False)
-            calibrated[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
+            bands[model.name, mode] = calibrate(samples, (model.name, mode), time, levels)
     hashes = {name: hash_configuration(task.vehicle, settings, digest)
               for name, digest in collect_model_hashes(task, models).items()}
     return Bands(task.vehicle.name, task.vehicle.hash, settings, recordings, len(samples),
-                 CalibrationDomain.from_runs([run.conditions for run in samples]), calibrated, hashes)
+                 CalibrationDomain.from_runs([run.conditions for run in samples]), bands, hashes)
 
 
 def _refuse_other_car(source: RunSource, run: LoadedRun, vehicle: VehicleParameters) -> None:
-    """Raise RunError if the recorded car has another name. Its parameters may differ, because updates change them."""
+    """Raise RunError if the recorded car has a different name. Its parameters may differ, because of updates."""
     text = parse_configuration(run.provenance.get("recorded", {})).vehicle
     if text is None:
         return

@@ -73,7 +73,7 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     print_runs(checked_runs, console)
     for name, problem in unreadable.items():
         report_problem(name, problem, console)
-    for number, quantity in enumerate(compare_runs([run.checked for run in checked_runs])):
+    for number, quantity in enumerate(compare_runs([run.result for run in checked_runs])):
         print_line(f"{'' if number else '[bold]all runs together[/bold]' + chr(10)}  {escape(quantity.text)}", console)
     if report_vehicle and not job.vehicle_is_given:
         for file in sorted({run.vehicle_source for run in checked_runs}):
@@ -81,10 +81,11 @@ def run_command(job: CheckJob, console: Console, report_vehicle: Callable[[str],
     files = write_results(checked_runs, unreadable, folder, job.json, console)
     if target := job.correction_file:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(run_yaml(sources[0], checked_runs[0].checked.findings, target, job.read), encoding="utf-8")
+        text = make_run_yaml(sources[0], checked_runs[0].result.findings, target, job.read)
+        target.write_text(text, encoding="utf-8")
         files[target] = "the run with its corrections, for every command"
     list_files(files, console)
-    return int(bool(unreadable) or any(run.checked.with_severity(Severity.ERROR) for run in checked_runs))
+    return int(bool(unreadable) or any(run.result.with_severity(Severity.ERROR) for run in checked_runs))
 
 
 def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
@@ -93,8 +94,8 @@ def check_run(source: RunSource, job: CheckJob) -> CheckedRun:
     if source.kind == "bag" and not job.vehicle_is_given:
         car, _, car_source = find_configuration(read_metadata_records(source.path), None)
     run = read(source, car, job.read)
-    checked = check_log(run.log, car, run.auxiliary, MODELS)
-    return CheckedRun(source.name, checked, car, car_source, run.log.duration, run.warnings, run.provenance["files"],
+    result = check_log(run.log, car, run.auxiliary, MODELS)
+    return CheckedRun(source.name, result, car, car_source, run.log.duration, run.warnings, run.provenance["files"],
                       summarise_alignment(run.alignment), source.arguments)
 
 
@@ -123,7 +124,7 @@ def check_file_name(file: Path) -> None:
                           "overwritten)")
 
 
-def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
+def make_run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: ReadSettings) -> str:
     """Text of a run.yaml: comments with the findings, the run as it was read, and its corrections. A
     correction is only a comment if it belongs elsewhere (vehicle file, option), is negligible, conflicts with an
     earlier finding, or concerns the columns of a run without a table. Paths are relative to `file`."""
@@ -141,7 +142,7 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
         elif not READERS[source.kind].is_table and CSV_KEYS & advice.entry.keys():
             comment = f"not applied, only a {' or '.join(TABLE_KEYS)} has columns and units: {advice.line}"
         elif (merged := _merge(corrections, as_yaml_values(advice.entry))) is None:
-            comment = f"not applied, an earlier finding has another value: {advice.line}"
+            comment = f"not applied, an earlier finding has a different value: {advice.line}"
         else:
             corrections = merged
             continue
@@ -149,9 +150,9 @@ def run_yaml(source: RunSource, findings: Sequence[Finding], file: Path, read: R
     if options := _format_steering_options(read):
         lines.append(f"# read with {options}\n")
     settings = append_corrections(_merge_settings(source, file, read), corrections)
-    parts = [_relative(path, file) for path in source.files]
+    parts = [_make_relative(path, file) for path in source.files]
     files = {READERS[source.kind].key: parts if READERS[source.kind].is_table and len(parts) > 1 else parts[0],
-             **({"can": [_relative(path, file) for path in source.can]} if source.can else {})}
+             **({"can": [_make_relative(path, file) for path in source.can]} if source.can else {})}
     content = {"name": source.name, **files, **settings}
     return "".join(lines) + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
@@ -191,11 +192,11 @@ def _combine(first: Mapping[str, float], second: Mapping[str, float]) -> dict[st
     return {key: combined.get(key, value) for key, value in {**first, **second}.items()}
 
 
-def _merge(known: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
-    """`known` with the values of a further entry, lists joined; None if a key would get two different values."""
-    merged = {**known}
+def _merge(settings: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Settings with the values of a further entry, lists joined; None if a key would get two different values."""
+    merged = {**settings}
     for key, value in entry.items():
-        present = known.get(key)
+        present = settings.get(key)
         if isinstance(value, list):
             merged[key] = [*(present or ()), *(item for item in value if item not in (present or ()))]
         else:
@@ -216,7 +217,7 @@ def _merge_settings(source: RunSource, file: Path, read: ReadSettings) -> dict[s
     layout = settings.pop("layout", None)
     if read.steering is not None and read.steering.sign == 1 and source.kind in TABLE_KEYS:
         layout = add_steering_column(layout or Layout(), read.steering)
-    result = {key: _relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
+    result = {key: _make_relative(value, file) if isinstance(value, Path) else as_yaml_values(value)
              for key, value in settings.items()}
     if layout is not None:
         result |= {key: as_yaml_values(value) for key in ("columns", "units") if (value := getattr(layout, key))}
@@ -237,5 +238,5 @@ def as_yaml_values(value: Any) -> Any:
     return float(f"{value:.15g}") if isinstance(value, float) else value
 
 
-def _relative(path: Path, file: Path) -> str:
+def _make_relative(path: Path, file: Path) -> str:
     return Path(os.path.relpath(path.absolute(), file.absolute().parent)).as_posix()

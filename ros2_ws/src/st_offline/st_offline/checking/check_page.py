@@ -13,36 +13,36 @@ from ..evaluation import drawing
 from ..evaluation.work import to_file_name
 from ..pages import load_template
 from . import check_report
-from .check_report import CheckedRun, residual_rms
+from .check_report import CheckedRun, compute_residual_rms
 
 MAX_FIGURES = 6  # on the page
 HEIGHT = 3.1  # inch
 MAX_LINE_GAP = 1.5  # s; a line is interrupted at longer gaps
 MIN_SHADE_WIDTH = 0.004  # fraction of the time axis; narrower shading would be invisible
-SHADE = {Severity.ERROR: drawing.BAD, Severity.WARNING: drawing.WARN, Severity.NOTE: MEASURED_COLOUR}
+SHADES = {Severity.ERROR: drawing.BAD_COLOUR, Severity.WARNING: drawing.WARN_COLOUR, Severity.NOTE: MEASURED_COLOUR}
 DERIVED_COLOUR = MODEL_COLOUR["kinematic"]
 
 
 @drawing.apply_style()
 def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> drawing.PageFigure:
     """Draw one comparison, with the time intervals of its findings shaded. prefix: start of the title."""
-    findings = sorted((finding for finding in run.checked.findings if finding.name in comparison.findings),
-                      key=check_report.severity_rank)
+    findings = sorted((finding for finding in run.result.findings if finding.name in comparison.findings),
+                      key=check_report.rank_severity)
     figure, (upper, lower) = plt.subplots(2, 1, figsize=(drawing.WIDTH, HEIGHT), sharex=True, height_ratios=(3, 2))
     for axes, values, colour, width, label in (
             (upper, comparison.measured, MEASURED_COLOUR, 2.6, comparison.measured_label),
             (upper, comparison.derived, DERIVED_COLOUR, 0.9, comparison.derived_label),
-            (lower, comparison.measured - comparison.derived, drawing.TEXT, 0.9, None)):
+            (lower, comparison.measured - comparison.derived, drawing.TEXT_COLOUR, 0.9, None)):
         line = drawing.reduce_points(*drawing.cut_at_gaps(comparison.time, values, MAX_LINE_GAP))
         axes.plot(*line, color=colour, lw=width, label=label)
     shortest = MIN_SHADE_WIDTH * float(np.ptp(upper.get_xlim()))
     for finding in findings:
         for start, end in finding.times:
             for axes in (upper, lower):
-                axes.axvspan(start, max(end, start + shortest), color=SHADE[finding.severity], alpha=0.3, lw=0)
-    lower.axhline(0.0, color=drawing.TEXT, lw=0.5)
+                axes.axvspan(start, max(end, start + shortest), color=SHADES[finding.severity], alpha=0.3, lw=0)
+    lower.axhline(0.0, color=drawing.TEXT_COLOUR, lw=0.5)
     lower.set_xlabel("time after the first INS measurement, s")
-    unit = check_report.unit_symbol(comparison.unit) or "1"
+    unit = check_report.get_unit_symbol(comparison.unit) or "1"
     upper.set_ylabel(unit)
     lower.set_ylabel(f"difference\n{unit}")
     figure.align_ylabels()
@@ -50,17 +50,17 @@ def draw_comparison(comparison: Comparison, run: CheckedRun, prefix: str) -> dra
     output = drawing.FigureOutput(None, (), f"{to_file_name(run.name)}-")
     shaded = ", shaded where a finding applies" if any(finding.times for finding in findings) else ""
     caption = f"Grey: {comparison.measured_label}; blue: {comparison.derived_label}; below, grey minus blue{shaded}."
-    size = f"{residual_rms(comparison):.2g} {check_report.unit_symbol(comparison.unit)}".strip()
+    size = f"{compute_residual_rms(comparison):.2g} {check_report.get_unit_symbol(comparison.unit)}".strip()
     found = findings[0].text if findings else f"no finding; they differ by {size} (root mean square)"
     title = f"{prefix}{comparison.title[0].upper()}{comparison.title[1:]}: {found}"
     return drawing.save_figure(figure, output, f"comparison-{comparison.name}", title, caption)
 
 
-def page_title(runs: Sequence[CheckedRun]) -> str:
+def make_title(runs: Sequence[CheckedRun]) -> str:
     """Title of the page: the verdict on all runs."""
     if len(runs) == 1:
-        return f"{runs[0].name}: {check_report.headline(runs[0].checked)}"
-    affected = {severity: [run.name for run in runs if run.checked.with_severity(severity)]
+        return f"{runs[0].name}: {check_report.format_headline(runs[0].result)}"
+    affected = {severity: [run.name for run in runs if run.result.with_severity(severity)]
                 for severity in check_report.SEVERITY_ORDER[:2]}
     if not any(affected.values()):
         return f"{len(runs)} runs: no error and no warning"
@@ -70,10 +70,10 @@ def page_title(runs: Sequence[CheckedRun]) -> str:
     return sentence[0].upper() + sentence[1:]
 
 
-def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
+def make_summary(runs: Sequence[CheckedRun]) -> list[str]:
     """At most three sentences: meaning of the findings, recommendation, clocks."""
-    findings = [finding for run in runs for finding in run.checked.findings]
-    worst = min(findings, key=check_report.severity_rank, default=None)
+    findings = [finding for run in runs for finding in run.result.findings]
+    worst = min(findings, key=check_report.rank_severity, default=None)
     clocks = check_report.describe_clocks({run.name: run.alignment for run in runs})
     if worst is None or worst.severity is Severity.NOTE:
         return ["Nothing has to be corrected: every command can use these runs.", *([f"{clocks}."] if clocks else [])]
@@ -83,7 +83,7 @@ def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
     refused = ": other commands reject such a run unless --force is given" if worst.severity is Severity.ERROR else ""
     meaning = check_report.describe_meaning(findings)
     sign = next(filter(None, (check_report.advise_steering_sign(
-        run.checked.findings, run.arguments, run.alignment["method"] != "none") for run in runs)), "")
+        run.result.findings, run.arguments, run.alignment["method"] != "none") for run in runs)), "")
     correct = (f"To correct the recording, run `st check {runs[0].arguments if len(runs) == 1 else 'RUN'} "
                "--propose-correction run.yaml` with the other options of this check, and use the run.yaml that it "
                "writes instead of the recording.")
@@ -98,8 +98,8 @@ def page_summary(runs: Sequence[CheckedRun]) -> list[str]:
 def write_page(file: Path, runs: Sequence[CheckedRun], unreadable: Mapping[str, str], content: dict[str, Any]) -> None:
     """Write the page. content: that of check.json."""
     text = load_template("checking/check.html.jinja").render(
-        title=page_title(runs), summary=page_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
-        problems=unreadable, groups=check_report.group_findings({run.name: run.checked.findings for run in runs}))
+        title=make_title(runs), summary=make_summary(runs), runs=runs, content=content, figures=_draw_figures(runs),
+        problems=unreadable, groups=check_report.group_findings({run.name: run.result.findings for run in runs}))
     file.write_text(text, encoding="utf-8")
 
 
@@ -107,10 +107,10 @@ def _draw_figures(runs: Sequence[CheckedRun]) -> list[drawing.PageFigure]:
     """Draw at most MAX_FIGURES comparisons, those with the most severe findings first."""
     def rank(pair: tuple[Comparison, CheckedRun]) -> tuple[int, float]:
         comparison, run = pair
-        findings = [finding for finding in run.checked.findings if finding.name in comparison.findings]
-        worst = min(map(check_report.severity_rank, findings), default=len(check_report.SEVERITY_ORDER))
+        findings = [finding for finding in run.result.findings if finding.name in comparison.findings]
+        worst = min(map(check_report.rank_severity, findings), default=len(check_report.SEVERITY_ORDER))
         return worst, -max((finding.effect or 0.0 for finding in findings), default=0.0)
 
-    pairs = sorted(((comparison, run) for run in runs for comparison in run.checked.comparisons), key=rank)
+    pairs = sorted(((comparison, run) for run in runs for comparison in run.result.comparisons), key=rank)
     return [draw_comparison(comparison, run, f"{run.name}: " if len(runs) > 1 else "")
             for comparison, run in pairs[:MAX_FIGURES]]

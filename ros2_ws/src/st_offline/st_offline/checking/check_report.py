@@ -36,7 +36,7 @@ ADVICE_PLACE = {"run.yaml": "in its run.yaml: ", "vehicle": "in the vehicle file
 SEVERITY_STYLE = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 
-def severity_rank(finding: Finding) -> int:
+def rank_severity(finding: Finding) -> int:
     """Sort key of findings: errors, then warnings, then notes."""
     return SEVERITY_ORDER.index(finding.severity)
 
@@ -47,33 +47,33 @@ def count_by_severity(findings: Sequence[Finding]) -> str:
     return ", ".join(format_count(count, name) for name, count in counts if count)
 
 
-def verdict(checked: DriveCheck) -> str:
+def format_verdict(result: DriveCheck) -> str:
     """Number of findings of a run by severity, and their meaning for an evaluation, in one line."""
-    if not checked.findings:
-        compared = format_count(len(checked.comparisons), "comparison")
-        return f"no findings in {compared}" if checked.comparisons else "nothing could be compared"
-    return f"{count_by_severity(checked.findings)}: {describe_meaning(checked.findings)}"
+    if not result.findings:
+        compared = format_count(len(result.comparisons), "comparison")
+        return f"no findings in {compared}" if result.comparisons else "nothing could be compared"
+    return f"{count_by_severity(result.findings)}: {describe_meaning(result.findings)}"
 
 
 def describe_meaning(findings: Sequence[Finding]) -> str:
-    """Meaning of the most severe of some findings for an evaluation."""
-    worst = min(findings, key=severity_rank).severity
+    """Consequence of the most severe finding for an evaluation."""
+    worst = min(findings, key=rank_severity).severity
     if worst is Severity.WARNING and all(f.concerns_only_acceleration for f in findings if f.severity is worst):
         return "results of identify and discover would be biased"
     return MEANING[worst]
 
 
-def headline(checked: DriveCheck) -> str:
-    """Number of findings of a run by severity, with the texts of the most severe ones; without findings, `verdict`."""
-    if not checked.findings:
-        return verdict(checked)
-    worst = min(checked.findings, key=severity_rank).severity
-    texts = [finding.text for finding in checked.findings if finding.severity is worst]
+def format_headline(result: DriveCheck) -> str:
+    """Number of findings of a run by severity, with the texts of the most severe; the verdict if there are none."""
+    if not result.findings:
+        return format_verdict(result)
+    worst = min(result.findings, key=rank_severity).severity
+    texts = [finding.text for finding in result.findings if finding.severity is worst]
     more = f"; and {len(texts) - MAX_LISTED} more" if len(texts) > MAX_LISTED else ""
-    return f"{count_by_severity(checked.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
+    return f"{count_by_severity(result.findings)}: {'; '.join(texts[:MAX_LISTED])}{more}"
 
 
-def unit_symbol(text: str) -> str:
+def get_unit_symbol(text: str) -> str:
     return "" if text == "1" else text.replace("^2", "²")
 
 
@@ -81,7 +81,7 @@ def format_estimate(value: float | None, interval: Sequence[float] | None = None
     """An estimate rounded by its interval: "57.30 ± 0.02 m"; asymmetric: "57.3 (56.9 to 58.8) m"; None, NaN: ""."""
     if value is None or not math.isfinite(value):
         return ""
-    ending = f" {unit_symbol(unit)}" if unit_symbol(unit) else ""
+    ending = f" {get_unit_symbol(unit)}" if get_unit_symbol(unit) else ""
     if interval is None or not interval[1] > interval[0]:
         return f"{value:.4g}{ending}"
     low, high = value - interval[0], interval[1] - value
@@ -143,16 +143,16 @@ def describe_clocks(alignments: Mapping[str, Mapping[str, Any]]) -> str:
                          if (text := describe_clock(alignment)))
     offsets = sorted(alignment["offset_s"] for alignment in estimated)
     deviations = [alignment["offset_deviation_s"] for alignment in estimated]
-    known = [deviation for deviation in deviations if deviation is not None]
-    unknown = f" (unknown in {len(deviations) - len(known)} of them)" if len(known) < len(deviations) else ""
+    finite = [deviation for deviation in deviations if deviation is not None]
+    unknown = f" (unknown in {len(deviations) - len(finite)} of them)" if len(finite) < len(deviations) else ""
     doubtful = sum(alignment["verdict"] != "good" for alignment in estimated)
-    of_all = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
-              f"{_zone_note(offsets[0])}, estimated from the data, standard deviation up to "
-              f"{_describe_deviation(max(known, default=None))}{unknown}, "
+    summary = (f"INS minus steering clock of {len(estimated)} runs: {offsets[0]:+.3f} to {offsets[-1]:+.3f} s"
+              f"{_note_time_zone(offsets[0])}, estimated from the data, standard deviation up to "
+              f"{_describe_deviation(max(finite, default=None))}{unknown}, "
               f"{doubtful or 'none'} of them doubtful")
     by_hand = [f"{name}: {describe_clock(alignment)}" for name, alignment in alignments.items()
                if alignment["method"] == "by hand"]
-    return "; ".join([of_all, *by_hand])
+    return "; ".join([summary, *by_hand])
 
 
 def describe_clock(alignment: Mapping[str, Any]) -> str:
@@ -162,7 +162,7 @@ def describe_clock(alignment: Mapping[str, Any]) -> str:
     origin = "set by hand" if alignment["method"] == "by hand" else (
         f"estimated from the data (by {alignment['method']}, standard deviation "
         f"{_describe_deviation(alignment['offset_deviation_s'])}, {alignment['verdict']})")
-    return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_zone_note(alignment['offset_s'])}, {origin}"
+    return f"INS minus steering clock: {alignment['offset_s']:+.3f} s{_note_time_zone(alignment['offset_s'])}, {origin}"
 
 
 def _describe_deviation(deviation: float | None) -> str:
@@ -170,7 +170,7 @@ def _describe_deviation(deviation: float | None) -> str:
     return "unknown" if deviation is None else f"{1e3 * deviation:.1f} ms"
 
 
-def _zone_note(offset: float) -> str:
+def _note_time_zone(offset: float) -> str:
     """Note on an offset [s] that is close to a difference between time zones; empty for other offsets."""
     half_hours = round(offset / 1800.0)
     if not 0 < abs(half_hours) <= 28 or abs(offset - 1800.0 * half_hours) > MAX_ZONE_DIFFERENCE:
@@ -185,7 +185,7 @@ class CheckedRun:
     arguments: those of `st check` that read this run."""
 
     name: str
-    checked: DriveCheck
+    result: DriveCheck
     vehicle: VehicleParameters
     vehicle_source: str
     duration: float
@@ -208,21 +208,21 @@ def build_document(runs: Sequence[CheckedRun], unreadable: Mapping[str, str]) ->
         "vehicle": {source: {"name": car.name, "hash": car.hash}
                     for source, car in {run.vehicle_source: run.vehicle for run in runs}.items()},
         "runs": {run.name: {
-            "verdict": verdict(run.checked), "vehicle": run.vehicle_source, "duration": run.duration,
-            **json_ready(run.checked.as_dict()),
+            "verdict": format_verdict(run.result), "vehicle": run.vehicle_source, "duration": run.duration,
+            **json_ready(run.result.as_dict()),
             "comparisons": [json_ready({
                 "name": comparison.name, "title": comparison.title, "unit": comparison.unit,
-                "samples": len(comparison.time), "residual_rms": residual_rms(comparison),
+                "samples": len(comparison.time), "residual_rms": compute_residual_rms(comparison),
                 "findings": list(comparison.findings)})
-                            for comparison in run.checked.comparisons],
+                            for comparison in run.result.comparisons],
             "warnings": list(run.warnings), "files": dict(run.files), "alignment": json_ready(dict(run.alignment)),
         } for run in runs},
-        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.checked for run in runs])],
+        "together": [json_ready(quantity.as_dict()) for quantity in compare_runs([run.result for run in runs])],
         "failed": dict(unreadable),
     }
 
 
-def residual_rms(comparison: Comparison) -> float:
+def compute_residual_rms(comparison: Comparison) -> float:
     """Root mean square of measured minus derived values, in the unit of the comparison; NaN without common samples."""
     residual = np.asarray(comparison.measured) - np.asarray(comparison.derived)
     residual = residual[np.isfinite(residual)]
@@ -231,15 +231,15 @@ def residual_rms(comparison: Comparison) -> float:
 
 def print_run(run: CheckedRun, console: Console) -> None:
     """Print the verdict on a run, its clock, and each finding with its correction."""
-    worst = min((finding.severity for finding in run.checked.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
+    worst = min((finding.severity for finding in run.result.findings), key=SEVERITY_ORDER.index, default=Severity.NOTE)
     colour = "green" if worst is Severity.NOTE else SEVERITY_STYLE[worst]
-    if hint := advise_steering_sign(run.checked.findings, run.arguments, run.alignment["method"] != "none"):
+    if hint := advise_steering_sign(run.result.findings, run.arguments, run.alignment["method"] != "none"):
         print_line(f"[bold red]{escape(run.name)}: {escape(hint)}[/]", console)
-    print_line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(verdict(run.checked))}[/]  "
+    print_line(f"[bold]{escape(run.name)}[/bold]: [{colour}]{escape(format_verdict(run.result))}[/]  "
                f"[dim]{run.duration:.0f} s, {escape(run.vehicle.name)} from {escape(run.vehicle_source)}[/]", console)
     if text := describe_clock(run.alignment):
         print_line(f"  {escape(text)}", console)
-    for finding in run.checked.findings:
+    for finding in run.result.findings:
         print_line(f"  [{SEVERITY_STYLE[finding.severity]}]{finding.severity.value}[/] "
                    f"[bold]{escape(finding.name)}[/bold]: {escape(finding.text)}", console)
         details = "; ".join(filter(None, (describe_intervals(finding), describe_effect(finding))))
@@ -257,11 +257,11 @@ def print_runs(runs: Sequence[CheckedRun], console: Console) -> None:
         return
     if text := describe_clocks({run.name: run.alignment for run in runs}):
         print_line(f"  {escape(text)}", console)
-    print_findings({run.name: run.checked.findings for run in runs}, console, "report.html")
-    clean = [run.name for run in runs if not run.checked.findings]
+    print_findings({run.name: run.result.findings for run in runs}, console, "report.html")
+    clean = [run.name for run in runs if not run.result.findings]
     names = f": {', '.join(clean)}" if clean else ""
     print_line(f"[green]no findings[/] in {len(clean)} of {len(runs)} runs{escape(names)}", console)
-    hints = {advise_steering_sign(run.checked.findings, can=run.alignment["method"] != "none") for run in runs}
+    hints = {advise_steering_sign(run.result.findings, can=run.alignment["method"] != "none") for run in runs}
     for hint in sorted(filter(None, hints)):
         print_line(f"[bold red]{escape(hint)}[/]", console)
 
@@ -277,7 +277,7 @@ def group_findings(runs: Mapping[str, Sequence[Finding]]) -> list[tuple[Finding,
 
     def order(finding: Finding) -> tuple[int, float]:
         unknown = math.inf if finding.severity is Severity.ERROR else 0.0
-        return severity_rank(finding), -(unknown if finding.effect is None else finding.effect)
+        return rank_severity(finding), -(unknown if finding.effect is None else finding.effect)
 
     groups = [(min((finding for finding, _ in group), key=order), [name for _, name in group])
               for group in by_key.values()]

@@ -28,28 +28,28 @@ ADVICE = "follow the advice of `st check`, or use it anyway with --force"
 class RefusedRunError(RunError):
     """A recording has errors that make an evaluation meaningless. findings: all findings of the run."""
 
-    def __init__(self, where: Path | str, findings: Sequence[Finding]):
+    def __init__(self, source: Path | str, findings: Sequence[Finding]):
         self.findings = tuple(findings)
         errors = "; ".join(f"{finding.name}: {finding.text}" for finding in findings
                            if finding.severity is Severity.ERROR)
-        sign = check_report.advise_steering_sign(findings, str(where))
-        super().__init__(where, f"{sign}; {errors}" if sign else errors, ADVICE)
+        sign = check_report.advise_steering_sign(findings, str(source))
+        super().__init__(source, f"{sign}; {errors}" if sign else errors, ADVICE)
 
 
 def check_log(log: DriveLog, vehicle: VehicleParameters, auxiliary: AuxiliaryData | None,
               models: Sequence[str | Model] = (), step: float = STEP) -> DriveCheck:
     """Check a drive. models: checked for stable integration with `step` [s]; empty if nothing is predicted."""
-    checked = check(log, vehicle, auxiliary)
+    result = check(log, vehicle, auxiliary)
     too_long = check_step_length(models, vehicle, log, step) if models else None
     if too_long is None:
-        return checked
-    return replace(checked, findings=tuple(sorted((*checked.findings, too_long), key=check_report.severity_rank)))
+        return result
+    return replace(result, findings=tuple(sorted((*result.findings, too_long), key=check_report.rank_severity)))
 
 
-def refuse_errors(where: Path | str, findings: Sequence[Finding], force: bool) -> None:
+def refuse_errors(source: Path | str, findings: Sequence[Finding], force: bool) -> None:
     """Raise RefusedRunError if a finding is an error, unless forced."""
     if not force and any(finding.severity is Severity.ERROR for finding in findings):
-        raise RefusedRunError(where, findings)
+        raise RefusedRunError(source, findings)
 
 
 def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettings | None = None) -> list[Finding]:
@@ -79,11 +79,11 @@ def check_bag(bag: Path, vehicle: Path | None, force: bool, settings: ReadSettin
     return list(findings)
 
 
-def check_for_use(where: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
+def check_for_use(source: Path | str, run: LoadedRun, vehicle: VehicleParameters, force: bool,
                   models: Sequence[str | Model] = (), step: float = STEP) -> tuple[Finding, ...]:
     """Check a drive; returns its findings. Raises RefusedRunError for errors, unless forced."""
     findings = check_log(run.log, vehicle, run.auxiliary, models, step).findings
-    refuse_errors(where, findings, force)
+    refuse_errors(source, findings, force)
     return findings
 
 

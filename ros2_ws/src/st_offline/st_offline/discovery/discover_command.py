@@ -28,7 +28,16 @@ from st_recordings.runs.errors import join_problems
 from ..evaluation.drawing import FigureOutput, PageFigure, check_formats
 from ..terminal import make_progress_bars
 from .discovery_report import build_document, build_model_file, print_result, write_page
-from .drives import Drive, Request, cache_folder, clock_deviations, read_drives, read_result, result_key, write_result
+from .drives import (
+    Drive,
+    Request,
+    collect_clock_deviations,
+    find_cache_folder,
+    make_result_key,
+    read_drives,
+    read_result,
+    write_result,
+)
 from .figures import FigureData, draw_agreement, draw_axle_curves, draw_maps, draw_relation, draw_waterfall
 from .relation_report import RelationReport, build_relation_document, report_relation, write_files
 from .vehicle_update import VehicleUpdate, update_vehicle
@@ -36,7 +45,7 @@ from .vehicle_update import VehicleUpdate, update_vehicle
 
 def run_command(request: Request, console: Console) -> int:
     """Run the command; returns the exit status: 1 if a run could not be used, else 0. Raises ConfigurationError for
-    invalid options and unusable recordings, StCoreError if a search is not possible, OutputError for the folder."""
+    invalid options and unusable recordings, StCoreError if a search is not possible, OutputError for a wrong folder."""
     check_formats(request.formats)
     base, effect_hashes = _load_base_and_effects(request)
     folder = new_folder(request.output, "discover")
@@ -50,23 +59,23 @@ def run_command(request: Request, console: Console) -> int:
             replace(d, log=apply_clock_corrections([d.log], discovery.clock_errors)[0]) if d.log else d
             for d in drives])
         times.append(time.perf_counter())
-        relations = None
+        search = None
         if needs_search(discovery) if request.propose is None else request.propose:
             bar = progress.add_task("searching for a relation beyond the library", total=None)
             reported = {(f.name, channel) for d in drives if d.log is not None for f in d.findings
                         if f.severity is not Severity.NOTE for channel in f.channels}
-            relations = find_relation(discovery, _logs(request.drives), request.vehicle, request.settings, request.jobs,
-                                      lambda: progress.advance(bar), reported)
+            search = find_relation(discovery, _get_logs(request.drives), request.vehicle, request.settings,
+                                   request.jobs, lambda: progress.advance(bar), reported)
             times.append(time.perf_counter())
     seconds = dict(zip(("read", "discover", "propose"), np.diff(times).tolist(), strict=False))
     with console.status("drawing, writing the report"):
         output = FigureOutput(folder / "figures", request.formats)
-        drawn = draw(discovery, request, output) if request.report else None
-        if drawn is not None and relations and relations.relation:
-            drawn.insert(0, draw_relation(relations.relation, output))
+        figures = draw_figures(discovery, request, output) if request.report else None
+        if figures is not None and search and search.relation:
+            figures.insert(0, draw_relation(search.relation, output))
         update = update_vehicle(discovery, request)
-        report = report_relation(relations, discovery, request.vehicle, str(folder)) if relations else None
-        files = write_results(discovery, request, update, folder, drawn, seconds, relations, report)
+        report = report_relation(search, discovery, request.vehicle, str(folder)) if search else None
+        files = write_results(discovery, request, update, folder, figures, seconds, search, report)
     print_result(discovery, update, request.all_drives, files, from_cache, console, report)
     return 1 if any(d.problem for d in request.all_drives) else 0
 
@@ -95,9 +104,9 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
     drives = read_drives([*sources, *reference_sources], request.vehicle, request.read, request.jobs,
                          lambda: progress.advance(bar), request.force)
     suspect, reference = drives[:len(sources)], drives[len(sources):]
-    if not _logs(suspect):
+    if not _get_logs(suspect):
         raise ConfigurationError("no run can be used: " + join_problems(d.problem for d in suspect))
-    if reference_sources and not _logs(reference):
+    if reference_sources and not _get_logs(reference):
         raise ConfigurationError("no --reference run can be used: " + join_problems(d.problem for d in reference))
     _check_reference(suspect, reference)
     names, renamed = {d.name for d in suspect}, []
@@ -108,7 +117,7 @@ def _read_runs(request: Request, progress: Progress) -> tuple[list[Drive], list[
 
 
 def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> None:
-    """Raise ConfigurationError for a drive that is both a run and a reference, and for a reference of another car."""
+    """Raise ConfigurationError for a drive that is both run and reference, and for a reference of a different car."""
     used = {digest for d in suspect if d.log is not None for digest in d.metadata["files"].values()}
     cars = {d.metadata["vehicle"]: d.name for d in suspect if d.log is not None and d.metadata["vehicle"]}
     for drive in (d for d in reference if d.log is not None):
@@ -120,7 +129,7 @@ def _check_reference(suspect: Sequence[Drive], reference: Sequence[Drive]) -> No
                                      f"with {car!r}: a reference is a drive of the same car without the fault")
 
 
-def _logs(drives: Sequence[Drive]) -> list[DriveLog]:
+def _get_logs(drives: Sequence[Drive]) -> list[DriveLog]:
     return [d.log for d in drives if d.log is not None]
 
 
@@ -131,10 +140,11 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     def report_progress(stage: str, done: int, total: int) -> None:
         progress.update(bar, description=escape(stage), completed=done, total=total)
 
-    logs, reference, sensors = _logs(request.drives), _logs(request.reference_drives), sensor_estimates(request.drives)
-    clocks = clock_deviations(request.all_drives)
-    key = result_key(logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
-    folder = cache_folder() if request.cached else None
+    logs, reference = _get_logs(request.drives), _get_logs(request.reference_drives)
+    sensors, clocks = pool_sensor_estimates(request.drives), collect_clock_deviations(request.all_drives)
+    key = make_result_key(
+        logs, reference, request.vehicle, base, request.settings, request.effect_hashes, sensors, clocks)
+    folder = find_cache_folder() if request.use_cache else None
     file = folder / f"{key}.json" if folder else None
     if file and (cached := read_result(file)) is not None:
         return cached, True
@@ -145,32 +155,32 @@ def _find_result(request: Request, base: Model, progress: Progress) -> tuple[Dis
     return discovery, False
 
 
-def sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
+def pool_sensor_estimates(drives: Sequence[Drive]) -> dict[str, tuple[float, float, float]]:
     """Sensor errors estimated by the checks and pooled over the drives, (value, ends of its 95 % interval) by name."""
     return pool_estimates([{name: value for name, value in d.metadata["estimates"].items() if None not in value}
                            for d in drives if d.log is not None])
 
 
-def draw(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
+def draw_figures(discovery: Discovery, request: Request, output: FigureOutput) -> list[PageFigure]:
     """Draw the figures of a discovery for which there are data."""
-    runs = _logs(request.drives)
+    runs = _get_logs(request.drives)
     # discovery.errors contains only the channels that all runs have.
     settings = replace(request.settings, channels=tuple(c for c in discovery.errors if c in request.settings.channels))
 
-    def errors_of(model: AugmentedModel) -> Samples:
+    def compute_errors(model: AugmentedModel) -> Samples:
         return window_errors(runs, model, request.vehicle, settings, discovery.acceleration_gain)
 
-    after = errors_of(discovery.model) if discovery.model else None
-    data = FigureData(discovery, runs, errors_of(discovery.base), after, output)
+    after = compute_errors(discovery.model) if discovery.model else None
+    data = FigureData(discovery, runs, compute_errors(discovery.base), after, output)
     functions = (draw_waterfall, draw_axle_curves, draw_maps, draw_agreement)
     return [figure for function in functions if (figure := function(data))]
 
 
 def write_results(discovery: Discovery, request: Request, update: VehicleUpdate | None, folder: Path,
-                  drawn: Sequence[PageFigure] | None, seconds: dict[str, float],
-                  relations: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
-    """Write all files; returns their paths by kind. drawn: figures of the page; None: no page. report: report on
-    `relations`."""
+                  figures: Sequence[PageFigure] | None, seconds: dict[str, float],
+                  search: RelationSearch | None = None, report: RelationReport | None = None) -> dict[str, Path]:
+    """Write all files; returns their paths by kind. figures: those of the page; None: no page. report: report on
+    `search`."""
     files = {"discovery.json": folder / "discovery.json"}
     if update is not None:
         model = build_model_file(discovery, request, update)
@@ -179,12 +189,12 @@ def write_results(discovery: Discovery, request: Request, update: VehicleUpdate 
                 files[name] = folder / name
                 files[name].write_text(text, encoding="utf-8")
     content = build_document(discovery, request, update, seconds)
-    if relations:
-        content |= {"relation": json_ready(build_relation_document(relations))}
+    if search:
+        content |= {"relation": json_ready(build_relation_document(search))}
         created, runs = content["provenance"]["created"], list(content["provenance"]["runs"])
-        files |= write_files(relations, request.vehicle, runs, created, request.file_hashes, folder)
+        files |= write_files(search, request.vehicle, runs, created, request.file_hashes, folder)
     files["discovery.json"].write_text(json_text(content), encoding="utf-8")
-    if drawn is not None:
+    if figures is not None:
         files = {"report.html": folder / "report.html", **files}
-        write_page(files["report.html"], discovery, update, request.all_drives, content, drawn, report)
+        write_page(files["report.html"], discovery, update, request.all_drives, content, figures, report)
     return files

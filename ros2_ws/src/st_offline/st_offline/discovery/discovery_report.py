@@ -16,7 +16,7 @@ from st_core.model_file import Interval, ModelFile, ModelProvenance
 from st_recordings.paths import json_ready
 from st_recordings.results import collect_versions
 
-from ..checking.check_report import findings_as_json, unit_symbol
+from ..checking.check_report import findings_as_json, get_unit_symbol
 from ..evaluation.drawing import PageFigure
 from ..pages import Table, load_template
 from ..terminal import list_files, make_table, report_problem
@@ -44,7 +44,7 @@ def build_document(discovery: Discovery, request: Request, update: VehicleUpdate
                                          for key, (before, after, low, high) in update.changes.items()}
     files = {"vehicle.yaml": {"folded": update.folded if update else (), "kept": update.not_folded if update else {},
                               "changes": changes, "error": update.error if update else (),
-                              "objections": update.objections if update else ()}}
+                              "objections": update.implausible_values if update else ()}}
     return {"schema": SCHEMA, **json_ready(discovery.document()), "files": json_ready(files),
             "provenance": json_ready(collect_provenance(discovery, request, seconds))}
 
@@ -72,7 +72,7 @@ def collect_provenance(discovery: Discovery, request: Request, seconds: Mapping[
 
 def build_model_file(discovery: Discovery, request: Request, update: VehicleUpdate) -> ModelFile | None:
     """Model file with the effects of `update.model` that are not at their neutral values; None without any. Intervals
-    of changes from the reference drives are shifted to the total values. An effect whose value differs from the
+    of changes relative to the reference drives are shifted to the total values. An effect whose value differs from the
     reported one is marked as an effective correction."""
     intervals: dict[tuple[str, str], Interval] = {}
     for named_effect in discovery.effects:
@@ -87,7 +87,7 @@ def build_model_file(discovery: Discovery, request: Request, update: VehicleUpda
     named = {e.name: e.parameters for e in discovery.effects}
     complete = ModelFile.from_model(update.model, update.vehicle, provenance, intervals,
                                     "st discover: found in the runs")
-    base_source = ("st discover: value of the healthy car, from the reference drives" if request.reference_drives
+    base_source = ("st discover: value fitted to the reference drives" if request.reference_drives
                    else "part of the base model")
     minor = {r.subject: r.text for r in discovery.reasons if r.rule == MINOR}
     effects = {}
@@ -119,24 +119,24 @@ def write_page(file: Path, discovery: Discovery, update: VehicleUpdate | None, r
     text = load_template("discovery/discovery.html.jinja").render(
         title=report_text.format_title(discovery), discovery=discovery, content=content, figures=figures,
         relation=relation, report=report_text, summary=report_text.summarise(discovery, update, findings),
-        details=report_text.list_details(discovery, update), findings=findings, **_tables(discovery, content))
+        details=report_text.list_details(discovery, update), findings=findings, **_make_tables(discovery, content))
     file.write_text(text, encoding="utf-8")
 
 
-def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
+def _make_tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[Table]]:
     """Tables of the page by layout (narrow, wide), without empty ones."""
     metres = quantities.format_metres
     channels = []
     for name, error in sorted(discovery.errors.items(), key=lambda item: item[1].augmented / max(item[1].base, 1e-12)):
-        factor, unit = quantities.display_unit(error.unit)
+        factor, unit = quantities.get_display_unit(error.unit)
         before, after, floor, worst, low, high = (f"{factor * x:.3g}" for x in (
             error.base, error.augmented, error.floor, error.worst, *error.interval))
-        channels.append((f"{quantities.channel_label(name)}, {unit}", before, after, f"{low} to {high}", floor,
+        channels.append((f"{quantities.label_channel(name)}, {unit}", before, after, f"{low} to {high}", floor,
                          f"{error.worst_run} {worst}" if error.worst_run else "", ", ".join(error.worse_runs)))
-    changes = [_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
+    changes = [_make_change_row(key, change) for key, change in content["files"]["vehicle.yaml"]["changes"].items()]
     parts = [(b.part, f"{metres(b.last)}, {b.share_last:.0%}", f"{metres(b.first)}, {b.share_first:.0%}",
               f"{b.loss_last:.0%}", f"{b.loss_first:.0%}") for b in sorted(discovery.budget, key=lambda b: -b.last)]
-    regions = [(quantities.channel_label(r.channel), *report_text.describe_condition(r))
+    regions = [(quantities.label_channel(r.channel), *report_text.describe_condition(r))
                for r in sorted(discovery.where, key=lambda r: -r.interval[0])[:MAX_ROWS]]
     combinations = [(f"{c.name}, {c.unit}".replace("^2", "²"), f"{c.value:.4g}",
                      f"{c.interval[0]:.4g} to {c.interval[1]:.4g}", f"{c.file:.4g}")
@@ -151,7 +151,7 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
               ("error of", "before", "after", "reduced by (95 %)", "noise", "worst run", "runs with a larger error"),
               channels),
         Table("Parts of the error", "Reduction of the mean position error after 5 s by each part when it is added to "
-              "the model last, after all other parts, or first, as the only one. Loss: the same for the sum that the "
+              "the model last, after all other parts, or first, as the only one. Loss: reduction of the sum that the "
               "fit minimises. The unexplained part includes the noise.",
               ("part", "last", "first", "loss, last", "loss, first"), parts),
         Table("Where the base model has the largest errors", "", ("error of", "where", f"times {expected} (95 %)"),
@@ -162,19 +162,19 @@ def _tables(discovery: Discovery, content: Mapping[str, Any]) -> dict[str, list[
               "radius (1 + K v²). Yaw gain: yaw rate per steering-wheel angle.",
               ("combination", "value", "95 % interval", "vehicle file"), combinations)]
     return {"narrow": [table for table in narrow if table.rows],
-            "wide": [table for table in _wide_tables(discovery) if table.rows]}
+            "wide": [table for table in _make_wide_tables(discovery) if table.rows]}
 
 
-def _change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
+def _make_change_row(key: str, change: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Row of a changed entry of the vehicle file [SI]."""
-    unit, limits = unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
+    unit, limits = get_unit_symbol(ENTRIES[key].si_unit), (ENTRIES[key].minimum, ENTRIES[key].maximum)
     at_limit = any(math.isclose(change["after"], limit, rel_tol=1e-4) for limit in limits)
     return (f"{key}, {unit}" if unit else key, f"{change['before']:.5g}",
             f"{change['after']:.5g}{' (limit of the file)' if at_limit else ''}",
             f"{change['interval'][0]:.5g} to {change['interval'][1]:.5g}")
 
 
-def _wide_tables(discovery: Discovery) -> list[Table]:
+def _make_wide_tables(discovery: Discovery) -> list[Table]:
     plain = quantities.to_words
     tried = [c for c in discovery.candidates if c.name not in {e.name for e in (*discovery.effects, *discovery.minor)}]
     candidates = [

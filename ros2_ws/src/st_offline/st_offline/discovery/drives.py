@@ -50,8 +50,8 @@ class Request:
     runs, reference: paths of recordings; drives, reference_drives: read from them. read: options for reading. effects:
     folder of user-defined effects; effect_hashes: sha256 of each file in it. output: folder, None for
     runs/discover-<time>. jobs: number of processes. formats: formats of the figure files. report: whether to write a
-    page. cached: whether to use a cached result. force: whether to use runs with errors. propose: whether to search for
-    a relation beyond the library; if None, this depends on the size of the residual.
+    page. use_cache: whether to use a cached result. force: whether to use runs with errors. propose: whether to search
+    for a relation beyond the library; if None, this depends on the size of the residual.
     """
 
     base: str
@@ -67,7 +67,7 @@ class Request:
     jobs: int = 1
     formats: tuple[str, ...] = ()
     report: bool = True
-    cached: bool = True
+    use_cache: bool = True
     force: bool = False
     propose: bool | None = None
     drives: Sequence[Drive] = ()
@@ -110,7 +110,7 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         if source.problem is not None:
             raise source.problem
         run = read(source, vehicle, settings)
-        checked = check_log(run.log, vehicle, run.auxiliary)
+        result = check_log(run.log, vehicle, run.auxiliary)
         recorded = parse_configuration(run.provenance.get("recorded", {})).vehicle if source.kind == "bag" else None
         try:
             car = "" if recorded is None else VehicleParameters.from_yaml(recorded, "the vehicle in the recording").name
@@ -119,21 +119,21 @@ def read_drive(source: RunSource, vehicle: VehicleParameters, settings: ReadSett
         metadata = {"files": run.provenance["files"], "duration_s": run.log.duration,
                     "alignment": run.alignment.verdict.value,
                     "clock_deviation_s": json_ready(run.alignment.offset_deviation),
-                    "warnings": list(run.warnings), "estimates": json_ready(checked.estimates), "vehicle": car}
-        refuse_errors(source.path, checked.findings, force)
-        return Drive(source.name, run.log, metadata, findings=checked.findings)
+                    "warnings": list(run.warnings), "estimates": json_ready(result.estimates), "vehicle": car}
+        refuse_errors(source.path, result.findings, force)
+        return Drive(source.name, run.log, metadata, findings=result.findings)
     except RefusedRunError as error:
         return Drive(source.name, None, {}, str(error), error.findings)
     except RUN_ERRORS as error:
         return Drive(source.name, None, {}, describe_problem(error, source))
 
 
-def clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
+def collect_clock_deviations(drives: Sequence[Drive]) -> dict[str, float]:
     """Standard deviation of the offset of the steering clock [s], by name of each run with an estimated offset."""
     return {d.name: s for d in drives if d.log is not None and (s := d.metadata.get("clock_deviation_s"))}
 
 
-def cache_folder() -> Path | None:
+def find_cache_folder() -> Path | None:
     """Folder of cached results; None without a home directory."""
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "single_track" / "discovery"
@@ -141,19 +141,19 @@ def cache_folder() -> Path | None:
         return None
 
 
-def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
+def make_result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle: VehicleParameters, base: Model,
                settings: DiscoverySettings, effects: Mapping[str, str],
                sensors: Mapping[str, Sequence[float]], clocks: Mapping[str, float]) -> str:
     """Cache key of a result: a hash of all its inputs and of the code of st_core.
 
-    effects: sha256 by file. sensors: from `sensor_estimates`. clocks: standard deviations of the steering clocks [s].
+    effects: sha256 by file. sensors: from `pool_sensor_estimates`. clocks: from `collect_clock_deviations`.
     """
     values = base.values if isinstance(base, AugmentedModel) else {}
     files = sorted(file for folder in st_core.__path__ for file in Path(folder).rglob("*.py"))
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    content = [RESULT_FORMAT, code, [_digest(log) for log in runs], [_digest(log) for log in reference],
+    content = [RESULT_FORMAT, code, [_compute_digest(log) for log in runs], [_compute_digest(log) for log in reference],
                vehicle.hash, sorted((name, entry.uncertainty) for name, entry in vehicle.provenance.items()),
-               _base_name(base), values, asdict(settings),
+               _get_base_name(base), values, asdict(settings),
                sorted(effects.items()), sorted((name, list(value)) for name, value in sensors.items()), clocks]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()[:32]
 
@@ -161,7 +161,7 @@ def result_key(runs: Sequence[DriveLog], reference: Sequence[DriveLog], vehicle:
 def write_result(file: Path, discovery: Discovery) -> None:
     """Write a result to the cache, atomically; errors such as a full disk are ignored."""
     content = discovery.document() | {name: (model := getattr(discovery, name)) and [
-        _base_name(model), model.values] for name in MODELS}
+        _get_base_name(model), model.values] for name in MODELS}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.stem}.{os.getpid()}{file.suffix}")
@@ -196,11 +196,11 @@ def _restore(kind: Any, value: Any) -> Any:
     return value
 
 
-def _base_name(model: Model) -> str:
+def _get_base_name(model: Model) -> str:
     return model.base.name if isinstance(model, AugmentedModel) else model.name
 
 
-def _digest(log: DriveLog) -> str:
+def _compute_digest(log: DriveLog) -> str:
     digest = hashlib.sha256(log.name.encode())
     for column in fields(DriveLog):
         values = getattr(log, column.name)

@@ -18,13 +18,13 @@ from st_core.regression import Z95
 from st_core.relations import Relation
 from st_core.relations.candidates import QUANTITIES
 
-from ..evaluation.drawing import BAD, TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import BAD_COLOUR, TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from . import quantities, report_text
 
 AFTER_COLOUR = MODEL_COLOUR["augmented"]
 HALF_WIDTH = 6.8  # inch; for two figures side by side on the page
 MIN_CHANGE = 0.005  # m; if the position error changes less, the most reduced channel error is reported instead
-MIN_ASPECT = 0.3  # `_aspect_ratio` of a track; the axes of narrower tracks have different scales
+MIN_ASPECT = 0.3  # `_compute_aspect_ratio` of a track; the axes of narrower tracks have different scales
 MAX_PANELS = 6  # maximum number of effects in the figure of local estimates
 MAX_ROWS = 14  # a partition with more parts, and the places, are drawn in one row
 AXIS_LIMIT = 3.0  # largest magnitude on the axis of local ratios; intervals are cut off there
@@ -43,7 +43,7 @@ class FigureData:
     @property
     def colour(self) -> str:
         """Colour of the base model."""
-        return MODEL_COLOUR.get(self.discovery.base.base.name, TEXT)
+        return MODEL_COLOUR.get(self.discovery.base.base.name, TEXT_COLOUR)
 
     @property
     def channel(self) -> str:
@@ -68,16 +68,16 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     _annotate(axes, first, 0, quantities.format_metres(first))
     for row, step in enumerate(steps, 1):
         before, after = step.position_5s.base, step.position_5s.augmented
-        axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT, lw=0.6, alpha=0.5)
-        colour = AFTER_COLOUR if after <= before else BAD
+        axes.plot([before, before], [row - 0.7, row + 0.31], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
+        colour = AFTER_COLOUR if after <= before else BAD_COLOUR
         axes.barh(row, before - after, left=after, color=colour, height=0.62, alpha=0.65)
         ends = [before - end for end in step.position_5s.interval]
-        axes.plot(ends, [row, row], color=TEXT, lw=1.0)
-        label, text = _step_texts(data.discovery, step)
+        axes.plot(ends, [row, row], color=TEXT_COLOUR, lw=1.0)
+        label, text = _format_step(data.discovery, step)
         _annotate(axes, max(before, after, *ends), row, text)
         rows.append(label)
     end = "model with identified effects only" if data.discovery.effective else "complete model"
-    axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT, lw=0.6, alpha=0.5)
+    axes.plot([last, last], [len(steps) + 0.31, len(steps) + 0.69], color=TEXT_COLOUR, lw=0.6, alpha=0.5)
     axes.barh(len(steps) + 1, last, color=AFTER_COLOUR, height=0.62)
     _annotate(axes, last, len(steps) + 1, quantities.format_metres(last))
     axes.axvline(position.floor, color=MEASURED_COLOUR, lw=1.4, ls="--")
@@ -88,7 +88,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     handles = [Patch(color=data.colour, label=f"{data.discovery.base.base.name} model"),
                Patch(color=AFTER_COLOUR, label=end),
                Patch(color=AFTER_COLOUR, alpha=0.65, label="reduction"),
-               *([Patch(color=BAD, alpha=0.65, label="increase")] if has_increase else []),
+               *([Patch(color=BAD_COLOUR, alpha=0.65, label="increase")] if has_increase else []),
                Line2D([], [], color=MEASURED_COLOUR, ls="--", label="noise alone")]
     figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     caption = ("Each row adds one effect and refits all values; its value and change belong to that step. Line: "
@@ -96,7 +96,7 @@ def draw_waterfall(data: FigureData) -> PageFigure | None:
     return save_figure(figure, data.output, "waterfall", "Error of each step of the search", caption)
 
 
-def _step_texts(discovery: Discovery, step: Step) -> tuple[str, str]:
+def _format_step(discovery: Discovery, step: Step) -> tuple[str, str]:
     """(effect and values of a step, in parentheses if it is not named; change of the error)."""
     label = f"{quantities.to_words(step.effect)}  {quantities.format_briefly(step.effect, step.parameters)}"
     change = step.position_5s.augmented - step.position_5s.base
@@ -104,7 +104,7 @@ def _step_texts(discovery: Discovery, step: Step) -> tuple[str, str]:
     ratios = {channel: c.augmented / c.base for channel, c in step.channels.items() if c.base > 0}
     if abs(change) < MIN_CHANGE and ratios:
         best = min(ratios, key=ratios.__getitem__)
-        text = f"{quantities.channel_label(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
+        text = f"{quantities.label_channel(best)} error {100 * (ratios[best] - 1.0):+.0f} %"
     is_named = step.effect in {e.name for e in discovery.effects}
     return f"+ {label}" if is_named else f"+ ({label})", text.replace("-", "−")
 
@@ -151,11 +151,11 @@ def draw_maps(data: FigureData) -> PageFigure | None:
     if run is None:
         return None
     models = [("base model", data.before)] + ([("complete model", data.after)] if data.after else [])
-    factor, unit = quantities.display_unit(UNITS[data.channel])
+    factor, unit = quantities.get_display_unit(UNITS[data.channel])
     largest = factor * max(float(np.nanmax(np.sqrt(samples.squares[data.channel][samples.run == run]), initial=1e-12))
                            for _, samples in models)
     log = data.runs[run]
-    is_wide = _aspect_ratio(log) > MIN_ASPECT
+    is_wide = _compute_aspect_ratio(log) > MIN_ASPECT
     shape = np.ptp(log.y) / max(np.ptp(log.x), 1e-9) if is_wide else 0.5
     size = (HALF_WIDTH, float(np.clip(0.4 * HALF_WIDTH * shape, 1.2, 3.5)) + 0.9)
     figure, panels = plt.subplots(1, len(models), figsize=size, sharex=True, sharey=True, squeeze=False)
@@ -173,8 +173,8 @@ def draw_maps(data: FigureData) -> PageFigure | None:
         axes.set_xlabel("east, m")
     panels[0][0].set_ylabel("north, m")
     bar = figure.colorbar(points, ax=list(panels[0]))
-    bar.set_label(f"{quantities.channel_label(data.channel)} error, {unit}")
-    title = f"{log.name}: {quantities.channel_label(data.channel)} error on the map"
+    bar.set_label(f"{quantities.label_channel(data.channel)} error, {unit}")
+    title = f"{log.name}: {quantities.label_channel(data.channel)} error on the map"
     caption = "Each point is the start of a prediction, coloured by its error. All panels have the same colour scale."
     return save_figure(figure, data.output, "map", title, caption)
 
@@ -187,12 +187,12 @@ def _find_worst_run(data: FigureData) -> int | None:
     if squares is None or not len(squares):
         return None
     runs = np.unique(samples.run)
-    wide = [_aspect_ratio(data.runs[r]) > MIN_ASPECT for r in runs]
+    wide = [_compute_aspect_ratio(data.runs[r]) > MIN_ASPECT for r in runs]
     runs = runs[wide] if any(wide) else runs
     return int(max(runs, key=lambda r: float(squares[samples.run == r].mean())))
 
 
-def _aspect_ratio(log: DriveLog) -> float:
+def _compute_aspect_ratio(log: DriveLog) -> float:
     """Smaller extent of the track, to the east or to the north, divided by the larger one."""
     width, height = np.ptp(log.x), np.ptp(log.y)
     return float(min(width, height) / max(width, height, 1e-9))
@@ -225,7 +225,7 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
         axes.set_title(title, fontsize=8)
     for row in (row for row in range(1, len(labels)) if labels[row - 1][0] != labels[row][0]):
         for axes in panels[0]:
-            axes.axhline(row - 0.5, color=TEXT, lw=0.5)
+            axes.axhline(row - 0.5, color=TEXT_COLOUR, lw=0.5)
     figure.supxlabel("ratio of the local to the overall estimate", fontsize=8)
     panels[0][0].set_yticks(range(len(labels)), [where for _, where in labels], fontsize=7)
     panels[0][0].set_ylim(len(labels) - 0.5, -0.5)
@@ -237,8 +237,8 @@ def draw_agreement(data: FigureData) -> PageFigure | None:
 
 def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) -> None:
     """Draw (row, local estimate) with 95 % intervals, and set the range of the axis."""
-    axes.axvline(0.0, color=TEXT, lw=0.8, ls=":")
-    axes.axvline(1.0, color=TEXT, lw=0.8)
+    axes.axvline(0.0, color=TEXT_COLOUR, lw=0.8, ls=":")
+    axes.axvline(1.0, color=TEXT_COLOUR, lw=0.8)
     for row, estimate in ratios:
         half_width = Z95 * estimate.deviation
         low, high = estimate.ratio - half_width, estimate.ratio + half_width
@@ -254,28 +254,28 @@ def _draw_ratios(axes: plt.Axes, ratios: Sequence[tuple[int, LocalEstimate]]) ->
 def draw_relation(relation: Relation, output: FigureOutput) -> PageFigure:
     """Draw the curve of a relation with its 95 % interval, and the distribution of the driving below it."""
     c = relation.candidate
-    (y_scale, unit), (x_scale, x_unit) = quantities.curve_unit(c.unit), quantities.curve_unit(QUANTITIES[c.quantity])
-    at, value = x_scale * relation.points, y_scale * relation.value
+    (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
+    u, y = x_scale * relation.points, y_scale * relation.value
     half_width = y_scale * Z95 * relation.deviation
     figure, (curve, distribution) = plt.subplots(2, 1, figsize=(WIDTH, 3.6), sharex=True, height_ratios=(3.0, 1.0))
-    curve.axhline(0.0, color=TEXT, lw=0.8, ls=":")
-    curve.fill_between(at, value - half_width, value + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
+    curve.axhline(0.0, color=TEXT_COLOUR, lw=0.8, ls=":")
+    curve.fill_between(u, y - half_width, y + half_width, color=AFTER_COLOUR, alpha=0.25, lw=0,
                        label="95 % interval")
-    curve.plot(at, value, color=AFTER_COLOUR, label="proposed relation")
-    for k, (low, high) in enumerate(relation.next_drives.sparse):
+    curve.plot(u, y, color=AFTER_COLOUR, label="proposed relation")
+    for k, (low, high) in enumerate(relation.next_drives.sparse_ranges):
         for axes in (curve, distribution):
             axes.axvspan(x_scale * low, x_scale * high, color=MEASURED_COLOUR, alpha=0.12, lw=0,
                          label="sparsely driven" if axes is curve and not k else None)
-    curve.set_ylabel(f"{textwrap.fill(quantities.axis_label(c), 28)}, {unit}")
+    curve.set_ylabel(f"{textwrap.fill(quantities.make_axis_label(c), 28)}, {unit}")
     curve.legend(loc="best")
     distribution.set_axisbelow(True)
-    distribution.bar(at, 100.0 * relation.density, width=at[1] - at[0], color=MEASURED_COLOUR)
+    distribution.bar(u, 100.0 * relation.density, width=u[1] - u[0], color=MEASURED_COLOUR)
     # Most driving is straight at constant speed; a linear scale would hide the other bins.
     distribution.set(yscale="log", ylim=(0.02, 100.0), yticks=(0.1, 1.0, 10.0, 100.0))
     distribution.yaxis.set_major_formatter("{x:g}")
-    distribution.set(ylabel="share of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
+    distribution.set(ylabel="fraction of the\ndriving, %", xlabel=f"{quantities.QUANTITY_NAMES[c.quantity]}, {x_unit}")
     before, after = relation.position_5s
-    title = (f"PROPOSAL: {quantities.full_title(relation)}; held-out position error after 5 s: "
+    title = (f"PROPOSAL: {quantities.make_full_title(relation)}; held-out position error after 5 s: "
              f"{before:.3f} m without it, {after:.3f} m with it")
     units = f"y in {c.unit}, u in {QUANTITIES[c.quantity]}".replace("^2", "²")
     formula = f"As a formula: {relation.formulas[0].text}, {units}. " if relation.formulas else ""

@@ -35,19 +35,19 @@ QUANTITY_NAMES = {
     "east": "cosine of the yaw angle", "position_x": "position to the east", "position_y": "position to the north",
     "run_time": "time in the run",
 }
-SIGNS = {"acceleration_x": " (derivative of the forward speed, so cornering drag is included; braking −)",
-         **dict.fromkeys(("acceleration_y", "lean"), " (forward speed times yaw rate; left +)"),
-         **dict.fromkeys(("slip_front", "slip_rear"), " (axle moving to its left +)"),
-         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "yaw_rate"), " (left +)")}
+SIGNS = {"acceleration_x": " (derivative of the forward speed, so cornering drag is included; negative in braking)",
+         **dict.fromkeys(("acceleration_y", "lean"), " (forward speed times yaw rate; positive to the left)"),
+         **dict.fromkeys(("slip_front", "slip_rear"), " (positive if the axle moves to its left)"),
+         **dict.fromkeys(("steering", "steering_rate", "lagging_steering", "yaw_rate"), " (positive to the left)")}
 """Positive direction of each signed quantity."""
 
 
-def display_unit(unit: str) -> tuple[float, str]:
+def get_display_unit(unit: str) -> tuple[float, str]:
     """(factor from an SI unit, unit) in reports."""
     return DISPLAY_UNITS.get(unit, (1.0, unit.replace("^2", "²")))
 
 
-def channel_label(name: str) -> str:
+def label_channel(name: str) -> str:
     """Name of a channel in reports."""
     return LABELS.get(name, to_words(name))
 
@@ -59,13 +59,13 @@ def to_words(name: str) -> str:
 
 def append_unit(number: str, unit: str) -> str:
     """A number with the report unit that corresponds to an SI unit."""
-    text = "" if unit == "1" else display_unit(unit)[1]
+    text = "" if unit == "1" else get_display_unit(unit)[1]
     return f"{number}{'' if not text or text.startswith('°') else ' '}{text}"
 
 
 def format_value(value: float, unit: str) -> str:
     """A value [SI] with its report unit."""
-    return append_unit(f"{value * display_unit(unit)[0]:.3g}", unit)
+    return append_unit(f"{value * get_display_unit(unit)[0]:.3g}", unit)
 
 
 def format_metres(value: float) -> str:
@@ -87,17 +87,18 @@ def format_decimal(number: float, decimals: int) -> str:
 
 def format_parameter(p: FittedParameter, parameter: Parameter | None = None, interval: bool = True) -> str:
     """Value and 95 % interval; a parameter with the neutral value 1 is written as a factor. parameter: definition of
-    `p`; with it, a value on a bound is marked. The interval may cross a bound."""
+    `p`; with it, a value at a limit of its range is marked. The interval may cross that limit."""
     typical_size = abs(parameter.initial - parameter.null) if parameter else 0.0
     bounds = parameter.hard_bounds if parameter else ()
-    factor, _ = display_unit(p.unit)
+    factor, _ = get_display_unit(p.unit)
     half_width = 0.5 * (p.interval[1] - p.interval[0]) * factor
     has_width = math.isfinite(half_width) and half_width > 0.0
     decimals = max(1 - math.floor(math.log10(half_width) + 1e-6), 0) if has_width else 3  # second significant digit
     number, *ends = (format_decimal(x * factor, decimals) for x in (p.value, *p.interval))
     text = f"× {number}" if p.unit == "1" and p.null == 1.0 else append_unit(number, p.unit)
-    on_bound = " on its bound" if any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds) else ""
-    return f"{text}{on_bound}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
+    is_at_limit = any(abs(p.value - bound) < BOUND_TOLERANCE * typical_size for bound in bounds)
+    text += " at a limit of its range" if is_at_limit else ""
+    return f"{text}{f' ({ends[0]} to {ends[1]})' if interval else ''}"
 
 
 def format_parameters(effect: str, parameters: Mapping[str, FittedParameter], interval: bool = True) -> list[str]:
@@ -121,7 +122,7 @@ def format_fitted(name: str, numbers: Mapping[str, float]) -> str:
         unit, null = (definitions[key].unit, definitions[key].null) if key in definitions else ("1", 0.0)
         decimals = max(2, 1 - math.floor(math.log10(abs(number - null)))) if number != null else 2
         text = (f"× {number:.{decimals}f}" if (unit, null) == ("1", 1.0) else
-                append_unit(f"{float(f'{number * display_unit(unit)[0]:.2g}'):g}", unit))
+                append_unit(f"{float(f'{number * get_display_unit(unit)[0]:.2g}'):g}", unit))
         texts.append(f"{to_words(key) + ' ' if len(numbers) > 1 else ''}{text}")
     return ", ".join(texts)
 
@@ -131,12 +132,12 @@ def format_deviation(deviation: float, unit: str) -> str:
     return f"{float(f'{100 * abs(deviation):.2g}'):g} %" if unit == "1" else format_value(abs(deviation), unit)
 
 
-def axis_label(c: Candidate) -> str:
-    """Label of the vertical axis, with the reference of relative values and the positive direction."""
+def make_axis_label(c: Candidate) -> str:
+    """Label of the vertical axis, with the divisor of relative values and the positive direction."""
     divisor = {"front_force": " divided by its static load", "rear_force": " divided by its static load",
                "yaw_moment": " divided by the yaw inertia", "side_force": " divided by the mass"}.get(c.term, "")
-    sign = (", positive: biased to the left" if c.is_sensor_error else ", + more force" if c.term.endswith("grip")
-            else f"{divisor}, left +")
+    sign = (", positive: biased to the left" if c.is_sensor_error else
+            ", positive: more force" if c.term.endswith("grip") else f"{divisor}, positive to the left")
     return f"{TERM_NAMES[c.term]}{sign}{f', per unit of {QUANTITY_NAMES[c.factor]}' if c.factor else ''}"
 
 
@@ -162,12 +163,12 @@ def spell_out(name: str) -> str:
     return f"{text} times {QUANTITY_NAMES[factor]}" if factor else text
 
 
-def curve_unit(unit: str) -> tuple[float, str]:
+def get_curve_unit(unit: str) -> tuple[float, str]:
     """(factor from SI, unit) for the axis of a curve."""
-    return (100.0, "%") if unit == "1" else display_unit(unit)
+    return (100.0, "%") if unit == "1" else get_display_unit(unit)
 
 
-def full_title(relation: Relation) -> str:
+def make_full_title(relation: Relation) -> str:
     """Description of the relation by its term and quantity."""
     c, is_constant = relation.candidate, bool(relation.formulas) and relation.formulas[0].shape == "constant"
     factor = f", for each unit of {QUANTITY_NAMES[c.factor]}" if c.factor else ""

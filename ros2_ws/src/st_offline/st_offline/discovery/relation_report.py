@@ -21,8 +21,8 @@ from . import quantities, report_text
 from .vehicle_update import find_changed_entries
 
 SIGNIFICANCE_LEVEL = 0.01  # of the test that the relation has the same size in all runs
-REPEAT_ELSEWHERE = ("repeat the drive twice, once from another starting point and once in the opposite direction, and "
-                    "add these runs: only then can the effects of place, heading and time in the run be separated")
+REPEAT_ELSEWHERE = ("repeat the drive twice, once from a different starting point and once in the opposite direction, "
+                    "and add these runs: only then can the effects of place, heading and time in the run be separated")
 Groups = list[tuple[str, list[str]]]  # (heading, sentences)
 
 
@@ -47,59 +47,60 @@ def report_relation(search: RelationSearch, discovery: Discovery, vehicle: Vehic
         for name in sorted(search.statistics, key=len, reverse=True):  # a name may be the start of another
             reason = reason.replace(name, quantities.spell_out(name))
         return RelationReport([("proposal", [f"none: {reason}"]), *not_excluded])
-    without, with_it = relation.position_5s
+    error_without, error_with = relation.position_5s
     runs = ", ".join(f"{name} ({before:.2f} → {after:.2f} m)"
                      for name, (before, after) in relation.find_worse_runs().items())
     worse = f"ERRORS LARGER by 25 % or more in {runs}"
     causes = relation.formulas[0].causes if relation.formulas else ""
-    title = quantities.full_title(relation)
+    title = quantities.make_full_title(relation)
     proposal = [f"{f'{worse}. ' if runs else ''}{title}. A proposal is not established: try it, then "
                 "keep or delete it",
                 *([f"textbook causes: {causes}. These drives do not determine which one applies"] if causes else [])]
-    headline = (f"PROPOSAL, not established: {title}; {without:.2f} m → {with_it:.2f} m (held-out)"
+    headline = (f"PROPOSAL, not established: {title}; {error_without:.2f} m → {error_with:.2f} m (held-out)"
                 f"{f'; {worse}' if runs else ''}")
-    groups: Groups = [("proposal", proposal), ("effect size", _effect_size(relation, discovery, search.reason)),
-                      ("formula", _formula(relation, vehicle)), ("uncertainty of the curve", _uncertainty(relation)),
-                      ("alternatives", _alternatives(relation)), ("next drive", describe_next_drives(relation)),
-                      *not_excluded, ("files", _files(relation, discovery.model is not None, folder))]
-    tables = [_errors_by_run(relation, discovery), *_values_with_and_without(relation, discovery, vehicle)]
+    groups: Groups = [("proposal", proposal), ("effect size", _describe_size(relation, discovery, search.reason)),
+                      ("formula", _describe_formulas(relation, vehicle)),
+                      ("uncertainty of the curve", _describe_uncertainty(relation)),
+                      ("alternatives", _list_alternatives(relation)), ("next drive", describe_next_drives(relation)),
+                      *not_excluded, ("files", _describe_files(relation, discovery.model is not None, folder))]
+    tables = [_make_error_table(relation, discovery), *_make_value_tables(relation, discovery, vehicle)]
     return RelationReport([(heading, lines) for heading, lines in groups if lines], tables, headline)
 
 
-def _effect_size(relation: Relation, discovery: Discovery, reason: str) -> list[str]:
-    without, with_it = relation.position_5s
+def _describe_size(relation: Relation, discovery: Discovery, reason: str) -> list[str]:
+    error_without, error_with = relation.position_5s
     worse = [name for name, (before, after) in relation.runs.items() if after >= before]
     exceptions = f"; not smaller in {', '.join(worse)}" if worse else ""
     noise = f"; noise floor {discovery.errors['position_5s'].floor:.3f} m" if "position_5s" in discovery.errors else ""
-    return [f"held-out mean position error after 5 s: {without:.3f} m without the relation, {with_it:.3f} m with "
-            f"it{noise}", reason,
+    return [f"held-out mean position error after 5 s: {error_without:.3f} m without the relation, {error_with:.3f} m "
+            f"with it{noise}", reason,
             f"smaller errors in {len(relation.runs) - len(worse)} of {len(relation.runs)} runs{exceptions}"]
 
 
-def _formula(relation: Relation, vehicle: VehicleParameters) -> list[str]:
+def _describe_formulas(relation: Relation, vehicle: VehicleParameters) -> list[str]:
     c = relation.candidate
     lines = [f"{'or ' if k else ''}{f.text.replace('^2', '²').replace('^3', '³')} ({f.shape}; keeps "
              f"{f.retained_fraction:.0%} of the curve's held-out gain when simulated in its place)"
              for k, f in enumerate(relation.formulas)]
     lines = lines or ["no simple formula keeps 90 % of the curve's held-out gain when simulated in its place"]
-    return [*lines, f"y: {quantities.axis_label(c)}, {c.unit.replace('^2', '²')}; u: "
+    return [*lines, f"y: {quantities.make_axis_label(c)}, {c.unit.replace('^2', '²')}; u: "
             f"{quantities.QUANTITY_NAMES[c.quantity]}{quantities.SIGNS.get(c.quantity, '')}, "
             f"{QUANTITIES[c.quantity].replace('^2', '²')}",
             *filter(None, [quantities.explain_unit(c, vehicle)])]
 
 
-def _uncertainty(relation: Relation) -> list[str]:
+def _describe_uncertainty(relation: Relation) -> list[str]:
     """Sentences on the range of the quantity, the widest interval, sparse ranges and the variation between runs."""
     c, widest = relation.candidate, int(relation.deviation.argmax())
-    (y_scale, unit), (x_scale, x_unit) = quantities.curve_unit(c.unit), quantities.curve_unit(QUANTITIES[c.quantity])
+    (y_scale, unit), (x_scale, x_unit) = map(quantities.get_curve_unit, (c.unit, QUANTITIES[c.quantity]))
     lines = [f"driven: {quantities.QUANTITY_NAMES[c.quantity]} from {x_scale * c.low:.3g} to {x_scale * c.high:.3g} "
              f"{x_unit}; the curve is constant beyond this range",
              f"widest interval at {x_scale * relation.points[widest]:.3g} {x_unit}: "
              f"{y_scale * relation.value[widest]:.2g} ± {y_scale * Z95 * relation.deviation[widest]:.2g} {unit} (95 %)"]
-    if relation.next_drives.sparse:
+    if relation.next_drives.sparse_ranges:
         mirrored = ", to either side" if c.parity == ODD else ""
         ranges = ", ".join(f"{x_scale * low:.2g} to {x_scale * high:.2g} {x_unit}"
-                           for low, high in relation.next_drives.sparse)
+                           for low, high in relation.next_drives.sparse_ranges)
         lines.append(f"sparsely driven: {ranges}{mirrored}. There the curve is interpolated, and the interval assumes "
                      "the same smoothness: drive some seconds in this range, in left and right turns")
     weak = [name for name, (ratio, deviation) in relation.agreement.ratios.items() if ratio + Z95 * deviation < 0.5]
@@ -111,7 +112,7 @@ def _uncertainty(relation: Relation) -> list[str]:
     return lines
 
 
-def _alternatives(relation: Relation) -> list[str]:
+def _list_alternatives(relation: Relation) -> list[str]:
     lines = []
     if relation.rivals:
         names = "; ".join(f"{quantities.spell_out(name)} ({cosine:.2f})" for name, cosine in relation.rivals.items())
@@ -123,15 +124,15 @@ def _alternatives(relation: Relation) -> list[str]:
     return lines
 
 
-def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
+def _describe_files(relation: Relation, has_model: bool, folder: str) -> list[str]:
     """Sentences on the files and their use. has_model: whether the result without the relation also has files."""
     if relation.candidate.quantity == "run_time":
         return ["no effect file is written: a relation with the time in a run does not apply to other drives"]
-    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{effect_name(relation)}.py. To "
+    lines = [f"with the relation: the original vehicle file, proposed.yaml and effects/{name_effect(relation)}.py. To "
              f"predict, run st evaluate, st demo or st export with --model {folder}/proposed.yaml --effects "
              f"{folder}/effects; to search for further effects: st discover --base {folder}/proposed.yaml "
              f"--effects {folder}/effects; to test the file: st effects check "
-             f"{folder}/effects/{effect_name(relation)}.py"]
+             f"{folder}/effects/{name_effect(relation)}.py"]
     if has_model:
         lines += ["without the relation: vehicle.yaml and model.yaml, whichever was written",
                   "do not combine proposed.yaml with vehicle.yaml (the commands reject this): proposed.yaml already "
@@ -139,22 +140,22 @@ def _files(relation: Relation, has_model: bool, folder: str) -> list[str]:
     return lines
 
 
-def _errors_by_run(relation: Relation, discovery: Discovery) -> Table:
+def _make_error_table(relation: Relation, discovery: Discovery) -> Table:
     start = {}
-    if discovery.steps and "position_5s" in discovery.errors:  # otherwise the steps contain errors of another channel
+    if discovery.steps and "position_5s" in discovery.errors:  # otherwise the steps contain channel errors
         start = {name: before for name, (before, _) in discovery.steps[0].runs.items()}
         start["all windows"] = discovery.steps[0].position_5s.base
     errors = sorted(relation.runs.items(), key=lambda item: item[1][1] - item[1][0])
-    rows = [(name, f"{start[name]:.3f}" if name in start else "-", f"{without:.3f}", f"{with_it:.3f}",
-             f"{with_it - without:+.3f} ({100.0 * (with_it / max(without, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
-            for name, (without, with_it) in (*errors, ("all windows", relation.position_5s))]
+    rows = [(name, f"{start[name]:.3f}" if name in start else "-", f"{before:.3f}", f"{after:.3f}",
+             f"{after - before:+.3f} ({100.0 * (after / max(before, 1e-9) - 1.0):+.0f} %)".replace("-", "−"))
+            for name, (before, after) in (*errors, ("all windows", relation.position_5s))]
     return Table("Held-out mean position error after 5 s, by run, m",
                  "Each run is predicted with values fitted to other driving. Sorted by the change; + means a larger "
                  "error.",
                  ("run", discovery.start, "without the relation", "with the relation", "change"), rows)
 
 
-def _values_with_and_without(relation: Relation, discovery: Discovery, vehicle: VehicleParameters) -> list[Table]:
+def _make_value_tables(relation: Relation, discovery: Discovery, vehicle: VehicleParameters) -> list[Table]:
     """Table of the effects fitted without and with the relation; none without effects."""
     if discovery.model is None:
         return []
@@ -196,7 +197,7 @@ def describe_next_drives(relation: Relation) -> list[str]:
     if len(drives.current_separation) < len(relation.rivals):
         lines.append(f"to separate it from effects of place, heading or time: {REPEAT_ELSEWHERE}")
     if precise is not None:
-        y_scale, unit = quantities.curve_unit(c.unit)
+        y_scale, unit = quantities.get_curve_unit(c.unit)
         lines.append(f"for a narrower interval: {_describe_manoeuvre(precise)}. The widest 95 % interval shrinks from "
                      f"± {y_scale * Z95 * relation.deviation.max():.2g} to ± "
                      f"{y_scale * Z95 * precise.deviation.max():.2g} {unit}")
@@ -240,7 +241,7 @@ class {cls}(Effect):
 '''
 
 
-def effect_name(relation: Relation) -> str:
+def name_effect(relation: Relation) -> str:
     """Name of the effect, with a number if the model already has a relation for the same term."""
     name = f"proposed_{relation.candidate.term}"
     existing = sum(e.name == name or e.name.startswith(f"{name}_") for e in relation.model.effects)
@@ -249,10 +250,10 @@ def effect_name(relation: Relation) -> str:
 
 def _title_with_causes(relation: Relation) -> str:
     causes = relation.formulas[0].causes if relation.formulas else ""
-    return quantities.full_title(relation) + (f" (textbook causes: {causes})" if causes else "")
+    return quantities.make_full_title(relation) + (f" (textbook causes: {causes})" if causes else "")
 
 
-def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
+def make_effect_code(relation: Relation, runs: Sequence[str], created: str) -> str:
     """Source code of the effect file: the fitted curve as constants, and the hooks of its kind of relation."""
     c = relation.candidate
     kind = get_effect(c.effect)
@@ -268,7 +269,7 @@ def effect_source(relation: Relation, runs: Sequence[str], created: str) -> str:
         range=f"{c.low:.3g} to {c.high:.3g} {QUANTITIES[c.quantity]}".removesuffix(" 1"),
         meaning=f"y [{c.unit}]: {meaning}.", before=relation.position_5s[0], after=relation.position_5s[1],
         p_value=relation.p_value, formulas=formulas, base=kind.__name__, odd=c.is_one_sided,
-        cls="".join(word.title() for word in effect_name(relation).split("_")),
+        cls="".join(word.title() for word in name_effect(relation).split("_")),
         physics=f"y = curve of the {quantities.QUANTITY_NAMES[c.quantity]}: {meaning}",
         kind="surroundings" if c.quantity in MAP_QUANTITIES else "sensors" if c.is_sensor_error else "physics",
         slot=SLOTS[c.term], states="".join(
@@ -297,20 +298,21 @@ def write_files(search: RelationSearch, vehicle: VehicleParameters, runs: Sequen
         return {}
     effects = folder / "effects"
     effects.mkdir()
-    file = effects / f"{effect_name(relation)}.py"
-    file.write_text(effect_source(relation, runs, created), encoding="utf-8")
+    file = effects / f"{name_effect(relation)}.py"
+    file.write_text(make_effect_code(relation, runs, created), encoding="utf-8")
     for user_folder in {Path(find_source_file(e)).parent for e in relation.model.effects} - {EFFECTS_FOLDER}:
         for module in user_folder.glob("*.py"):
             if not (effects / module.name).exists():
                 shutil.copyfile(module, effects / module.name)
-    about = ModelProvenance(created[:10], data=digests, note=f"PROPOSAL of st discover: {_title_with_causes(relation)}")
-    fitted = ModelFile.from_model(relation.model, vehicle, about, source="fitted together with the relation")
+    note = f"PROPOSAL of st discover: {_title_with_causes(relation)}"
+    provenance = ModelProvenance(created[:10], data=digests, note=note)
+    fitted = ModelFile.from_model(relation.model, vehicle, provenance, source="fitted together with the relation")
     active = {name: parts for name, parts in fitted.effects.items()
               if any(parts[p.name].value != p.null for e in relation.model.effects if e.name == name
                      for p in e.parameters if p.fit)}
     share = {"share": EffectValue(1.0, None, "st discover --propose")}
-    model = replace(fitted, effects={**active, effect_name(relation): share})
-    load_file(str(effects.absolute()), effect_name(relation))
+    model = replace(fitted, effects={**active, name_effect(relation): share})
+    load_file(str(effects.absolute()), name_effect(relation))
     try:
         (folder / "proposed.yaml").write_text(model.to_yaml(), encoding="utf-8")
     finally:
@@ -333,17 +335,17 @@ def build_relation_document(search: RelationSearch) -> dict:
                   **{key: getattr(relation, key).tolist() for key in ("value", "deviation", "density")}},
         "gain": relation.gain, "p_value": relation.p_value, "position_5s": list(relation.position_5s),
         "runs": {name: list(pair) for name, pair in relation.runs.items()}, "others": dict(relation.rivals),
-        "redundant": dict(relation.redundant), "next_drives": _drives_document(relation),
+        "redundant": dict(relation.redundant), "next_drives": _build_drives_document(relation),
         "shares": {name: list(pair) for name, pair in relation.agreement.ratios.items()},
         "p_equal": relation.agreement.p_equal,
         "readings": [{"shape": f.shape, "text": f.text, "explained": f.retained_fraction, "causes": f.causes}
                      for f in relation.formulas]}}
 
 
-def _drives_document(relation: Relation) -> dict:
+def _build_drives_document(relation: Relation) -> dict:
     drives, separating = relation.next_drives, relation.next_drives.find_most_separating()
     precise = drives.find_most_precise(relation.deviation)
-    return {"sparse": [list(between) for between in drives.sparse],
+    return {"sparse": [list(between) for between in drives.sparse_ranges],
             "most_separating": {"manoeuvre": separating[0].manoeuvre.name, "from": separating[1]} if separating
             else None,
             "most_precise": precise.manoeuvre.name if precise else None,

@@ -13,16 +13,16 @@ from st_core.discovery.settings import Limits
 from st_core.effects import EFFECTS, get_effect
 from st_core.regression import Z95
 
-from ..checking.check_report import describe_effect, format_estimate, group_findings, unit_symbol
+from ..checking.check_report import describe_effect, format_estimate, get_unit_symbol, group_findings
 from ..terminal import format_count
 from .quantities import (
-    channel_label,
     format_briefly,
     format_deviation,
     format_fitted,
     format_metres,
     format_parameters,
     format_value,
+    label_channel,
     to_words,
 )
 from .vehicle_update import ENTRIES, SLIP_SPEED_KEY, VehicleUpdate
@@ -34,7 +34,8 @@ MAX_SEPARATION = 10.0  # standard deviations; larger separations are outside the
 MAX_RATIO = 1000.0  # of an error to the expected error; with larger errors, predictions have diverged
 LIMITS = Limits()
 OTHER_CAUSE = " or a cause outside the library with the same effect"
-EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "reduces most", "significant in")
+EFFECT_HEAD = ("effect", "value (95 % interval)", "5 s position error without it", "largest reduction",
+               "significant in")
 EFFECT_NOTE = ("Errors are those of the complete model on held-out drives; \"without it\" means that this effect is "
                "removed and the others are refitted. An effect is named only if it is significant and reduces the "
                f"error of a channel by at least {100 * LIMITS.relevant:g} %, or the 5 s position error, over all "
@@ -66,7 +67,7 @@ def list_effect_rows(discovery: Discovery) -> list[tuple[str, str, str, str, str
     """Table row of each named effect, with the columns of EFFECT_HEAD."""
     return [(name_with_alternatives(discovery, e, to_words(e.name)), "; ".join(format_parameters(e.name, e.parameters)),
              f"{'+' if e.position_5s_increase >= 0.0 else '−'}{format_metres(abs(e.position_5s_increase))}",
-             f"{channel_label(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
+             f"{label_channel(e.channel)} error by {100 * e.share:.0f} %" if e.channel and e.share >= 0.005 else "-",
              count_agreement(e)) for e in sort_by_size(discovery.effects)]
 
 
@@ -107,7 +108,7 @@ def _describe_errors(discovery: Discovery) -> str:
         error = discovery.errors[name]
         before, after = (format_value(value, error.unit) for value in (error.base, error.augmented))
         change = 100.0 * (error.augmented / error.base - 1.0)
-        return f"{channel_label(name)} error {before} to {after} ({change:+.0f} %)"
+        return f"{label_channel(name)} error {before} to {after} ({change:+.0f} %)"
     named = discovery.named_errors["position_5s"].augmented if discovery.effective else position.augmented
     corrections_help = named - position.augmented > LIMITS.relevant_position
     after = "" if discovery.model is None else f" → {format_metres(named if corrections_help else position.augmented)}"
@@ -314,7 +315,7 @@ def describe_effective(discovery: Discovery) -> list[str]:
             "effective"]
 
 
-def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
+def _list_vehicle_recommendations(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations on the vehicle file."""
     lines = []
     if update is not None and not update.text and not update.improves:
@@ -329,7 +330,7 @@ def _vehicle_lines(discovery: Discovery, update: VehicleUpdate | None) -> list[s
     if update is not None and update.required_slip_speed:
         lines.append(f"model.yaml needs minimum_slip_speed = {update.required_slip_speed:g} m/s for stable steps of "
                      "50 ms: set it in the vehicle file and run st discover again")
-    lines += update.objections if update is not None else ()
+    lines += update.implausible_values if update is not None else ()
     lines += [f"{to_words(e.name)} is negative ({format_briefly(e.name, {name: p})}), which is not causal: a clock or "
               "a configured latency is wrong; check the clocks (st check, st align) before using it"
               for e in discovery.effects for name, p in e.parameters.items() if p.unit == "s" and p.interval[1] < 0.0]
@@ -361,8 +362,8 @@ def _list_other_causes(discovery: Discovery, name: str) -> str:
 
 def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
     """Recommendations, the most important first; ["nothing"] if there are none."""
-    lines = _vehicle_lines(discovery, update)
-    lines += [f"measure {to_words(e.name)} on the car, and check what would have the same effect and is not in the "
+    lines = _list_vehicle_recommendations(discovery, update)
+    lines += [f"measure {to_words(e.name)} on the car, and check causes that have the same effect but are not in the "
               f"library: {causes}"
               for e in discovery.effects if (causes := _list_other_causes(discovery, e.name))]
     for name, changes in (update.not_folded if update is not None else {}).items():
@@ -381,7 +382,8 @@ def recommend(discovery: Discovery, update: VehicleUpdate | None) -> list[str]:
         lines.append("the named effects do not explain the whole error, and the residual may have biased their values: "
                      "compare them with known data of the car")
     if discovery.outcome == "unknown" or discovery.signature:
-        lines.append("see where the model has large errors; you can add an effect of your own (docs/manual/effects.md)")
+        lines.append("check in which conditions the model has large errors; you can add an effect of your own "
+                     "(docs/manual/effects.md)")
     manoeuvres = list(dict.fromkeys(n.manoeuvre for n in discovery.not_testable if n.manoeuvre))
     if discovery.outcome == "not_testable":
         proposed = f" ({', '.join(manoeuvres)})" if manoeuvres else ""
@@ -407,7 +409,7 @@ def format_changes(changes: Mapping[str, Sequence[float]]) -> str:
     texts = []
     for key, values in changes.items():
         before, after = (f"{x:.0f}" if abs(x) >= 1000.0 else f"{x:.4g}" for x in values[:2])
-        texts.append(f"{key} {before} → {after} {unit_symbol(ENTRIES[key].si_unit)}".rstrip())
+        texts.append(f"{key} {before} → {after} {get_unit_symbol(ENTRIES[key].si_unit)}".rstrip())
     return ", ".join(texts)
 
 

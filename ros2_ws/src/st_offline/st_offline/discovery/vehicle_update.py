@@ -50,8 +50,8 @@ class VehicleUpdate:
     model: augmented model for `vehicle`; a folded effect keeps only its effective correction beyond the named value.
     folded: effects in vehicle.yaml. not_folded: changes (before, after), by key, of each effect that is not folded
     because folding would change predictions. changes: (before, after, low, high) by key [SI]; low, high: 95 % interval.
-    error: mean position error of the base model after 5 s [m], held-out with several drives, (original, updated file).
-    worse_drives: drives with a significantly larger error with the updated file. objections: implausible values.
+    error: mean position error of the base model after 5 s [m] with the (original, updated) file; held out if there are
+    several drives. worse_drives: drives with a significantly larger error with the updated file.
     required_slip_speed: minimum_slip_speed that the model needs [m/s], 0 if the value in the file is sufficient.
     """
 
@@ -63,7 +63,7 @@ class VehicleUpdate:
     not_folded: Mapping[str, Mapping[str, tuple[float, float]]]
     error: tuple[float, float] = (math.nan, math.nan)
     worse_drives: tuple[str, ...] = ()
-    objections: tuple[str, ...] = ()
+    implausible_values: tuple[str, ...] = ()
     required_slip_speed: float = 0.0
 
     @property
@@ -78,25 +78,25 @@ def update_vehicle(discovery: Discovery, request: Request) -> VehicleUpdate | No
     if update is None or not update.text or update.improves:
         return update
     model = discovery.model or update.model
-    return _without_file(request.vehicle, model, update.not_folded, update.error, update.worse_drives)
+    return _keep_original_file(request.vehicle, model, update.not_folded, update.error, update.worse_drives)
 
 
 def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate | None:
     """Fold the named effects into the vehicle file, whether or not this improves its predictions; None without a model.
     Effects that an entry can express are folded in the order in which they act. An effect is skipped if its values
-    exceed the limits of the file or if predictions would change: for recordings of the road-wheel angle, and for an
+    exceed the limits of the file or if predictions would change, as with recordings of the road-wheel angle, or with an
     effect that does not commute with an earlier one (steering play). Minor and effective corrections are not folded."""
     if discovery.model is None or discovery.named is None:
         return None
     drives = [d.log for d in request.drives if d.log is not None]
-    expected = _final_errors(discovery.named, request.vehicle, drives)
+    expected = _compute_errors(discovery.named, request.vehicle, drives)
     folded: tuple[type[Effect], ...] = ()
     not_folded, named = {}, {e.name for e in discovery.effects}
     for effect in (e for e in discovery.named.effects if e.fold and e.name in named):
         candidate = (*folded, effect)
         try:
             car = fold_effects(request.vehicle, candidate, discovery.named.values)
-            errors = _final_errors(without_effects(discovery.named, candidate), car, drives)
+            errors = _compute_errors(neutralise_effects(discovery.named, candidate), car, drives)
         except StCoreError:  # values outside the limits of a vehicle file, or failed predictions
             continue
         if all(a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE, equal_nan=True)
@@ -106,15 +106,15 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
             alone = fold_effects(request.vehicle, (effect,), discovery.named.values)
             not_folded[effect.name] = _find_changes(request.vehicle, alone)
     if not folded:
-        return _without_file(request.vehicle, discovery.model, not_folded)
+        return _keep_original_file(request.vehicle, discovery.model, not_folded)
     car = fold_effects(request.vehicle, folded, discovery.named.values)
     model = _adapt_model(discovery, car, folded, drives, request.vehicle)
-    required = _required_slip_speed(car, model)
+    required = _find_required_slip_speed(car, model)
     if required > car.minimum_slip_speed:  # the written file must keep the model stable
         car = replace(car, minimum_slip_speed=required)
         model = _adapt_model(discovery, car, folded, drives, request.vehicle)
-    error, worse = _held_out_error(discovery, request.vehicle, folded, drives)
-    changes = {key: (*change, *_confidence_interval(discovery, request.vehicle, folded, key))
+    error, worse = _compute_held_out_error(discovery, request.vehicle, folded, drives)
+    changes = {key: (*change, *_compute_interval(discovery, request.vehicle, folded, key))
                for key, change in _find_changes(request.vehicle, car).items()}
     if SLIP_SPEED_KEY in changes:  # computed for stability, not estimated
         changes[SLIP_SPEED_KEY] = (*changes[SLIP_SPEED_KEY][:2], car.minimum_slip_speed, car.minimum_slip_speed)
@@ -127,15 +127,15 @@ def fold_named_effects(discovery: Discovery, request: Request) -> VehicleUpdate 
                          worse, find_implausible_values(vehicle, request.vehicle))
 
 
-def _without_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
+def _keep_original_file(vehicle: VehicleParameters, model: AugmentedModel, not_folded: Mapping[str, Mapping[str, Any]],
                   *measured: Any) -> VehicleUpdate:
     """Update that keeps the original file. measured: `error` and `worse_drives`, if an updated file was tried."""
-    required = _required_slip_speed(vehicle, model)
+    required = _find_required_slip_speed(vehicle, model)
     return replace(VehicleUpdate(vehicle, "", model, (), {}, not_folded, *measured),
                    required_slip_speed=required if required > vehicle.minimum_slip_speed else 0.0)
 
 
-def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
+def _find_required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float:
     """Lowest minimum_slip_speed [m/s] at which the base models and this model are stable. Models that no value
     stabilises are ignored; if that leaves none, the value of the car."""
     step = PredictionSettings().step
@@ -143,7 +143,7 @@ def _required_slip_speed(car: VehicleParameters, model: AugmentedModel) -> float
     return max((speed for speed in required if speed is not None), default=car.minimum_slip_speed)
 
 
-def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+def _compute_held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                     drives: Sequence[DriveLog]) -> tuple[tuple[float, float], tuple[str, ...]]:
     """`error` and `worse_drives` of `VehicleUpdate`; each drive is predicted with values fitted to the other drives, if
     any. (0, inf) and the drive if these values are outside the limits of a vehicle file."""
@@ -155,7 +155,7 @@ def _held_out_error(discovery: Discovery, vehicle: VehicleParameters, folded: Se
             car = fold_effects(vehicle, folded, values)
         except StCoreError:  # the values without this drive are outside the limits of a vehicle file
             return (0.0, math.inf), (drive.name,)
-        pair = np.stack([np.hypot(*_final_errors(discovery.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
+        pair = np.stack([np.hypot(*_compute_errors(discovery.base, v, [drive])[0][:, :2].T) for v in (vehicle, car)])
         before, after = pair = pair[:, np.isfinite(pair).all(axis=0)]
         errors.append(pair)
         if len(before) > 2 and stats.ttest_rel(after, before, alternative="greater").pvalue < SIGNIFICANCE_LEVEL:
@@ -179,9 +179,9 @@ def _adapt_model(discovery: Discovery, car: VehicleParameters, folded: Sequence[
             values[effect.name][p.name] = float(np.clip(remaining, *p.bounds))
     model = discovery.model.with_values(values)
     difference = np.concatenate([a - b for a, b in zip(
-        _final_errors(model, car, drives), _final_errors(discovery.model, vehicle, drives), strict=True)])
+        _compute_errors(model, car, drives), _compute_errors(discovery.model, vehicle, drives), strict=True)])
     is_similar = np.nanmean(np.hypot(difference[:, 0], difference[:, 1])) < MAX_POSITION_DIFFERENCE
-    return model if is_similar else without_effects(discovery.named, folded)
+    return model if is_similar else neutralise_effects(discovery.named, folded)
 
 
 def _find_changes(vehicle: VehicleParameters, other: VehicleParameters) -> dict[str, tuple[float, float]]:
@@ -202,12 +202,12 @@ def find_changed_entries(vehicle: VehicleParameters, effect: type[Effect], value
     return {key: pair for key, pair in pairs.items() if not key.endswith("lambda_ky")}
 
 
-def without_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
+def neutralise_effects(model: AugmentedModel, effects: Iterable[type[Effect]]) -> AugmentedModel:
     """The model with these effects at their neutral values."""
     return model.with_values({e.name: {p.name: p.null for p in e.parameters} for e in effects})
 
 
-def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
+def _compute_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Sequence[DriveLog]) -> list[np.ndarray]:
     """Errors (starts, 3) [m, m, rad] of each drive at the end of the horizon. Steering-wheel angles are converted to
     road-wheel angles with `vehicle`."""
     errors = []
@@ -220,7 +220,7 @@ def _final_errors(model: AugmentedModel, vehicle: VehicleParameters, drives: Seq
     return errors
 
 
-def _confidence_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
+def _compute_interval(discovery: Discovery, vehicle: VehicleParameters, folded: Sequence[type[Effect]],
                          key: str) -> tuple[float, float]:
     """95 % interval of an entry of the file, from the intervals of the folded effects, assumed to be independent."""
     assert discovery.named is not None  # because there are named effects
@@ -245,13 +245,13 @@ def document_changes(request: Request, car: VehicleParameters, changes: Mapping[
                      runs: Sequence[Run], effects: str) -> VehicleParameters:
     """The car with the source and the provenance of each changed entry. runs, effects: sources of the values."""
     date, seconds = f"{datetime.now(UTC):%Y-%m-%d}", sum(run.seconds for run in runs)
-    found = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
+    origin = f"st discover, {date}, {format_count(len(runs), 'run')}, {seconds:.0f} s: {effects}"
     provenance = Provenance(None, "st discover", ", ".join(run.name for run in runs), date)
     sources, entries = {**request.vehicle.sources}, {**request.vehicle.provenance}
     for key, (before, _, low, high) in changes.items():
         previous, *ends = (format_number(float(f"{x:.{SIGNIFICANT_DIGITS}g}")) for x in (before, low, high))
         source = (f"stable with steps of {1e3 * PredictionSettings().step:g} ms" if key == SLIP_SPEED_KEY else
-                  f"{found}, 95 % interval {' to '.join(ends)}")
+                  f"{origin}, 95 % interval {' to '.join(ends)}")
         sources[key] = f"{source}; before {previous} {ENTRIES[key].si_unit}".removesuffix(" 1")
         deviation = float(f"{(high - low) / (2.0 * Z95):.3g}")
         entries[key] = replace(provenance, uncertainty=deviation if deviation > 0.0 else None)
@@ -282,8 +282,8 @@ def _format_entry(car: VehicleParameters, key: str, digits: int | None, unit: st
     def convert(value: float) -> float:
         return value / factor if digits is None else float(f"{value / factor:.{digits}g}")
 
-    known = car.provenance.get(key, Provenance())
-    provenance = replace(known, uncertainty=None if known.uncertainty is None else convert(known.uncertainty))
+    existing = car.provenance.get(key, Provenance())
+    provenance = replace(existing, uncertainty=None if existing.uncertainty is None else convert(existing.uncertainty))
     source = car.sources[key] if key in car.provenance else SCALE_SOURCE
     return (f"{{value: {format_number(convert(value_of(car, key)))}, unit: {quote(unit)}, source: {quote(source)}"
             f"{provenance.format_entries()}}}")

@@ -35,7 +35,7 @@ MIN_MEASUREMENT_TIME = 0.02  # s; a measurement repeats the call until it has us
 MAX_BATCH = 960  # predictions: 20 groups of the 48 that compiled code advances together
 LATERAL = AXES.index("lateral")
 BAND_LEVELS = (0.9, 0.5)
-REQUIRED_SHARE = 0.9  # fraction of the starts that must be within the tolerance
+REQUIRED_FRACTION = 0.9  # fraction of the starts that must be within the tolerance
 MIN_STARTS = 100  # in a speed bin; 10 s of driving at 10 starts per second
 Key = tuple[str, float]  # model, step [s]
 STEP_MULTIPLES = (1, 2, 4)  # of the integration step of the task
@@ -64,13 +64,13 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
         middle = starts[len(starts) // 2:][:1]
         state = VehicleState(*signals.states_at(middle, vehicle)[0])
         acceleration, = signals.ins_at(middle, "velocity_x_dot")
-        held = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
+        held_inputs = ControlInput(float(signals.road_wheel_angle_at(middle)[0]), float(acceleration[0]))
         compiled, _ = compile_models(models, vehicle, variant.prediction)
         for model in models:
             calls[model.name, step, "interpreted"] = partial(
-                predict, model, vehicle, state, held, variant.prediction.horizon, step), 1
+                predict, model, vehicle, state, held_inputs, variant.prediction.horizon, step), 1
             if model.name in compiled:
-                calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held), 1
+                calls[model.name, step, "compiled"] = partial(compiled[model.name], state, held_inputs), 1
             calls[model.name, step, "batch"] = partial(batch.predict, model, vehicle), len(starts)
     for call, _ in calls.values():
         call()  # warm-up
@@ -92,8 +92,8 @@ def measure_costs(models: Sequence[Model], vehicle: VehicleParameters, signals: 
 class Accuracy:
     """Accuracy of one model and step with measured inputs, for each of the `seconds` ahead. rms: lateral error [m].
     level, half_widths: level and mean lateral half-width [m] of the calibrated band, None with too few runs.
-    error_quantiles: lateral error [m] that REQUIRED_SHARE of the starts do not exceed up to each second, by lower edge
-    of the speed bin [m/s]; all runs have the same weight."""
+    error_quantiles: lateral error [m] that REQUIRED_FRACTION of the starts do not exceed up to each second, by lower
+    edge of the speed bin [m/s]; all runs have the same weight."""
 
     seconds: tuple[int, ...]
     rms: tuple[float, ...]
@@ -107,18 +107,18 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
     pair = model, "hindsight"
     time = make_times(settings.prediction.horizon, settings.prediction.step)
     seconds = range(1, math.floor(time[-1] + 1e-9) + 1)
-    at = [int(np.abs(time - second).argmin()) for second in seconds]
+    indices = [int(np.abs(time - second).argmin()) for second in seconds]
     lateral = [np.abs(run.errors[pair][:, :, LATERAL].astype(float)) for run in runs]
-    rms = np.sqrt(np.mean([np.square(errors[:, at]).mean(axis=0) for errors in lateral], axis=0))
+    rms = np.sqrt(np.mean([np.square(errors[:, indices]).mean(axis=0) for errors in lateral], axis=0))
     highest = compute_highest_level(len(runs)) + 1e-9 if len(runs) >= MIN_CALIBRATION_RUNS else 0.0
     level = next((level for level in BAND_LEVELS if level <= highest), None)
     half_widths = None
     if level is not None:
         # The mean includes starts outside the calibration domain.
         band = calibrate(runs, pair, time, (level,))
-        half_widths = tuple(np.mean([band.half_widths(run.conditions, level)[:, at, LATERAL].mean(axis=0)
+        half_widths = tuple(np.mean([band.half_widths(run.conditions, level)[:, indices, LATERAL].mean(axis=0)
                                      for run in runs], axis=0).tolist())
-    largest = [np.maximum.accumulate(errors, axis=1)[:, at] for errors in lateral]
+    largest = [np.maximum.accumulate(errors, axis=1)[:, indices] for errors in lateral]
     error_quantiles = {}
     for low, high in zip(SPEED_EDGES, (*SPEED_EDGES[1:], math.inf), strict=True):
         speed = [run.conditions[:, CONDITIONS.index("speed")] for run in runs]
@@ -126,7 +126,7 @@ def measure_accuracy(runs: Sequence[ErrorSamples], model: str, settings: Evaluat
         if sum(map(len, parts)) >= MIN_STARTS:
             # The same number of quantiles represents each run, whatever its length.
             quantiles = [np.quantile(part, np.linspace(0.0, 1.0, 201), axis=0) for part in parts if len(part)]
-            error_quantiles[low] = tuple(np.quantile(np.concatenate(quantiles), REQUIRED_SHARE, axis=0).tolist())
+            error_quantiles[low] = tuple(np.quantile(np.concatenate(quantiles), REQUIRED_FRACTION, axis=0).tolist())
     return Accuracy(tuple(seconds), tuple(rms.tolist()), level, half_widths, error_quantiles)
 
 
@@ -137,8 +137,8 @@ def get_processor_time(cost: Cost) -> float:
 
 def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
                   tolerance: float) -> dict[float, tuple[Key | None, ...]]:
-    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_SHARE of
-    the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
+    """The (model, step) with the least processor time and a lateral error within the tolerance [m] in REQUIRED_FRACTION
+    of the starts, by speed bin (lower edge [m/s]) and second ahead; None if no model achieves this with any step."""
     order = sorted(accuracies, key=lambda key: get_processor_time(costs[key]))
     speeds = sorted({low for accuracy in accuracies.values() for low in accuracy.error_quantiles})
     seconds = max((len(accuracy.seconds) for accuracy in accuracies.values()), default=0)
@@ -147,15 +147,15 @@ def find_cheapest(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accuracy],
             for low in speeds}
 
 
-def advise(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
-    """Print the tables and write advice.csv; unusable runs are skipped. tolerance: lateral error [m]."""
+def print_advice(sources: Sequence[RunSource], task: Task, tolerance: float, console: Console) -> None:
+    """Print the tables of the advice, and write advice.csv; unusable runs are skipped. tolerance: lateral error [m]."""
     with console.status("cost and accuracy of each model and step"):
         costs, accuracies, unusable = measure_runs(sources, task)
     rows = make_advice_rows(costs, accuracies)
     for title, part in split_rows(rows, accuracies).items():
         console.print(make_table(part, title=title, **TABLE_STYLE))
-    chosen = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
-    console.print(make_table(chosen, title=make_choice_title(tolerance), **TABLE_STYLE))
+    choices = make_choice_rows(find_cheapest(costs, accuracies, tolerance))
+    console.print(make_table(choices, title=make_choice_title(tolerance), **TABLE_STYLE))
     for (model, step), reason in unusable.items():
         print_line(f"[yellow]{escape(model)}, {step:g} s: {escape(reason)}[/yellow]", console)
     assert task.folder is not None  # set by the command
@@ -236,11 +236,11 @@ def make_advice_rows(costs: Mapping[Key, Cost], accuracies: Mapping[Key, Accurac
     return rows
 
 
-def make_choice_rows(chosen: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
+def make_choice_rows(choices: Mapping[float, tuple[Key | None, ...]]) -> list[dict[str, str]]:
     """One row for each speed bin, one column for each second ahead."""
     return [{"speed": label_bin(SPEED_EDGES, "m/s", SPEED_EDGES.index(low))}
             | {f"{k + 1} s": "none" if key is None else f"{key[0]}, {key[1]:g} s"
-                                           for k, key in enumerate(keys)} for low, keys in chosen.items()]
+                                           for k, key in enumerate(keys)} for low, keys in choices.items()]
 
 
 def split_rows(rows: Sequence[Mapping[str, str]],
@@ -268,4 +268,4 @@ def make_caption(accuracies: Mapping[Key, Accuracy]) -> str:
 
 def make_choice_title(tolerance: float) -> str:
     return (f"Cheapest model and step with a lateral error within {tolerance:g} m up to each second, in "
-            f"{REQUIRED_SHARE:.0%} of the starts, with measured inputs")
+            f"{REQUIRED_FRACTION:.0%} of the starts, with measured inputs")

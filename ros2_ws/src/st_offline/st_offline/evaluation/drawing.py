@@ -19,21 +19,22 @@ from matplotlib.transforms import Bbox
 from st_core.errors import ConfigurationError
 from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, RC
 
-TEXT, GRID, BAD, WARN = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
+TEXT_COLOUR, GRID_COLOUR, BAD_COLOUR, WARN_COLOUR = "#1c2126", "#e6e6e6", "#b3261e", "#b26a00"
 # Colour in figures -> variable of the style sheet of the page.
-_VARIABLES = {
-    TEXT: "var(--text)", GRID: "var(--rule)", BAD: "var(--bad)", WARN: "var(--warn)",
+_CSS_VARIABLES = {
+    TEXT_COLOUR: "var(--text)", GRID_COLOUR: "var(--rule)", BAD_COLOUR: "var(--bad)", WARN_COLOUR: "var(--warn)",
     MEASURED_COLOUR: "var(--measured)",
     **{colour: f"var(--{model})" for model, colour in MODEL_COLOUR.items()},
 }
 RC_SETTINGS = {
-    **RC, "text.color": TEXT, "axes.edgecolor": TEXT, "axes.labelcolor": TEXT, "xtick.color": TEXT, "ytick.color": TEXT,
-    "grid.color": GRID, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif", "pdf.fonttype": 42,
+    **RC, "grid.color": GRID_COLOUR, "svg.fonttype": "none", "svg.hashsalt": "st", "font.family": "sans-serif",
+    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), TEXT_COLOUR),
+    "pdf.fonttype": 42,
 }
 FORMATS = ("png", "pdf", "svg")
 WIDTH = 9.0  # inch; the page shows it 1:1 at 96 dpi
 TITLE_CHARACTERS = 104  # per line of a title, at WIDTH
-HALF_TICK_LABEL = 0.09  # inch
+HALF_TICK_LABEL_HEIGHT = 0.09  # inch
 PAGE_DPI = 110  # of raster images inside an SVG
 MAX_POINTS = 900  # per line; more cannot be distinguished at WIDTH
 
@@ -59,7 +60,7 @@ class FigureOutput:
 
 def check_formats(formats: Sequence[str]) -> None:
     """Raise ConfigurationError for an unknown format."""
-    unknown = [form for form in formats if form not in FORMATS]
+    unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise ConfigurationError(f"--figures: {unknown[0]} is not one of {', '.join(FORMATS)}")
 
@@ -82,12 +83,12 @@ def save_figure(figure: Figure, output: FigureOutput, key: str, title: str, capt
         figure.set_layout_engine(None)
         if output.folder is not None and output.formats:
             output.folder.mkdir(parents=True, exist_ok=True)
-            for form in output.formats:
-                figure.savefig(output.folder / f"{key}.{form}",
-                               metadata={"CreationDate": None} if form == "pdf" else None)
+            for extension in output.formats:
+                figure.savefig(output.folder / f"{key}.{extension}",
+                               metadata={"CreationDate": None} if extension == "pdf" else None)
         width, height = figure.get_size_inches()
         # Half a tick label extends above the highest axes.
-        top = heading.get_window_extent().y0 / figure.dpi + HALF_TICK_LABEL
+        top = heading.get_window_extent().y0 / figure.dpi + HALF_TICK_LABEL_HEIGHT
         heading.set_visible(False)
         svg = io.StringIO()
         figure.savefig(svg, format="svg", transparent=True, metadata={"Date": None}, dpi=PAGE_DPI,
@@ -100,7 +101,7 @@ def make_page_svg(svg: str, prefix: str) -> str:
     """The <svg> element for a page, with CSS colour variables, the fonts of the page, unique ids and short numbers."""
     svg = svg[svg.index("<svg"):]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
-    for colour, variable in _VARIABLES.items():
+    for colour, variable in _CSS_VARIABLES.items():
         svg = svg.replace(colour, variable)
     svg = svg.replace("#000000", "var(--text)")
     svg = re.sub(r"font-family: [^;\"]*;? ?", "", svg)
@@ -136,5 +137,5 @@ def reduce_points(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.
 
 def cut_at_gaps(time: np.ndarray, values: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
     """Insert a NaN, which interrupts a line, between points that are more than `gap` [s] apart."""
-    at = np.flatnonzero(np.diff(time) > gap) + 1
-    return np.insert(time.astype(float), at, np.nan), np.insert(values.astype(float), at, np.nan)
+    ends = np.flatnonzero(np.diff(time) > gap) + 1
+    return np.insert(time.astype(float), ends, np.nan), np.insert(values.astype(float), ends, np.nan)

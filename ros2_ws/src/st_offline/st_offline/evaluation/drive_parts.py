@@ -22,7 +22,7 @@ MIN_TURN, MIN_U_TURN, MIN_CIRCLE = np.radians([30.0, 150.0, 240.0])  # rad, head
 
 @dataclass(frozen=True)
 class DrivePart:
-    """Part of a drive. start, end [s]: since the first INS measurement. heading_change [rad], left +."""
+    """Part of a drive. start, end [s]: since the first INS measurement. heading_change [rad]: positive to the left."""
 
     name: str
     start: float
@@ -52,9 +52,9 @@ def segment_drive(log: DriveLog, labels: Sequence[Label] = ()) -> list[DrivePart
     return parts
 
 
-def assign_horizons(parts: Sequence[DrivePart], middles: np.ndarray) -> list[slice]:
-    """Rows of the horizons with midpoints in each part. middles: midpoints [s], ascending."""
-    return [slice(*np.searchsorted(middles, (part.start, part.end)).tolist()) for part in parts]
+def assign_horizons(parts: Sequence[DrivePart], midpoints: np.ndarray) -> list[slice]:
+    """Rows of the horizons with midpoints in each part. midpoints [s]: ascending."""
+    return [slice(*np.searchsorted(midpoints, (part.start, part.end)).tolist()) for part in parts]
 
 
 def _classify_samples(speed: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
@@ -82,8 +82,8 @@ def _merge_short_intervals(states: np.ndarray, shortest: int) -> list[tuple[int,
         neighbours = [j for j in (i - 1, i + 1) if 0 <= j < len(spans)]
         longest = max(neighbours, key=lambda j: spans[j][1] - spans[j][0])
         states[slice(*spans[i])] = states[spans[longest][0]]
-        around = spans[max(i - 1, 0):i + 2]
-        edges = [around[0][0], *(a for a, _ in around[1:] if states[a - 1] != states[a]), around[-1][1]]
+        nearby = spans[max(i - 1, 0):i + 2]
+        edges = [nearby[0][0], *(a for a, _ in nearby[1:] if states[a - 1] != states[a]), nearby[-1][1]]
         spans[max(i - 1, 0):i + 2] = itertools.pairwise(edges)
     # The last point of an interval is the first of the next, so that heading changes add up.
     return [(a, min(b, len(states) - 1)) for a, b in spans]

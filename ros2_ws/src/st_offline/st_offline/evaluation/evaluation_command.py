@@ -40,20 +40,20 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
     task = replace(task, folder=new_folder(output, "evaluate"))
     reports = evaluate_all(sources, task, workers, scheduler, console)
     _raise_if_all_failed([report.problem for report in reports])
-    good = [report for report in reports if not report.problem]
-    title = make_headline(good, task.over)
+    evaluated_runs = [report for report in reports if not report.problem]
+    title = make_headline(evaluated_runs, task.over)
     with console.status("writing the report"):
         files = write_results(reports, task, title)
-    console.print(make_terminal_table(good, task.over, title, console.width))
-    print_line(make_summary(good, task)[0], console)
+    console.print(make_terminal_table(evaluated_runs, task.over, title, console.width))
+    print_line(make_summary(evaluated_runs, task)[0], console)
     for key, value in describe_settings(task).items():
         print_line(f"[dim]{key}: {escape(value)}[/dim]", console)
-    print_tables([report.bands for report in good], task.bands is not None, task.adaptive, console)
+    print_tables([report.bands for report in evaluated_runs], task.bands is not None, task.adaptive, console)
     if tolerance is not None:
-        from .advice import advise  # the import takes half a second
+        from .advice import print_advice  # the import takes half a second
 
-        advise([s for s, report in zip(sources, reports, strict=True) if not report.problem], task, tolerance, console)
-    for report in good:
+        print_advice([s for s, r in zip(sources, reports, strict=True) if not r.problem], task, tolerance, console)
+    for report in evaluated_runs:
         if text := describe_clock(report.metadata["alignment"]):
             print_line(f"{escape(report.name)}: {escape(text)}", console)
     print_findings({report.name: report.findings for report in reports}, console)
@@ -61,10 +61,10 @@ def run_command(paths: Sequence[Path], task: Task, output: Path | None, workers:
     failed = [report for report in reports if report.problem]
     for report in failed:
         report_problem(report.name, report.problem, console)
-    times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in good):.1f} s"
+    times = ", ".join(f"{part} {sum(r.seconds.get(part, 0.0) for r in evaluated_runs):.1f} s"
                       for part in ("read", "predict", "draw"))
-    hours = sum(r.metadata["duration"] for r in good) / 3600.0
-    console.print(f"[dim]{format_count(len(good), 'run')}, {hours:.2f} h of driving in "
+    hours = sum(r.metadata["duration"] for r in evaluated_runs) / 3600.0
+    console.print(f"[dim]{format_count(len(evaluated_runs), 'run')}, {hours:.2f} h of driving in "
                   f"{time.perf_counter() - start_time:.1f} s ({times})[/dim]", highlight=False)
     return 1 if failed else 0
 

@@ -17,7 +17,7 @@ from ..bands import bands_report
 from ..checking.check_report import describe_clocks, describe_effect, findings_as_json, group_findings
 from ..pages import load_template
 from . import tables
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .tables import REPORTED_AXES, format_error, get_axis_statistics, pool_entries, pool_models
 from .work import RunReport, Task, to_file_name
 
@@ -45,35 +45,35 @@ def describe_settings(task: Task) -> dict[str, str]:
 
 def make_document(reports: Sequence[RunReport], task: Task) -> dict[str, Any]:
     """The content of evaluation.json."""
-    good = [r for r in reports if not r.problem]
-    parts = [part for r in good for part in r.manoeuvres if _count_starts(part)]
+    evaluated_runs = [r for r in reports if not r.problem]
+    parts = [part for r in evaluated_runs for part in r.manoeuvres if _count_starts(part)]
     return {
         "schema": SCHEMA,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "vehicle": {"name": task.vehicle.name, "file": task.vehicle_file, "hash": task.vehicle.hash},
         "settings": {**task.settings.as_dict(), "table_over": task.over},
         "versions": collect_versions(),
-        "runs": {r.name: r.models for r in good},
-        "all_runs": pool_models([r.models for r in good]),
-        "seconds": {r.name: r.seconds_ahead for r in good},
-        "bins": {r.name: r.bins for r in good},
-        "bins_all_runs": pool_bins(good),
-        "manoeuvres": {r.name: r.manoeuvres for r in good},
+        "runs": {r.name: r.models for r in evaluated_runs},
+        "all_runs": pool_models([r.models for r in evaluated_runs]),
+        "seconds": {r.name: r.seconds_ahead for r in evaluated_runs},
+        "bins": {r.name: r.bins for r in evaluated_runs},
+        "bins_all_runs": pool_bins(evaluated_runs),
+        "manoeuvres": {r.name: r.manoeuvres for r in evaluated_runs},
         "manoeuvres_all_runs": sorted(pool_entries(parts, "name"), key=lambda entry: -_count_starts(entry)),
-        "about": {r.name: {**r.metadata, "findings": findings_as_json(r.findings)} for r in good},
-        **_summarise_bands(good, task),
+        "about": {r.name: {**r.metadata, "findings": findings_as_json(r.findings)} for r in evaluated_runs},
+        **_summarise_bands(evaluated_runs, task),
         "failed": {r.name: r.problem for r in reports if r.problem},
         "refused": {r.name: findings_as_json(r.findings) for r in reports if r.problem and r.findings},
     }
 
 
-def _summarise_bands(good: Sequence[RunReport], task: Task) -> dict[str, Any]:
-    sums = bands_report.pool_sums([r.bands for r in good])
-    fixed = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in good},
+def _summarise_bands(evaluated_runs: Sequence[RunReport], task: Task) -> dict[str, Any]:
+    sums = bands_report.pool_sums([r.bands for r in evaluated_runs])
+    fixed = {"bands": {r.name: bands_report.summarise_bands(r.bands) for r in evaluated_runs},
              "bands_all_runs": {"file": task.bands[0], **bands_report.summarise_bands(sums),
                                 "shares": bands_report.summarise_shares(sums)}
              } if task.bands else {}
-    return fixed | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in good},
+    return fixed | ({"adaptive_bands": {r.name: bands_report.summarise_adaptive(r.bands) for r in evaluated_runs},
                      "adaptive_bands_all_runs": bands_report.summarise_adaptive(sums)} if task.adaptive else {})
 
 
@@ -94,19 +94,19 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
     """Write all files except those in the folders of the runs; returns their paths by kind."""
     folder = task.folder
     assert folder is not None  # set by the command
-    good = [r for r in reports if not r.problem]
+    evaluated_runs = [r for r in reports if not r.problem]
     content = make_document(reports, task)
     files = {"json": folder / "evaluation.json", "page": folder / "report.html", "latex": folder / "table.tex"}
     files["json"].write_text(json_text(content), encoding="utf-8")
-    for name, rows in tables.make_csv_rows(good).items():
+    for name, rows in tables.make_csv_rows(evaluated_runs).items():
         files[name] = folder / f"{name}.csv"
         tables.write_csv(files[name], rows)
     settings = describe_settings(task)
     note = (f"{settings['vehicle']}; starts {settings['starts']}; horizon {settings['horizon']}; "
              f"{settings['measured inputs']}.")
-    files["latex"].write_text(tables.make_latex_table(good, task.over, note))
+    files["latex"].write_text(tables.make_latex_table(evaluated_runs, task.over, note))
     output = FigureOutput(folder, task.formats)
-    overview = draw_overview(good, task.over, output)
+    overview = draw_overview(evaluated_runs, task.over, output)
     band_figures = bands_report.draw_bands(content.get("bands_all_runs", {}), output)
     write_page(files["page"], title, reports, content, task, overview, band_figures)
     return files
@@ -115,16 +115,16 @@ def write_results(reports: Sequence[RunReport], task: Task, title: str) -> dict[
 def write_page(file: Path, title: str, reports: Sequence[RunReport], content: dict[str, Any],
                task: Task, overview: PageFigure, bands: Sequence[PageFigure]) -> None:
     """Write the page. content: that of evaluation.json. bands: figures of the tested bands."""
-    good = [r for r in reports if not r.problem]
-    leading = [overview] if len(good) > 1 else [f for r in good for f in r.figures[1:2]]
+    evaluated_runs = [r for r in reports if not r.problem]
+    top_figures = [overview] if len(evaluated_runs) > 1 else [f for r in evaluated_runs for f in r.figures[1:2]]
     # The page shows the figures of the first run; those of other runs are only written to files.
-    run_figures = [f for f in good[0].figures if f not in leading]
+    run_figures = [f for f in evaluated_runs[0].figures if f not in top_figures]
     modes = list(dict.fromkeys(mode for by_mode in content["all_runs"].values() for mode in by_mode))
     pooled_bands = content.get("bands_all_runs", {})
     text = load_template("evaluation/page.html.jinja").render(
-        title=title, summary=make_summary(good, task), reports=good, content=content,
+        title=title, summary=make_summary(evaluated_runs, task), reports=evaluated_runs, content=content,
         problems={r.name: r.problem for r in reports if r.problem}, settings=describe_settings(task),
-        findings={r.name: r.findings for r in reports}, leading=leading, band_figures=bands,
+        findings={r.name: r.findings for r in reports}, top_figures=top_figures, band_figures=bands,
         band_rows=bands_report.make_band_rows(pooled_bands),
         adaptive_rows=bands_report.make_adaptive_rows(content.get("adaptive_bands_all_runs", {})),
         share_rows=bands_report.make_share_rows(pooled_bands.get("shares", {})),
@@ -139,30 +139,30 @@ def draw_overview(reports: Sequence[RunReport], over: str, output: FigureOutput)
     models = list(reports[0].models)
     rmse = {axis: np.array([[get_axis_statistics(r.models, m, "hindsight", axis, over)["rmse"] for m in models]
                             for r in reports], float) for axis in REPORTED_AXES}  # NaN: not scored
-    worst = np.argsort(-np.fmax.reduce(rmse["lateral"], axis=1), kind="stable")
-    drawn = np.sort(worst[:MAX_RUNS])
-    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(drawn)), sharey=True)
+    order = np.argsort(-np.fmax.reduce(rmse["lateral"], axis=1), kind="stable")
+    selection = np.sort(order[:MAX_RUNS])
+    figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 1.4 + 0.24 * len(selection)), sharey=True)
     figure.set_layout_engine("constrained", w_pad=0.12)  # inch, between the labels of both axes
     for axes, (axis, sizes) in zip(panels, rmse.items(), strict=True):
-        for row, run in enumerate(drawn):
-            axes.plot(sizes[run], np.full(len(models), row), color=TEXT, lw=0.6, alpha=0.5, zorder=1)
+        for row, run in enumerate(selection):
+            axes.plot(sizes[run], np.full(len(models), row), color=TEXT_COLOUR, lw=0.6, alpha=0.5, zorder=1)
         for k, model in enumerate(models):
             # The marker size decreases from model to model, so that equal values remain visible.
-            axes.plot(sizes[drawn, k], range(len(drawn)), "o", ms=8 - 2 * k, color=MODEL_COLOUR.get(model, TEXT), mew=0,
-                      zorder=2, label=model)
+            axes.plot(sizes[selection, k], range(len(selection)), "o", ms=8 - 2 * k, mew=0, zorder=2,
+                      color=MODEL_COLOUR.get(model, TEXT_COLOUR), label=model)
         axes.set_xlim(left=0)
         axes.set_xlabel(f"{axis} RMSE, m")
-    panels[0].set_yticks(range(len(drawn)), [reports[run].name for run in drawn])
-    panels[0].set_ylim(len(drawn) - 0.5, -0.5)
+    panels[0].set_yticks(range(len(selection)), [reports[run].name for run in selection])
+    panels[0].set_ylim(len(selection) - 0.5, -0.5)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=6)
     caption = "Hindsight: measured inputs over the horizon."
-    if len(drawn) < len(reports):
+    if len(selection) < len(reports):
         caption += f" Only the {MAX_RUNS} of {len(reports)} runs with the largest lateral RMSE are shown."
     return save_figure(figure, output, "overview", "RMSE of each run and model", caption)
 
 
 def make_headline(reports: Sequence[RunReport], over: str) -> str:
-    """Lateral RMSE of each model in hindsight over all runs, smallest first."""
+    """Lateral hindsight RMSE of each model over all runs, smallest first."""
     models = pool_models([r.models for r in reports])
     sizes = [(get_axis_statistics(models, m, "hindsight", "lateral", over)["rmse"], m) for m in models]
     ranked = sorted((size, m) for size, m in sizes if size is not None)

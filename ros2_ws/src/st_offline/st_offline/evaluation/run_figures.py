@@ -16,8 +16,8 @@ from st_core.palette import MEASURED_COLOUR, MODEL_COLOUR, MODEL_LINE
 from st_core.readings import predict_readings
 from st_core.vehicle import VehicleParameters
 
-from .background import in_background
-from .drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_gaps, reduce_points, save_figure
+from .background import run_in_background
+from .drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, cut_at_gaps, reduce_points, save_figure
 
 POSITIVE_SIDE = {"longitudinal": "ahead", "lateral": "left"}
 AXIS_LABEL = {axis: f"{axis} error, m\n(+ = predicted {side})" for axis, side in POSITIVE_SIDE.items()}
@@ -38,7 +38,7 @@ class FigureData:
 
 def get_line_style(model: str) -> dict[str, Any]:
     """Matplotlib arguments for the line of a model."""
-    return {"color": MODEL_COLOUR.get(model, TEXT), "ls": MODEL_LINE.get(model, "solid")}
+    return {"color": MODEL_COLOUR.get(model, TEXT_COLOUR), "ls": MODEL_LINE.get(model, "solid")}
 
 
 def find_complete_starts(evaluation: LogEvaluation) -> np.ndarray:
@@ -67,9 +67,9 @@ def add_legend(figure: plt.Figure, models: Sequence[Model], extra: Sequence[Line
 
 def draw_run(data: FigureData) -> list[PageFigure]:
     """Draw all figures for which this run has data, half of them on a second core."""
-    first, others = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
-    with apply_style(), in_background(lambda: [draw(data) for draw in others]) as get_others:
-        figures = [draw(data) for draw in first] + get_others()
+    first, second = (draw_segments, draw_horizon_means), (draw_slip_and_forces, draw_error_against_horizon)
+    with apply_style(), run_in_background(lambda: [draw(data) for draw in second]) as wait_for_second:
+        figures = [draw(data) for draw in first] + wait_for_second()
     return [figure for figure in figures if figure is not None]
 
 
@@ -91,7 +91,7 @@ def draw_segments(data: FigureData) -> PageFigure | None:
         for axes, first, (axis, side) in zip(profiles, grid[1:, 0], POSITIVE_SIDE.items(), strict=True):
             if column:
                 axes.sharey(first)
-            axes.axhline(0, color=TEXT, lw=0.6)
+            axes.axhline(0, color=TEXT_COLOUR, lw=0.6)
             axes.set(xlim=(0, length), ylabel="" if column else f"{axis}, m\n(+ = {side})")
             axes.tick_params(labelleft=not column)
         profiles[-1].set_xlabel("horizon, s")
@@ -123,13 +123,13 @@ def _draw_measured_path(axes: plt.Axes, data: FigureData, start_ns: int, length:
     middle = 0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())
     in_frame = (np.abs(log.x - middle[0]) < half_size) & (np.abs(log.y - middle[1]) < half_size)
     rows = np.flatnonzero(in_frame)[:: max(1, int(in_frame.sum()) // 400)]
-    gaps = np.flatnonzero(np.diff(np.cumsum(~in_frame)[rows])) + 1  # the car left the frame and came back
+    gaps = np.flatnonzero(np.diff(np.cumsum(~in_frame)[rows])) + 1  # the car left the frame and returned
     axes.plot(*(np.insert(v[rows], gaps, np.nan) for v in (log.x, log.y)), color=MEASURED_COLOUR, lw=0.8, alpha=0.5)
     stride = max(1, len(log.x[context]) // 200)
     axes.plot(log.x[context][::stride], log.y[context][::stride], color=MEASURED_COLOUR, lw=1.2)
     stride = max(1, len(x) // 100)
     axes.plot(x[::stride], y[::stride], color=MEASURED_COLOUR, lw=5, alpha=0.45, solid_capstyle="butt")
-    axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT, zorder=5)
+    axes.plot(x[:1], y[:1], "o", ms=4, color=TEXT_COLOUR, zorder=5)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(middle[0] - half_size, middle[0] + half_size), ylim=(middle[1] - half_size, middle[1] + half_size))
 
@@ -140,7 +140,7 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
     figure, (upper, lower, context) = plt.subplots(
         3, 1, figsize=(WIDTH, 5.2), height_ratios=(1.3, 1.3, 0.9), sharex=True)
     for k, (axes, axis) in enumerate(((upper, "longitudinal"), (lower, "lateral"))):
-        axes.axhline(0, color=TEXT, lw=0.6)
+        axes.axhline(0, color=TEXT_COLOUR, lw=0.6)
         for model in data.models:
             line = evaluation.errors[model.name, "hindsight"].mean[:, k]
             # The linear and nonlinear models often coincide; the wider line of the linear model remains visible.
@@ -148,11 +148,11 @@ def draw_horizon_means(data: FigureData) -> PageFigure:
             axes.plot(*_reduce_over_time(evaluation, line), **get_line_style(model.name) | {"ls": "-", "lw": width})
         axes.set_ylabel(AXIS_LABEL[axis])
     speed, lateral = evaluation.conditions["speed"], evaluation.conditions["lateral_acceleration"]
-    context.plot(*_reduce_over_time(evaluation, speed), color=TEXT, lw=1.0)
+    context.plot(*_reduce_over_time(evaluation, speed), color=TEXT_COLOUR, lw=1.0)
     context.plot(*_reduce_over_time(evaluation, lateral), color=MEASURED_COLOUR, lw=1.0)
     context.set_ylabel("mean over the\nhorizon, m/s, m/s²")
     context.set_xlabel("start of the prediction $t_0$, s after the first INS measurement")
-    extra = [Line2D([], [], color=TEXT, lw=1.0, label="speed, m/s"),
+    extra = [Line2D([], [], color=TEXT_COLOUR, lw=1.0, label="speed, m/s"),
              Line2D([], [], color=MEASURED_COLOUR, lw=1.0, label="lateral acceleration, m/s² (+ = left)")]
     add_legend(figure, data.models, extra, ls="solid")
     title = f"{evaluation.name}: {describe_ranking(evaluation)}"
@@ -167,7 +167,7 @@ def _reduce_over_time(evaluation: LogEvaluation, values: np.ndarray) -> tuple[np
 
 
 def draw_error_against_horizon(data: FigureData) -> PageFigure:
-    """Draw the root mean square error at each point of the horizon, in hindsight and as a forecast."""
+    """Draw the root mean square error at each point of the horizon, of hindsight and forecast."""
     evaluation = data.evaluation
     lines: tuple[tuple[Mode, float, float], ...] = ("hindsight", 1.6, 1.0), ("forecast", 0.9, 0.7)
     figure, panels = plt.subplots(1, 2, figsize=(WIDTH, 3.4))
@@ -182,20 +182,20 @@ def draw_error_against_horizon(data: FigureData) -> PageFigure:
         axes.set_ylim(bottom=0.01)
         axes.set(xlim=(0, evaluation.horizon[-1]), xlabel="horizon, s", ylabel=f"{axis} RMSE, m")
         axes.yaxis.set_major_formatter("{x:g}")
-    add_legend(figure, data.models, [Line2D([], [], color=TEXT, lw=0.9, ls=":", label="forecast: inputs held")])
+    add_legend(figure, data.models, [Line2D([], [], color=TEXT_COLOUR, lw=0.9, ls=":", label="forecast: inputs held")])
     parts = []
     for model in data.models:
         profile = evaluation.errors[model.name, "hindsight"].profile_rmse[:, 1]
         beyond = np.flatnonzero(profile > NOTICEABLE_ERROR)
         parts.append(f"{model.name} " + (f"after {evaluation.horizon[beyond[0]]:.1f} s" if len(beyond) else "never"))
-    title = f"{evaluation.name}: lateral RMSE exceeds {NOTICEABLE_ERROR:g} m in hindsight: {', '.join(parts)}"
+    title = f"{evaluation.name}: lateral hindsight RMSE exceeds {NOTICEABLE_ERROR:g} m: {', '.join(parts)}"
     caption = ("RMSE over all starts at each point of the horizon. Hindsight uses the measured inputs and shows the "
                "error of the model; the forecast holds the inputs constant at their values at the start.")
     return save_figure(figure, data.output, "error_against_horizon", title, caption)
 
 
 def describe_ranking(evaluation: LogEvaluation) -> str:
-    """Lateral RMSE of the models in hindsight, smallest first, with the ratio of the largest to the smallest."""
+    """Lateral hindsight RMSE of the models, smallest first, with the ratio of the largest to the smallest."""
     values = sorted((evaluation.errors[m, "hindsight"].statistics("lateral")[2], m) for m in evaluation.models)
     values = [(v, m) for v, m in values if math.isfinite(v)]
     if not values:
@@ -232,8 +232,8 @@ def draw_slip_and_forces(data: FigureData) -> PageFigure | None:
             lower.plot(horizon, force / 1000.0, **get_line_style(model.name))
         largest[model.name] = np.abs(slips).max()
     for (upper, lower), axle in zip(grid.T, ("front", "rear"), strict=True):
-        upper.axhline(0, color=TEXT, lw=0.6)
-        lower.axhline(0, color=TEXT, lw=0.6)
+        upper.axhline(0, color=TEXT_COLOUR, lw=0.6)
+        lower.axhline(0, color=TEXT_COLOUR, lw=0.6)
         upper.set_title(f"{axle} axle", fontsize=9)
         lower.set_xlabel("horizon, s")
     grid[1, 0].set_xlim(0, horizon[-1])

@@ -27,20 +27,20 @@ OVER_LABELS = {"means": "the horizon means", "samples": "all samples of all hori
 Models = Mapping[str, Any]  # {model: {mode: entry}}
 
 
-def summarise_errors(errors: ModelErrors, select: np.ndarray | slice = ALL_ROWS) -> Entry:
+def summarise_errors(errors: ModelErrors, rows: np.ndarray | slice = ALL_ROWS) -> Entry:
     """Statistics of the horizon means and, in `samples`, of all points; values are None if no start was scored."""
-    complete = errors.complete[select]
+    complete = errors.complete[rows]
     count = int(complete.sum())
     means, samples = ({axis: _name_statistics(*values)
-                       for axis, values in errors.statistics_by_axis(over, select).items()}
+                       for axis, values in errors.statistics_by_axis(over, rows).items()}
                       for over in ("means", "samples"))
     return {"n_starts": count, "n_incomplete": len(complete) - count, **means,
             "samples": {"n_starts": count, **samples}}
 
 
-def summarise_by_model(evaluation: LogEvaluation, select: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
+def summarise_by_model(evaluation: LogEvaluation, rows: np.ndarray | slice = ALL_ROWS) -> dict[str, dict[str, Entry]]:
     """{model: {mode: entry}} for the selected starts (rows)."""
-    return {model: {mode: summarise_errors(evaluation.errors[model, mode], select) for mode in evaluation.modes}
+    return {model: {mode: summarise_errors(evaluation.errors[model, mode], rows) for mode in evaluation.modes}
             for model in evaluation.models}
 
 
@@ -63,10 +63,10 @@ def summarise_by_bin(evaluation: LogEvaluation) -> list[Entry]:
 
 def summarise_by_manoeuvre(evaluation: LogEvaluation, parts: Sequence[DrivePart]) -> list[Entry]:
     """One entry for each part of the drive; a start belongs to the part that contains the middle of its horizon."""
-    middles = evaluation.time + 0.5 * float(evaluation.horizon[-1])
+    midpoints = evaluation.time + 0.5 * float(evaluation.horizon[-1])
     return [{"name": part.name, "start": part.start, "end": part.end,
              "heading_change_deg": math.degrees(part.heading_change), "models": summarise_by_model(evaluation, rows)}
-            for part, rows in zip(parts, assign_horizons(parts, middles), strict=True)]
+            for part, rows in zip(parts, assign_horizons(parts, midpoints), strict=True)]
 
 
 def pool_models(entries: Sequence[Mapping[str, Mapping[str, Entry]]]) -> dict[str, dict[str, Entry]]:
@@ -113,7 +113,7 @@ def get_axis_statistics(models: Models, model: str, mode: str, axis: str, over: 
 
 
 def list_statistics(models: Models, model: str, axis: str, over: str) -> list[tuple[str, bool]]:
-    """(text, whether no model has a smaller printed magnitude) of each of STATISTICS in hindsight, for one model."""
+    """(text, whether it has the smallest printed magnitude of all models) for each of STATISTICS (hindsight)."""
     entries = {name: get_axis_statistics(models, name, "hindsight", axis, over) for name in models}
     result = []
     for kind in STATISTICS:
@@ -144,15 +144,15 @@ def compare_modes(reports: Sequence[Any], modes: Sequence[str], over: str) -> tu
     """(head, rows): RMSE [m] of each run and model, by axis and mode."""
     columns, rows = [(axis, mode) for axis in REPORTED_AXES for mode in modes], []
     for report in reports:
-        for k, (model, known) in enumerate(report.models.items()):
-            sizes = [get_axis_statistics(report.models, model, mode, axis, over)["rmse"] if mode in known else None
+        for k, (model, entries) in enumerate(report.models.items()):
+            sizes = [get_axis_statistics(report.models, model, mode, axis, over)["rmse"] if mode in entries else None
                      for axis, mode in columns]
             rows.append(["" if k else report.name, model, *map(format_error, sizes)])
     return ["run", "model", *map(", ".join, columns)], rows
 
 
 def list_rmse_by_second(reports: Sequence[Any]) -> tuple[list[str], list[list[str]]]:
-    """(head, rows): longitudinal and lateral RMSE [m] of each run and model in hindsight, by second ahead."""
+    """(head, rows): longitudinal and lateral hindsight RMSE [m] of each run and model, by second ahead."""
     errors = [("" if k else report.name, model, modes["hindsight"]) for report in reports
               for k, (model, modes) in enumerate(report.seconds_ahead.items())]
     seconds = list(dict.fromkeys(second for *_, by_second in errors for second in by_second))

@@ -31,14 +31,14 @@ from st_recordings.runs.raw import summarise_alignment
 from ..bands.bands_report import Scorer, collect_intervals, sum_shares
 from ..checking.gate import RUN_ERRORS, RefusedRunError, check_log, describe_problem, refuse_errors
 from . import tables
-from .background import in_background
+from .background import run_in_background
 from .drawing import FigureOutput, PageFigure
 from .drive_parts import segment_drive
 from .run_figures import FigureData, describe_ranking, draw_run
 
 PLANNED_INPUTS = ("planned_road_wheel_angle", "planned_velocity_x_dot")
-"""Columns of a CSV [rad, left +; m/s^2]: inputs at the time of the row, as planned before the prediction started."""
-PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative columns, for the CG [m/s; 1/m, left +]
+"""Columns of a CSV [rad, positive to the left; m/s^2]: inputs at the time of the row, planned before the prediction."""
+PLANNED_PATH = ("planned_speed", "planned_curvature")  # alternative, at the CG [m/s; 1/m, positive to the left]
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,8 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
     run = read(source, task.vehicle, task.read)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
-    with in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
-                                segment_drive(run.log, run.labels))) as wait_for_checks:
+    with run_in_background(lambda: (check_log(run.log, task.vehicle, run.auxiliary, models, prediction.step).findings,
+                                    segment_drive(run.log, run.labels))) as wait_for_checks:
         signals = task.settings.signals(run.log)
         bands = task.bands[1] if task.bands else None
         scorer = Scorer(bands, task.adaptive, signals, run.provenance["files"], prediction)
@@ -178,7 +178,7 @@ def load_models(task: Task) -> list[Model]:
 
 
 def check_bands(task: Task, models: Sequence[Model]) -> None:
-    """Raise ConfigurationError for bands of another car, model or setting."""
+    """Raise ConfigurationError for bands of a different car, model or setting."""
     if task.bands is None:
         return
     origin, bands = task.bands
@@ -214,7 +214,7 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[
     """Inputs over the horizon for `evaluate_log`: "plan" if the recording contains one, "course" if a course is given.
     The passes of this run are removed from the course. If both origins are known, the course is transformed into the
     map of the run; otherwise both must be in the same map. Raises RunError for planned columns that cannot be read
-    and a course at another location, ConfigurationError for planned columns whose times do not increase."""
+    and a course at a different location, ConfigurationError for planned columns whose times do not increase."""
     inputs: dict[Mode, FutureInputs] = {}
     prediction, files = task.settings.prediction, run.provenance["files"]
     plan = _read_planned_columns(files, task.vehicle)
@@ -222,15 +222,15 @@ def make_future_inputs(run: LoadedRun, signals: LogSignals, task: Task) -> dict[
         inputs["plan"] = recorded_plan(*plan, prediction.steps, prediction.step, prediction.maximum_gap)
     if task.course is not None:
         course = task.course[1]
-        others = course.exclude(list(files.values()))
+        other_passes = course.exclude(list(files.values()))
         if course.origin is not None and "origin" in run.provenance:
             latitude, longitude = map(math.degrees, run.provenance["origin"][:2])
             try:
-                others = others.shift(*compute_origin_offset((latitude, longitude), *course.origin))
+                other_passes = other_passes.shift(*compute_origin_offset((latitude, longitude), *course.origin))
             except StCoreError as error:
                 raise RunError(Path(run.log.name), f"--course: {error}",
                                "leave the option out, or give a course of this location") from None
-        inputs["course"] = course_inputs(others, signals, task.vehicle, prediction.horizon, prediction.step)
+        inputs["course"] = course_inputs(other_passes, signals, task.vehicle, prediction.horizon, prediction.step)
     return inputs
 
 

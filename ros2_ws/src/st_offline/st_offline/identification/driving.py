@@ -22,7 +22,7 @@ from st_recordings.runs import find_runs
 from st_recordings.runs.errors import join_problems
 
 from ..discovery.drives import read_drives
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, IdentificationJob, format_rounded
 
 MAX_POINTS = 4000  # in a scatter plot; more points would only overlap
@@ -36,7 +36,7 @@ RECORDINGS_HELP = "recordings of drives (several are better): folders, .ncom wit
 
 @apply_style()
 def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw the steering offset in each straight window, both its estimates, and the residuals of the yaw rate."""
+    """Draw the steering offset in each straight window, its two estimates, and the residuals of the yaw rate."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.4), width_ratios=(2, 1))
     position = _concatenate_times(data["run"], data["time"])
@@ -45,7 +45,7 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
                                     (outcome.estimates[1], FIT_COLOUR, "mean of windows")):
         left.axhspan(*(np.array(estimate.interval95) * DEG), color=colour, alpha=0.25, lw=0)
         left.axhline(estimate.value * DEG, color=colour, label=label)
-    left.set(xlabel="driving, s (straights of all runs, one after the other)", ylabel="straight-ahead reading, deg")
+    left.set(xlabel="driving time, s (straights of all runs)", ylabel="sensor angle straight ahead, deg")
     left.legend(loc="best")
     right.hist(data["residual_yaw_rate"] * DEG, 40, color=MEASURED_COLOUR)
     right.set(xlabel="simulated minus measured yaw rate, deg/s", ylabel="predictions")
@@ -57,7 +57,7 @@ def draw_offset(outcome: Identification, output: FigureOutput) -> PageFigure:
 
 @apply_style()
 def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
-    """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS ahead of the rear axle [m]), and residuals."""
+    """Draw v_y / v_x, corrected for slip, versus curvature (slope: INS distance ahead of rear axle), and residuals."""
     data = outcome.figure
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 3.6))
     subset = _thin_rows(len(data["curvature"]))
@@ -65,12 +65,13 @@ def draw_mounting(outcome: Identification, output: FigureOutput) -> PageFigure:
         rows = subset[data["run"][subset] == index]
         left.plot(data["curvature"][rows], data["slope"][rows], ".", ms=2.5, label=name)
     ends = np.array([data["curvature"].min(), data["curvature"].max()])
-    left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT, lw=1, label="fit")
-    left.set(xlabel="yaw rate / forward velocity, 1/m (left +)", ylabel="lateral / forward velocity without slip")
+    left.plot(ends, data["theta"][0] + data["theta"][1] * ends, color=TEXT_COLOUR, lw=1, label="fit")
+    left.set(xlabel="yaw rate / forward velocity, 1/m (left positive)",
+             ylabel="lateral / forward velocity without slip")
     if len(data["names"]) <= 8:
         left.legend(markerscale=3, fontsize=7)
     right.plot(data["speed"][subset], data["residual"][subset] * 1e3, ".", color=MEASURED_COLOUR, ms=2.5)
-    right.axhline(0.0, color=TEXT, lw=0.8)
+    right.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
     right.set(xlabel="forward velocity, m/s", ylabel="residual, mm/s")
     lever, angle = outcome["cg_to_ins_x"], outcome["ins_misalignment"]
     distance, side = replace(lever, value=abs(lever.value)), "behind" if lever.value < 0.0 else "ahead of"
@@ -100,7 +101,7 @@ def draw_stiffness(outcome: Identification, output: FigureOutput) -> PageFigure:
         if result is not None and np.isfinite([e.value for e in result.estimates[:2]]).all():
             front, rear = result.estimates[:2]
             pair.errorbar(
-                front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT, label=label, zorder=3,
+                front.value * 1e-3, rear.value * 1e-3, fmt="o", color=colour, mec=TEXT_COLOUR, label=label, zorder=3,
                 **{f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * 1e-3
                    for axis, e in (("x", front), ("y", rear))})
     pair.set(xlabel="front, kN/rad", ylabel="rear, kN/rad")
@@ -125,13 +126,13 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
     for column, (key, label, factor) in enumerate(channels):
         axes = panels[key]
         for run_start in run_starts[1:]:
-            axes.axvline(run_start - 1.0, color=TEXT, lw=0.6, ls=":")
+            axes.axvline(run_start - 1.0, color=TEXT_COLOUR, lw=0.6, ls=":")
         axes.plot(position[subset], data["residuals"][subset, column] * factor, ".", ms=1.5, color=MEASURED_COLOUR)
-        axes.axhline(0.0, color=TEXT, lw=0.8)
+        axes.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
         axes.set_ylabel(label)
     for key, *_ in channels[:-1]:
         panels[key].tick_params(labelbottom=False)
-    panels[channels[-1][0]].set_xlabel("driving, s (runs one after the other)")
+    panels[channels[-1][0]].set_xlabel("driving time, s (all runs)")
     second = outcome.estimates[1]
     if outcome.correlation is not None:
         second = outcome.estimates[1 + int(np.argmax(np.abs(outcome.correlation[0, 1:])))]
@@ -142,7 +143,7 @@ def draw_prediction(outcome: Identification, output: FigureOutput) -> PageFigure
         factor, unit = _get_display_unit(e.parameter)
         bars |= {axis: e.value * factor, f"{axis}err": np.abs(np.array(e.interval95) - e.value)[:, None] * factor}
         pair.set(**{f"{axis}label": e.parameter.replace("_", " ") + (f", {unit}" if unit != "1" else "")})
-    pair.errorbar(**bars, fmt="o", ms=4, color=TEXT, label="95 % interval")
+    pair.errorbar(**bars, fmt="o", ms=4, color=TEXT_COLOUR, label="95 % interval")
     pair.legend(loc="lower left", fontsize=8)
     title = "; ".join(f"{e.parameter.replace('_', ' ')} {_format_value(e)}" for e in (first, second))
     caption = ("Left: predicted minus measured values, with dotted lines between runs. Right: the first parameter "
@@ -164,7 +165,8 @@ def _draw_force_and_slip(panels: Sequence[plt.Axes], points: Identification, lin
                 continue
             axes.plot(ends * DEG, (force.mean() - estimate.value * (ends - middle)) * 1e-3, color=colour,
                       label=f"{label}: {estimate.value * 1e-3:.1f} kN/rad")
-        axes.set(xlabel=f"{axle} slip angle, deg (+ slides left)", ylabel=f"{axle} axle force, kN (left +)")
+        axes.set(xlabel=f"{axle} slip angle, deg (positive: slides left)",
+                 ylabel=f"{axle} axle force, kN (left positive)")
         axes.legend(fontsize=8)
 
 
@@ -209,11 +211,11 @@ def _format_value(estimate: ParameterEstimate) -> str:
     return f"{text if unit == '1' else f'{text} {unit}'} (95 %)"
 
 
-def make_drive_experiment(name: str, description: str, needs: str, compute: Callable[..., Identification],
+def make_drive_experiment(name: str, description: str, driving: str, compute: Callable[..., Identification],
                           draw: Callable[[Identification, FigureOutput], PageFigure],
                           uses_model: bool = False) -> Experiment:
-    """Experiment that uses recorded drives. compute: called with (logs, vehicle) and, if `uses_model`, with the model
-    as keyword argument `base`."""
+    """Experiment on recorded drives. driving: required content. compute: called with (logs, vehicle) and, if
+    `uses_model`, with the model as keyword argument `base`."""
     def identify(job: IdentificationJob) -> tuple[Identification, ...]:
         if not uses_model and job.model is not MODELS["nonlinear"]:
             raise IdentificationError(f"{name} uses no model: remove --model")
@@ -228,12 +230,12 @@ def make_drive_experiment(name: str, description: str, needs: str, compute: Call
                         warnings=(*outcome.warnings, *warnings),
                         findings={d.name: d.findings for d in drives if d.log is not None or d.findings}),)
 
-    return Experiment(name, description, f"{RECORDINGS_HELP}; {needs}", identify, draw, uses_recordings=True)
+    return Experiment(name, description, f"{RECORDINGS_HELP}; {driving}", identify, draw, uses_recordings=True)
 
 
 def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: Model) -> Identification:
-    """Fit the stiffnesses by prediction; those that contradict the paper's regression by more than MAX_DISAGREEMENT are
-    marked "doubtful"."""
+    """Fit the stiffnesses by prediction; one that differs from the paper's regression significantly, and by more than
+    MAX_DISAGREEMENT, is marked "doubtful"."""
     outcome = fit_stiffness(logs, vehicle, base)
     try:
         paper = identify_stiffness(logs, vehicle)
@@ -241,21 +243,22 @@ def compare_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base
         return replace(outcome, warnings=(*outcome.warnings, f"The paper's regression failed: {error}"))
     estimates, comparisons = [], []
     for estimate in outcome.estimates:
-        name, other = estimate.parameter, paper[estimate.parameter]
-        if other.status == "unidentifiable":
+        name, regression = estimate.parameter, paper[estimate.parameter]
+        if regression.status == "unidentifiable":
             estimates.append(estimate)
-            comparisons.append(f"The paper's regression gives no {name}: {other.verdict}")
+            comparisons.append(f"The paper's regression gives no {name}: {regression.verdict}")
             continue
-        text = describe_contradiction(estimate, other.value, other.standard_uncertainty, "the paper's regression")
+        text = describe_contradiction(estimate, regression.value, regression.standard_uncertainty,
+                                      "the paper's regression")
         # The regression averages over the nonlinear force curve, so a difference of a few per cent is expected.
-        if text and abs(estimate.value - other.value) > MAX_DISAGREEMENT * other.value:
+        if text and abs(estimate.value - regression.value) > MAX_DISAGREEMENT * regression.value:
             text += f" {STIFFNESS_ADVICE}"
             verdict = f"{estimate.verdict} Doubtful: {STIFFNESS_ADVICE}"
             estimates.append(replace(estimate, status="doubtful", verdict=verdict))
         else:
             estimates.append(estimate)
-        comparisons.append(text or f"The paper's regression gives {name} {other.value:.0f} N/rad (standard "
-                           f"uncertainty {other.standard_uncertainty:.0f}), which agrees.")
+        comparisons.append(text or f"The paper's regression gives {name} {regression.value:.0f} N/rad (standard "
+                           f"uncertainty {regression.standard_uncertainty:.0f}), which agrees.")
     return replace(outcome, estimates=tuple(estimates), warnings=(*outcome.warnings, *comparisons),
                    figure={**outcome.figure, "paper": paper})
 

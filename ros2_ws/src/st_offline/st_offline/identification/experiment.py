@@ -50,7 +50,7 @@ class Experiment:
     uses_recordings: bool = False
 
 
-def estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
+def make_estimate_rows(outcome: Identification, vehicle: VehicleParameters) -> list[Sequence[str]]:
     """Rows with the columns of COLUMN_NAMES, angles in degrees; "in the file" is the value of `vehicle`, if any."""
     rows: list[Sequence[str]] = []
     for e in outcome.estimates:
@@ -95,8 +95,8 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
         raise RunError(file, "this is not a text file", "give a CSV table") from None
     delimiter = ";" if lines and ";" in lines[0] else ","
     header, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)] or [[]]
-    known = {**required, **(optional or {})}
-    columns = _find_columns(file, header, known, texts)
+    permitted_units = {**required, **(optional or {})}
+    columns = _find_columns(file, header, permitted_units, texts)
     missing = [name for name in required if name not in columns]
     if missing:
         names = ", ".join(" or ".join(f"{name}_{unit}" for unit in required[name]) for name in missing)
@@ -110,27 +110,27 @@ def read_columns(file: Path, required: Mapping[str, Sequence[str]], optional: Ma
     cells = {title: column for title, *column in zip(header, *rows, strict=True)}
     numbers = {name: np.array([_parse_number(file, title, row_number, cell)
                                for row_number, cell in enumerate(cells[title], 1)]) * SI_FACTORS[unit]
-               for name, (title, unit) in columns.items() if name in known}
+               for name, (title, unit) in columns.items() if name in permitted_units}
     for name in required:
         if not np.isfinite(numbers[name]).all():
             raise RunError(file, f"row {int(np.isfinite(numbers[name]).argmin()) + 1} has no {name}",
-                           "fill that cell, or leave the row out")
+                           "fill that cell, or remove the row")
     return MeasurementTable(file, numbers, {name: tuple(cells[name]) for name in texts if name in columns})
 
 
-def _find_columns(file: Path, header: Sequence[str], known: Mapping[str, Sequence[str]],
+def _find_columns(file: Path, header: Sequence[str], permitted_units: Mapping[str, Sequence[str]],
                   texts: Sequence[str]) -> dict[str, tuple[str, str]]:
     """(title, unit in lower case) of each column by its name; the unit of a text is ""."""
     columns: dict[str, tuple[str, str]] = {}
     for title in header:
         name, _, unit = title.rpartition("_")
-        if name in known and unit.lower() in known[name]:
+        if name in permitted_units and unit.lower() in permitted_units[name]:
             key, unit = name, unit.lower()
         elif title in texts:
             key, unit = title, ""
-        elif title in known or name in known:
-            name = title if title in known else name
-            units = " or ".join(f"{name}_{unit}" for unit in known[name])
+        elif title in permitted_units or name in permitted_units:
+            name = title if title in permitted_units else name
+            units = " or ".join(f"{name}_{unit}" for unit in permitted_units[name])
             raise RunError(file, f"column {title} has no permitted unit", f"name it {units}")
         else:
             continue

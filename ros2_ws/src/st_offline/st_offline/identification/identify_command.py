@@ -24,7 +24,7 @@ from ..evaluation.drawing import FigureOutput, PageFigure
 from ..pages import load_template
 from ..terminal import list_files, make_table, print_line
 from .driving import DRIVING
-from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, estimate_rows
+from .experiment import COLUMN_NAMES, Experiment, IdentificationJob, make_estimate_rows
 from .workshop import CG_HEIGHT, LAMBDA, SCALES, STEERING_RATIO, TYRE
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -53,17 +53,17 @@ def run_command(job: IdentificationJob, console: Console) -> int:
     car = result.apply_to_vehicle(job.vehicle, outcomes, f"{now:%Y-%m-%d}")
     warnings = (*outcomes[0].warnings, *find_implausible_values(car, job.vehicle))
     outcomes = (replace(outcomes[0], warnings=warnings), *outcomes[1:])
-    stale = result.describe_stale_scales(job.vehicle, outcomes)
+    scale_warnings = result.describe_stale_scales(job.vehicle, outcomes)
     with console.status("writing"):
         paths = write_results(job, outcomes, car, make_provenance(job, now))
-    print_results(outcomes, job.vehicle, stale, console)
+    print_results(outcomes, job.vehicle, scale_warnings, console)
     list_files({paths["identification.json"]: "values, uncertainties, verdicts",
                 paths["vehicle.yaml"]: "vehicle file with the identified values",
                 paths["report.html"]: "figures, correlations, data used and left out"}, console)
     return 0 if any(e.status != "unidentifiable" for outcome in outcomes for e in outcome.estimates) else 1
 
 
-def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, stale: Sequence[str],
+def print_results(outcomes: Sequence[result.Identification], vehicle: VehicleParameters, scale_warnings: Sequence[str],
                   console: Console) -> None:
     """Print the findings of the checks, and the table, verdicts and warnings of each result."""
     print_findings(collect_findings_by_drive(outcomes), console)
@@ -71,7 +71,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
         console.print(make_table([
             {"parameter": escape(f"{name}{'' if unit == '1' else f', {unit}'}"), "value": value,
              "95 % interval": interval, "in the file": file_value, "status": f"[{STATUS_STYLE[status]}]{status}[/]"}
-            for name, value, _, interval, unit, file_value, status in estimate_rows(outcome, vehicle)],
+            for name, value, _, interval, unit, file_value, status in make_estimate_rows(outcome, vehicle)],
             title=outcome.experiment, title_justify="left", padding=(0, 2, 0, 0)))
         for style, texts in (("default", [f"{e.parameter}: {e.verdict}" for e in outcome.estimates]),
                              ("dim", [coverage.describe() for coverage in outcome.coverage]),
@@ -79,7 +79,7 @@ def print_results(outcomes: Sequence[result.Identification], vehicle: VehiclePar
                              ("yellow", outcome.warnings)):
             for text in texts:
                 print_line(f"  [{style}]{escape(text)}[/]", console)
-    for sentence in stale:
+    for sentence in scale_warnings:
         print_line(f"  [yellow]{escape(sentence)}[/yellow]", console)
 
 
@@ -98,7 +98,7 @@ def make_provenance(job: IdentificationJob, now: datetime) -> dict[str, Any]:
             "files": hash_files(data), "versions": collect_versions()}
 
 
-def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], car: VehicleParameters,
+def write_results(job: IdentificationJob, outcomes: Sequence[result.Identification], identified: VehicleParameters,
                   provenance: dict[str, Any]) -> dict[str, Path]:
     """Write figures, values, vehicle file and report; returns the paths by file name, without the figures."""
     output = FigureOutput(new_folder(job.folder, ""), FORMATS)
@@ -108,7 +108,7 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
         "identification.json": json_text({name: entry for outcome in outcomes
                                           for name, entry in outcome.to_document().items()}),
         "details.json": json_text(provenance | {"experiments": list(map(make_experiment_details, outcomes))}),
-        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), car, outcomes),
+        "vehicle.yaml": update_vehicle_text(Path(job.vehicle_file), identified, outcomes),
         "report.html": render_page(outcomes, figures, job.vehicle, provenance),
     }
     for name, text in texts.items():
@@ -116,14 +116,14 @@ def write_results(job: IdentificationJob, outcomes: Sequence[result.Identificati
     return {name: job.folder / name for name in texts}
 
 
-def update_vehicle_text(file: Path, car: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
+def update_vehicle_text(file: Path, identified: VehicleParameters, outcomes: Sequence[result.Identification]) -> str:
     """Text of the vehicle file with the identified entries replaced; if it is unreadable, text of a new file."""
     keys = [e.parameter for outcome in outcomes for e in outcome.estimates
             if find_quantity(e.parameter) is not None and e.status != "unidentifiable"]
     try:
-        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, car)
+        return edit_vehicle_text(file.read_text(encoding="utf-8"), keys, identified)
     except OSError:
-        return car.to_yaml()
+        return identified.to_yaml()
 
 
 def make_experiment_details(outcome: result.Identification) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def render_page(outcomes: Sequence[result.Identification], figures: Sequence[Pag
     """Content of report.html."""
     values = [f"{name} "
               + (status if status == "unidentifiable" else f"{value} {unit}".removesuffix(" 1") + f" ({status})")
-              for outcome in outcomes for name, value, _, _, unit, _, status in estimate_rows(outcome, vehicle)]
+              for outcome in outcomes for name, value, _, _, unit, _, status in make_estimate_rows(outcome, vehicle)]
 
     def make_excitation_table(c: result.Coverage) -> tuple[list[str], list[list[str]]]:
         return [f"from, {c.unit}", *(f"{edge:.4g}" for edge in c.edges[:-1])], [["samples", *map(str, c.counts)]]
@@ -163,4 +163,4 @@ def render_page(outcomes: Sequence[result.Identification], figures: Sequence[Pag
         title=f"{vehicle.name}: {', '.join(values)}", about=provenance,
         outcomes=list(zip(outcomes, figures, strict=True)), heads=COLUMN_NAMES,
         findings=collect_findings_by_drive(outcomes), correlation=make_correlation_table,
-        rows=lambda outcome: estimate_rows(outcome, vehicle), excitation=make_excitation_table)
+        rows=lambda outcome: make_estimate_rows(outcome, vehicle), excitation=make_excitation_table)

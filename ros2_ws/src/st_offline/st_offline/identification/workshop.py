@@ -1,4 +1,4 @@
-"""Experiments of `st identify` in the workshop: scales, turntables, axle lift, flat-plank tables of tyres."""
+"""Experiments of `st identify` in the workshop: scales, turntables, axle lift, flat-plank tyre tests."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,14 +15,14 @@ from st_core.regression import Z95
 from st_core.vehicle import TYRES
 from st_recordings.runs.errors import RunError
 
-from ..evaluation.drawing import TEXT, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
+from ..evaluation.drawing import TEXT_COLOUR, WIDTH, FigureOutput, PageFigure, apply_style, save_figure
 from .experiment import Experiment, IdentificationJob, MeasurementTable, read_columns
 
-NOTES = ("weighing", "driver", "payload")  # optional columns with text
-ANGLES = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
-LOADS = {"rear_left": ("kg",), "rear_right": ("kg",)}
-RADII = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
-OTHER_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
+TEXTS = ("weighing", "driver", "payload")  # optional columns
+ANGLE_COLUMNS = {"steering_wheel": ("deg", "rad"), "left_wheel": ("deg", "rad"), "right_wheel": ("deg", "rad")}
+LOAD_COLUMNS = {"rear_left": ("kg",), "rear_right": ("kg",)}
+RADIUS_COLUMNS = {"front_radius": ("m", "mm"), "rear_radius": ("m", "mm")}
+OPTIONAL_COLUMNS = {"pitch": ("deg", "rad"), "lift": ("m", "mm"), "car_mass": ("kg",)}
 TYRE_COLUMNS = {"load": ("n", "kn"), "slip_angle": ("deg", "rad"), "lateral_force": ("n", "kn")}
 # The first three colours are those of the paper, darkened for a white background.
 LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e")
@@ -30,19 +30,19 @@ LOAD_COLOURS = ("#3baa32", "#1792b5", "#d1048b", "#8c6d1f", "#5a5a5a", "#7e2f8e"
 
 def identify_scales(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify mass and CG position; each row of the files is one weighing."""
-    readings, names, loads, scales = [], [], [], set()
+    readings, names, loads, uncertainties = [], [], [], set()
     for file in job.files:
-        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)}, NOTES)
+        table = read_columns(file, dict.fromkeys(mass_and_cg.WHEELS, ("kg",)), {"scale_uncertainty": ("kg",)}, TEXTS)
         readings.append(np.stack([table.numbers[wheel] for wheel in mass_and_cg.WHEELS], axis=1))
         labels = table.texts.get("weighing") or [str(row) for row in range(1, len(table) + 1)]
         names += [f"{file.name}:{label}" for label in labels]
         notes = [table.texts.get(key, ("",) * len(table)) for key in ("driver", "payload")]
         loads += [", ".join(note for note in row if note) for row in zip(*notes, strict=True)]
-        scales |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
-    if len(scales) > 1:
-        raise RunError(job.files[0], f"scale_uncertainty_kg has several values: {sorted(scales)}",
+        uncertainties |= set(table.numbers.get("scale_uncertainty", np.array([mass_and_cg.SCALE_UNCERTAINTY])).tolist())
+    if len(uncertainties) > 1:
+        raise RunError(job.files[0], f"scale_uncertainty_kg has several values: {sorted(uncertainties)}",
                        "use one set of scales")
-    weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), scales.pop())
+    weighings = mass_and_cg.Weighings(np.concatenate(readings), tuple(names), tuple(loads), uncertainties.pop())
     return (mass_and_cg.identify_mass_and_cg(weighings, job.vehicle),)
 
 
@@ -58,7 +58,7 @@ def draw_scales(outcome: Identification, output: FigureOutput) -> PageFigure:
         axes.axvspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
         axes.axvline(estimate.value, color=MODEL_COLOUR["augmented"], label="estimate")
         used = data["is_used"]
-        axes.plot(values[used], rows[used], "o", color=TEXT, ms=5, label="weighing")
+        axes.plot(values[used], rows[used], "o", color=TEXT_COLOUR, ms=5, label="weighing")
         axes.plot(values[~used], rows[~used], "x", color=MEASURED_COLOUR, ms=6, label="left out")
         axes.set_xlabel(label)
         axes.ticklabel_format(useOffset=False)
@@ -82,9 +82,9 @@ def identify_ratio(job: IdentificationJob) -> tuple[Identification, ...]:
     """Identify the steering ratio; each file has one or more sweeps, named in the column `series`."""
     columns, names = [], []
     for file in job.files:
-        table = read_columns(file, ANGLES, texts=("series",))
+        table = read_columns(file, ANGLE_COLUMNS, texts=("series",))
         names += [f"{file.name}:{name}" for name in table.texts.get("series") or ("1",) * len(table)]
-        columns.append([table.numbers[name] for name in ANGLES])
+        columns.append([table.numbers[name] for name in ANGLE_COLUMNS])
     steering_wheel, left, right = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     return (identify_steering_ratio(Turntable(steering_wheel, left, right, tuple(names))),)
 
@@ -98,15 +98,15 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
     for side, marker in (("left", "<"), ("right", ">")):
         left.plot(steering, np.degrees(data[side]), marker, color=MEASURED_COLOUR, ms=4, mfc="none",
                   label=f"{side} wheel")
-    left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT, ms=3.5, label="mean")
+    left.plot(steering, np.degrees(data["mean"]), "o", color=TEXT_COLOUR, ms=3.5, label="mean")
     ends = np.array([steering.min(), steering.max()])
     level = float(np.degrees(np.mean(list(data["intercepts"].values()))))
     left.plot(ends, level + data["slope"] * ends, color=MODEL_COLOUR["augmented"],
               label=f"steering wheel / {estimate.value:.2f}")
-    left.set(xlabel="steering wheel angle, deg (left +)", ylabel="wheel angle, deg (left +)")
+    left.set(xlabel="steering wheel angle, deg (left positive)", ylabel="wheel angle, deg (left positive)")
     for k, name in enumerate(dict.fromkeys(data["sweeps"])):
         row = sweeps == name
-        right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT, ms=4.5,
+        right.plot(steering[row], np.degrees(data["residuals"][row]), "os^Dv<>P"[k % 8], color=TEXT_COLOUR, ms=4.5,
                    mfc="none", label=name)
     if data["significant"]:
         first, last = np.radians(ends)
@@ -114,7 +114,7 @@ def draw_ratio(outcome: Identification, output: FigureOutput) -> PageFigure:
         curve = data["cubic"][0] * grid + data["cubic"][1] * grid**3
         right.plot(np.degrees(grid), np.degrees(curve), color=MODEL_COLOUR["nonlinear"], label="cubic")
     right.axhline(0.0, color=MODEL_COLOUR["augmented"])
-    right.set(xlabel="steering wheel angle, deg (left +)", ylabel="mean wheel angle minus line, deg")
+    right.set(xlabel="steering wheel angle, deg (left positive)", ylabel="mean wheel angle minus line, deg")
     figure.legend(loc="outside lower left", ncols=4, fontsize=8)
     low, high = estimate.interval95
     title = f"Steering ratio {estimate.value:.2f}, 95 % interval {low:.2f} to {high:.2f}"
@@ -132,14 +132,14 @@ def identify_height(job: IdentificationJob) -> tuple[Identification, ...]:
     vehicle = job.vehicle
     parts, names, masses = [], [], set()
     for file in job.files:
-        table = read_columns(file, LOADS, {**RADII, **OTHER_COLUMNS}, ("series",))
+        table = read_columns(file, LOAD_COLUMNS, {**RADIUS_COLUMNS, **OPTIONAL_COLUMNS}, ("series",))
         series = table.texts.get("series") or ("1",) * len(table)
         names += [f"{file.name}:{name}" for name in series]
         masses |= {mass for mass in table.numbers.get("car_mass", np.zeros(0)).tolist() if np.isfinite(mass)}
         empty = np.full(len(table), np.nan)
         columns = table.numbers
         parts.append((_read_pitch(table, vehicle.wheelbase), columns["rear_left"] + columns["rear_right"],
-                      *(columns.get(name, empty) for name in RADII)))
+                      *(columns.get(name, empty) for name in RADIUS_COLUMNS)))
     if len(masses) > 1:
         raise RunError(job.files[0], f"car_mass_kg has several values: {sorted(masses)}",
                        "give measurements of one car")
@@ -153,9 +153,9 @@ def _read_pitch(table: MeasurementTable, wheelbase: float) -> np.ndarray:
     columns = table.numbers
     if "pitch" in columns:
         if not np.isfinite(columns["pitch"]).all():
-            raise RunError(table.file, "a row has no pitch", "fill that cell, or leave the row out")
+            raise RunError(table.file, "a row has no pitch", "fill that cell, or remove the row")
         return columns["pitch"]
-    if "lift" not in columns or not set(RADII) <= set(columns):
+    if "lift" not in columns or not set(RADIUS_COLUMNS) <= set(columns):
         raise RunError(table.file, "has neither a column pitch_deg, nor lift_m with front_radius_m and rear_radius_m",
                        "measure pitch or lift in every row")
     return compute_pitch(columns["lift"], columns["front_radius"], columns["rear_radius"], wheelbase)
@@ -171,9 +171,9 @@ def draw_height(outcome: Identification, output: FigureOutput) -> PageFigure:
     for k, (name, level) in enumerate(data["intercepts"].items()):
         row = lifts == name
         marker = "os^Dv<>P"[k % 8]
-        left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT, ms=4.5, mfc="none", label=name)
+        left.plot(pitch[row], data["rear_load"][row], marker, color=TEXT_COLOUR, ms=4.5, mfc="none", label=name)
         left.plot(np.degrees(grid), level + data["slope"] * np.tan(grid), color=MODEL_COLOUR["augmented"], lw=1.0)
-        right.plot(pitch[row], data["single"][row], marker, color=TEXT, ms=4.5, mfc="none")
+        right.plot(pitch[row], data["single"][row], marker, color=TEXT_COLOUR, ms=4.5, mfc="none")
     left.set(xlabel="pitch, deg", ylabel="load on the rear wheels, kg")
     left.legend(title="lift", fontsize=8)
     right.axhspan(*estimate.interval95, color=MODEL_COLOUR["augmented"], alpha=0.2, lw=0, label="95 % interval")
@@ -195,7 +195,7 @@ CG_HEIGHT = Experiment("cg-height", "CG height from the axle-lift test (ISO 1039
 
 
 def identify_lambda(job: IdentificationJob) -> tuple[Identification, ...]:
-    """Identify the stiffness scale lambda_ky. Files: flat-plank tables for the tyre uncertainty, or none."""
+    """Identify the stiffness scale factor lambda_ky. Files: flat-plank tables for the tyre uncertainty, or none."""
     uncertainties = {}
     for table in read_tyre_tables(job.files) if job.files else ():
         axle = table.tyre.removeprefix("tyre_")
@@ -234,15 +234,15 @@ def draw_tyre(outcome: Identification, output: FigureOutput) -> PageFigure:
         middle.plot(slip[row], data["residuals"][row], "o", color=colour, ms=3)
         value, deviation = np.abs(data["stiffness"][k])
         right.errorbar(load, value / 1e3, Z95 * deviation / 1e3, fmt="o", color=colour, ms=4)
-    left.set(xlabel="slip angle, deg (sliding to the left +)", ylabel="lateral force, N")
+    left.set(xlabel="slip angle, deg (positive: slides left)", ylabel="lateral force, N")
     left.legend(title="load", fontsize=8)
-    middle.axhline(0.0, color=TEXT, lw=0.8)
+    middle.axhline(0.0, color=TEXT_COLOUR, lw=0.8)
     middle.set(xlabel="slip angle, deg", ylabel="fit minus measurement, N")
     right.plot(data["levels"], np.abs(data["stiffness"][:, 0]) / 1e3, color=MODEL_COLOUR["nonlinear"], lw=0.8)
     right.set(ylim=(0.0, None), xlabel="load, N", ylabel="cornering stiffness, kN/rad")
-    share = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
+    percentage = 100.0 * np.sqrt(np.mean(data["residuals"] ** 2)) / np.abs(data["force"]).max()
     axle = data["tyre"].removeprefix("tyre_")
-    title = f"Magic Formula of the {axle} tyre: RMS residual {share:.2f} % of the largest force"
+    title = f"Magic Formula of the {axle} tyre: RMS residual {percentage:.2f} % of the largest force"
     return save_figure(figure, output, data["tyre"].replace("_", "-"), title,
                        "Points: measured. Lines: Magic Formula. Bars: 95 % interval of the stiffness at zero slip.")
 
@@ -251,6 +251,6 @@ TYRE = Experiment("tyre", "Magic Formula parameters from flat-plank tyre tests",
                   "CSV: tyre (front or rear), load_n, slip_angle_deg, lateral_force_n",
                   lambda job: tuple(identify_magic_formula(table, getattr(job.vehicle, table.tyre))
                                     for table in read_tyre_tables(job.files)), draw_tyre)
-LAMBDA = Experiment("lambda", "stiffness scale of the Magic Formula from the axle's stiffness",
+LAMBDA = Experiment("lambda", "stiffness scale factor of the Magic Formula, from the cornering stiffness of the axle",
                     "none, or the tables of flat-plank tests for the uncertainty of the tyre", identify_lambda,
                     files_needed=False)

@@ -28,12 +28,12 @@ class PredictionBands:
     """Bands around the predicted paths: from a bands file, adapted to the errors of this run, both, or none.
 
     file_hashes: hash of the model file by model, "" for a model of the paper. models, runners: as for `Evaluator`.
-    Raises ConfigurationError for bands of another car, model or configuration.
+    Raises ConfigurationError for bands of a different car, model or configuration.
     """
 
     def __init__(self, values: SimpleNamespace, vehicle: VehicleParameters, file_hashes: Mapping[str, str],
                  settings: PredictionSettings, models: Sequence[Model], runners: Mapping[str, Runner]):
-        self._reason, self._calibration = "", ""  # why calibrated bands are missing; text on the bands file
+        self._reason, self._calibration = "", ""  # why calibrated bands are missing; origin of the bands file
         self._calibrated: CalibratedBands | None = None
         self._adaptive: AdaptiveBands | None = None
         file = params.read_file(values, "bands_file", Bands.from_yaml)
@@ -64,8 +64,8 @@ class PredictionBands:
                       modes: Sequence[Mode]) -> Mapping[str, list[Band]]:
         """Bands by model for predictions of these modes that start at `time_ns`; empty without bands.
 
-        Without adaptation, they are those of the bands file, which has no planned modes. They are valid until the next
-        call.
+        Without adaptation, they are those of the bands file, which has no planned modes. The next call overwrites
+        them.
         """
         if self._adaptive:
             condition = conditions_now(history, time_ns) if self._calibration else ()  # only a bands file needs it
@@ -85,9 +85,9 @@ class PredictionBands:
             for score in self._scorer.poll():
                 self._adaptive.observe(score)
 
-    def add_predictions(self, start: Start, issued: Mapping[Mode, Mapping[str, Trajectory]]) -> None:
-        """Store the predictions just issued, by mode and model, until their horizon has passed; only if adaptive."""
-        for mode, trajectories in issued.items() if self._adaptive else ():
+    def add_predictions(self, start: Start, predictions: Mapping[Mode, Mapping[str, Trajectory]]) -> None:
+        """If adaptive, store the predictions just issued, by mode and model, until their horizon has passed."""
+        for mode, trajectories in predictions.items() if self._adaptive else ():
             for model, trajectory in trajectories.items():
                 self._scorer.add_prediction(model, start.time_ns, trajectory, mode)
 

@@ -20,7 +20,7 @@ from st_ros.polling import LATCHED, PolledSubscription
 from .. import convert
 
 QUEUE_DEPTH = 10  # queued plans, of which only the newest is used
-PLAN_TIMEOUT = 10.0  # s without a new plan until a refused one is dropped, because the planner has stopped
+PLAN_TIMEOUT = 10.0  # s without a new plan after which a refused one is dropped, because the planner has stopped
 NOT_USED = "not used: no prediction at the moment"
 
 
@@ -72,7 +72,7 @@ class CourseInput:
     """Predicts inputs from a recorded course. course: None without a `course_file`. horizon, step: of predictions [s].
 
     If the map origins of course and run (ins/origin) are known, the course is shifted into the map frame of this run;
-    a course of another site is not used.
+    a course of a different site is not used.
     """
 
     def __init__(self, node: Node, course: Course | None, vehicle: VehicleParameters, horizon: float, step: float):

@@ -1,4 +1,4 @@
-"""Receives the odometry and steering of predictor and evaluator, from one publisher each."""
+"""Receives odometry and steering for predictor and evaluator, each from a single publisher."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,11 +16,11 @@ from st_ros.polling import PolledSubscription, to_nanoseconds, wait_for_any
 
 from .. import convert
 
-SILENCE_TIMEOUT = 1.0  # s without a message after which another publisher can replace the accepted one
+SILENCE_TIMEOUT = 1.0  # s without a message after which a different publisher can replace the accepted one
 WARNING_DURATION = 10.0  # s of a warning after the last rejected message
 MAX_NUMBER_GAP = 1000  # largest gap in the accepted publisher's message numbers: 4 s at 250 Hz
 UNUSABLE_SAMPLE = "values not finite, or stamp repeated or more than 0.5 s older than the newest"
-QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, for a node without processor time
+QUEUE_DEPTH = 4000  # queued messages per topic: 16 s at 250 Hz, in case the node gets no processor time
 
 
 class PublisherLock:
@@ -29,16 +29,16 @@ class PublisherLock:
     A message does not name its publisher, but each publisher numbers its messages consecutively: they form a chain. If
     two chains have reached the same number, they cannot be distinguished, and neither is used.
 
-    names: full node names of all publishers at the last `update`. rejected: number of messages rejected so far.
+    names: full node names of all publishers at the last `update`. rejected_count: number of messages rejected so far.
     """
 
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()
-        self.rejected = 0
+        self.rejected_count = 0
         self._competing = self._indistinguishable = False
-        self._number: int | None = None  # sequence number of the newest accepted message
+        self._accepted_number: int | None = None  # sequence number of the newest accepted message
         self._accepted_at: float | None = None  # [s]
-        self._others: dict[int, float] = {}  # time of arrival [s] by newest number of each rejected chain
+        self._rejected_chains: dict[int, float] = {}  # time of arrival [s] by newest number of each rejected chain
         self._rejected_at: float | None = None  # [s]
 
     def update(self, names: Sequence[str]) -> None:
@@ -49,30 +49,31 @@ class PublisherLock:
     def accept(self, number: int | None, now: float) -> bool:
         """Whether to use a message. number: assigned by its publisher, None if unknown. now: time of arrival [s]."""
         if not self._competing or self._continues_chain(number, now):
-            self._number, self._accepted_at = number, now
+            self._accepted_number, self._accepted_at = number, now
             return True
-        self.rejected += 1
+        self.rejected_count += 1
         self._rejected_at = now
         if number is not None:
-            self._others.pop(number - 1, None)
-            self._others[number] = now
+            self._rejected_chains.pop(number - 1, None)
+            self._rejected_chains[number] = now
         return False
 
     def _continues_chain(self, number: int | None, now: float) -> bool:
-        if self._indistinguishable or number is None or self._number is None or self._accepted_at is None:
+        if self._indistinguishable or number is None or self._accepted_number is None or self._accepted_at is None:
             return False
-        self._others = {newest: time for newest, time in self._others.items() if now - time < SILENCE_TIMEOUT}
-        if number == self._number + 1:
-            self._indistinguishable = self._number in self._others
+        self._rejected_chains = {newest: time for newest, time in self._rejected_chains.items()
+                                 if now - time < SILENCE_TIMEOUT}
+        if number == self._accepted_number + 1:
+            self._indistinguishable = self._accepted_number in self._rejected_chains
             return not self._indistinguishable
         if now - self._accepted_at <= SILENCE_TIMEOUT:
             return False
         # Messages were lost, or the node was restarted while the killed one is still in the graph.
-        candidates = {newest for newest in self._others if self._may_follow(newest)} - {number - 1}
+        candidates = {newest for newest in self._rejected_chains if self._may_follow(newest)} - {number - 1}
         return len(set(self.names)) == 1 or (self._may_follow(number) and not candidates)
 
     def _may_follow(self, number: int) -> bool:
-        return self._number is not None and 0 < number - self._number <= MAX_NUMBER_GAP
+        return self._accepted_number is not None and 0 < number - self._accepted_number <= MAX_NUMBER_GAP
 
     def describe_competition(self, now: float) -> str:
         """Warning about competing publishers, empty without any. now: on the clock of `accept` [s]."""
@@ -81,20 +82,20 @@ class PublisherLock:
         if not self._competing or not (len(set(self.names)) > 1 or has_rejected):
             return ""
         names = ", ".join(self.names)
-        if self._indistinguishable or self._number is None:
-            return f"published by {len(self.names)} nodes that cannot be distinguished, none is used: {names}"
+        if self._indistinguishable or self._accepted_number is None:
+            return f"published by {len(self.names)} nodes that cannot be distinguished; none is used: {names}"
         return f"published by {len(self.names)} nodes ({names}); only the first one received is used"
 
 
 class _Input:
-    """One input topic. received: number of messages of the accepted publisher, including refused ones. last_refusal:
-    why the newest of them was refused, or "". arrived_ns: arrival of the newest of them [ns], host UTC."""
+    """One input topic. received_count: messages of the accepted publisher, including refused ones. last_refusal: why
+    the newest message was refused, or "". arrived_ns: time of its arrival [ns], host UTC."""
 
     def __init__(self, node: Node, signal: str, message_type: type, topic: str, on_change: Callable[[], None]):
         self.signal, self._on_change = signal, on_change
         self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
         self.lock = PublisherLock()
-        self.received = self.refused = self.arrived_ns = 0
+        self.received_count = self.refused_count = self.arrived_ns = 0
         self.last_refusal = ""
 
     def take_accepted(self) -> Iterator[Any]:
@@ -114,15 +115,15 @@ class _Input:
 
     def count(self, refusal: str) -> None:
         """Count a message. refusal: why it was refused, or ""."""
-        self.received += 1
-        self.refused += bool(refusal)
+        self.received_count += 1
+        self.refused_count += bool(refusal)
         self.last_refusal = refusal
 
     def make_check(self) -> Check:
-        name, values = f"input {self.signal}", {"received": self.received, "refused": self.refused}
+        name, values = f"input {self.signal}", {"received": self.received_count, "refused": self.refused_count}
         if self.last_refusal:
             return Check(name, diagnostics.WARN, f"refused: {self.last_refusal}", values)
-        if not self.received:
+        if not self.received_count:
             return Check(name, diagnostics.STALE, f"nothing received on {self.subscription.topic} yet", values)
         return Check(name, diagnostics.OK, "usable", values)
 
@@ -141,7 +142,7 @@ class Inputs:
         self._inputs = self._ins, self._steering
 
     def wait(self, since_ns: int, timeout: float) -> None:
-        """Process messages for `timeout` [s], or until each signal has one that arrived since `since_ns` (host UTC)."""
+        """Process messages for `timeout` [s], or until one of each signal has arrived since `since_ns` (host UTC)."""
         end = time.monotonic() + timeout
         self.drain()
         while (min(one.arrived_ns for one in self._inputs) < since_ns
@@ -162,8 +163,7 @@ class Inputs:
                 self._steering.count("" if accepted else UNUSABLE_SAMPLE)
 
     def explain(self, reason: str) -> str:
-        """The reason for a missing prediction; if it names a signal whose messages are refused, also the reason for
-        that."""
+        """The reason why a prediction is missing; if messages of the signal it names are refused, also why."""
         for one in self._inputs:
             if one.last_refusal and reason.startswith(one.signal):
                 return f"{reason}; messages arrive but are refused: {one.last_refusal}"
@@ -171,7 +171,7 @@ class Inputs:
 
     def make_checks(self) -> list[Check]:
         warnings = {one.subscription.topic: one.lock.describe_competition(_read_utc()) for one in self._inputs}
-        rejected = {f"{one.signal} messages of other publishers": one.lock.rejected for one in self._inputs}
+        rejected = {f"{one.signal} messages of other publishers": one.lock.rejected_count for one in self._inputs}
         text = "; ".join(f"{topic} is {warning}" for topic, warning in warnings.items() if warning)
         level = diagnostics.ERROR if text else diagnostics.OK
         return [Check("publishers", level, text or "at most one of each input", rejected),

@@ -28,11 +28,11 @@ from ._inputs import Inputs
 
 WORK_PERIOD, SUMMARY_PERIOD = 0.05, 1.0  # s
 MODES = ("forecast", "hindsight")  # scored for every forecast, in the order of the summary
-LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
+DIAGNOSTIC_LEVELS = {"warning": diagnostics.WARN, "error": diagnostics.ERROR}
 HISTORY_SPAN = 65.0  # s of measurements stored: longest horizon of a predictor plus the wait for late signals
 ERROR_DEPTH = 1000  # at the end of a run, the scores of a whole horizon are published at once for all models and modes
 QUEUE_DEPTH = 500  # queued predictions per topic: 50 s at 10 Hz, 5 s of a fast replay
-# SI: more than rounding differences between computers, less than another vehicle file causes (centimetres in 1 s).
+# SI units; above rounding differences between computers, below the effect of a different vehicle file (cm in 1 s).
 TRAJECTORY_TOLERANCE = 1.0e-6
 
 
@@ -157,12 +157,12 @@ class EvaluatorNode(Node):
             level, text = diagnostics.WARN, self._rejection
         elif mismatched:
             level, text = diagnostics.WARN, (
-                f"predictions of {', '.join(mismatched)} were made with another vehicle or model than this node uses: "
-                "set the same vehicle_file and model_file in predictor and evaluator")
+                f"predictions of {', '.join(mismatched)} were made with a different vehicle or model than this node "
+                "uses: set the same vehicle_file and model_file in predictor and evaluator")
         recording = (make_recording_check(self._bag) if self._bag else
                      Check("recording", diagnostics.OK, "off (output_directory is empty)"))
         verdict = self._consistency.verdict
-        severity = LEVELS.get(verdict.severity, diagnostics.OK)
+        severity = DIAGNOSTIC_LEVELS.get(verdict.severity, diagnostics.OK)
         consistency = Check("consistency", severity, verdict.message, verdict.values)
         return [Check("scoring", level, text, values), recording, consistency, make_coverage_check(self._coverages),
                 *self._inputs.make_checks()]
