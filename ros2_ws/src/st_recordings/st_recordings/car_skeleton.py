@@ -171,8 +171,8 @@ def list_uncertainties(vehicle: VehicleParameters) -> list[str]:
         elif default is not None:
             size = f"{100 * default.size:g} %" if default.relative else f"{uncertainty:.3g}{unit}"
             lines.append(f"{key} assumed +/- {size} ({default.source}); give `uncertainty` to change that")
-    fitted = [key for key in keys_without if "." not in key and key not in FIXED_QUANTITIES]
-    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(fitted)}"] if fitted else lines
+    fit_keys = [key for key in keys_without if "." not in key and key not in FIXED_QUANTITIES]
+    return [*lines, f"free in st discover unless `uncertainty` is given: {', '.join(fit_keys)}"] if fit_keys else lines
 
 
 def _find_vehicle_problems(file: Path) -> list[str]:
@@ -231,12 +231,12 @@ def _list_bus_remarks(car: Car) -> list[str]:
              f"{signal.unit!r} of the table is used" for signal in signals if find_dbc_unit(signal.dbc.unit) is None]
     if any(signal.name in SPEEDS for signal in signals):
         return notes
-    unused = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
+    names = [f"{message.name}.{signal.name}" for message in table.database.messages for signal in message.signals
               if "speed" in signal.name.lower() and find_unit("speed", signal.unit or "") and
               not message.name.startswith("RT_")]
-    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(unused[:4])}: map one "
+    return [*notes, f"{car.signals}: it has no speed signal, but {car.dbc.name} has {', '.join(names[:4])}: map one "
             "to vehicle_speed (or wheel_speed_rear_left, ...); it aligns the clocks of INS and CAN log better than the "
-            "steering"] if unused else notes
+            "steering"] if names else notes
 
 
 def _find_unfilled_keys(document: Mapping[str, Any]) -> list[str]:

@@ -217,14 +217,14 @@ class BagWriter:
                 self._finish(self.directory)
                 break
             except OSError as write_error:
-                dropped = self._contents.drop_last_chunk() if write_error.errno in DISK_FULL_ERRORS else None
-                if dropped is None:
+                chunk_start = self._contents.drop_last_chunk() if write_error.errno in DISK_FULL_ERRORS else None
+                if chunk_start is None:
                     self.error += (f"; its index could not be written either ({write_error.strerror}): repair the bag "
                                    "with `st recover`")
                     with contextlib.suppress(OSError):
                         self._file.truncate(length)
                     break
-                length = dropped
+                length = chunk_start
         self._close_file(self._contents.counts().total())
 
 

@@ -96,8 +96,8 @@ def cached_by_version(maxsize: int) -> Callable[[Callable[[Path], T]], Callable[
             return None
 
     def decorate(function: Callable[[Path], T]) -> Callable[[Path], T]:
-        cached = lru_cache(maxsize)(lambda file, version: function(file))
-        return wraps(function)(lambda file: cached(file, find_version(file)))
+        cached_function = lru_cache(maxsize)(lambda file, version: function(file))
+        return wraps(function)(lambda file: cached_function(file, find_version(file)))
 
     return decorate
 

@@ -104,9 +104,9 @@ def _recover_directory(source: Path, target: Path) -> RecoveryReport:
         raise RecoveryError(f"{source} has no .mcap file")
     if target != source:
         target.mkdir(parents=True)
-    recovered = [_recover_file(file, target / file.name) for file in files]
-    report = RecoveryReport([file for file, _ in recovered])
-    information = _build_information(report.files, [contents for _, contents in recovered], source)
+    results = [_recover_file(file, target / file.name) for file in files]
+    report = RecoveryReport([file for file, _ in results])
+    information = _build_information(report.files, [contents for _, contents in results], source)
     if not _metadata_matches(target, information):
         information.save(target)
         report.metadata_rebuilt = True
@@ -247,6 +247,6 @@ def _metadata_matches(folder: Path, information: BagInformation) -> bool:
                 count_by_topic[topic["topic_metadata"]["name"]] += topic["message_count"]
     except (KeyError, TypeError):
         return False
-    expected, found = documents
+    rebuilt_document, on_disk = documents
     return counts[0] == counts[1] and all(
-        found.get(key) == expected[key] for key in ("message_count", "relative_file_paths", "duration"))
+        on_disk.get(key) == rebuilt_document[key] for key in ("message_count", "relative_file_paths", "duration"))

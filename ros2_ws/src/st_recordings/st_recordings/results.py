@@ -246,9 +246,9 @@ def _read_ticks(bag: Storage) -> dict[str, Any]:
     status = _read_last_message(bag, STATUS_TOPIC, "st_msgs/msg/PredictorStatus")
     if status is None:
         return {"due": 0, "predicted": 0, "skipped": 0}
-    skipped = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
-    return {"due": status.due, "predicted": status.predicted, "skipped": sum(skipped.values()),
-            "skipped_by_reason": skipped}
+    skip_counts = {"stale": status.skipped_stale, "overrun": status.skipped_overrun, "slow": status.skipped_slow}
+    return {"due": status.due, "predicted": status.predicted, "skipped": sum(skip_counts.values()),
+            "skipped_by_reason": skip_counts}
 
 
 def _read_scores(errors: Path) -> tuple[dict[tuple[str, str], MeanErrors], str]:

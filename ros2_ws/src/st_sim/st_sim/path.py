@@ -156,6 +156,6 @@ class SpeedProfile:
         """Speed [m/s] and acceleration [m/s^2] at a distance."""
         position = (distance % self._length) / self._step
         index = int(position) % len(self._squares)
-        before, after = self._squares[index], self._squares[(index + 1) % len(self._squares)]
-        square = before + (after - before) * (position - int(position))
-        return math.sqrt(square), (after - before) / (2 * self._step)
+        first_square, second_square = self._squares[index], self._squares[(index + 1) % len(self._squares)]
+        square = first_square + (second_square - first_square) * (position - int(position))
+        return math.sqrt(square), (second_square - first_square) / (2 * self._step)

@@ -115,15 +115,15 @@ class PredictorNode(Node):
         settings = params.read_prediction_settings(values)
         file = params.load_model(values, self._vehicle)
         models = [*values.models, *([file.model()] if file else [])]
-        loaded = params.translate_errors(values, lambda: [get_model(model) for model in models])
-        runners, backend = compile_models(loaded if values.compiled else (), self._vehicle, settings)
-        self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, loaded, settings, runners))
+        parsed_models = params.translate_errors(values, lambda: [get_model(model) for model in models])
+        runners, backend = compile_models(parsed_models if values.compiled else (), self._vehicle, settings)
+        self._core = params.translate_errors(values, lambda: Predictor(self._vehicle, parsed_models, settings, runners))
         self._hashes = dict.fromkeys(self._core.models, configuration_hash(self._vehicle, settings))
         file_hashes = dict.fromkeys(self._core.models, "")
         if file:
-            file_hashes[loaded[-1].name] = file.hash
-            self._hashes[loaded[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
-        self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, loaded, runners)
+            file_hashes[parsed_models[-1].name] = file.hash
+            self._hashes[parsed_models[-1].name] = configuration_hash(self._vehicle, settings, file.hash)
+        self._bands = PredictionBands(values, self._vehicle, file_hashes, settings, parsed_models, runners)
         return backend or "interpreted"
 
     def _make_publishers(self) -> None:

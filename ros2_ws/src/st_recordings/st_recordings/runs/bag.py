@@ -108,16 +108,16 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     storage.use_definitions({ODOMETRY} | {t.type_name for t in storage.topics if steering and steering.matches(t.name)})
     reconstruction = Reconstruction(storage, records)
     types = storage.by_type.keys()
-    required: dict[Topic, tuple[str, ...]] = {}
+    required_fields: dict[Topic, tuple[str, ...]] = {}
     if reads_odometry := bool(odometry) or ODOMETRY in types or NCOM not in types:
-        required[_find_topic(storage, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
+        required_fields[_find_topic(storage, ODOMETRY, odometry)] = _ODOMETRY_FIELDS
     if steering is None and (STEERING in types or CAN_FRAMES not in types):
-        required[_find_topic(storage, STEERING)] = _STEERING_FIELDS
-    optional = reconstruction.choose_auxiliary_fields()
-    by_topic = storage.columns({**required, **optional})
+        required_fields[_find_topic(storage, STEERING)] = _STEERING_FIELDS
+    auxiliary_fields = reconstruction.choose_auxiliary_fields()
+    by_topic = storage.columns({**required_fields, **auxiliary_fields})
     columns = {topic.type_name: by_topic.get(topic.name) or storage.read_one_by_one(topic, fields)
-               for topic, fields in required.items()}
-    topics = {topic.type_name: topic.name for topic in required}
+               for topic, fields in required_fields.items()}
+    topics = {topic.type_name: topic.name for topic in required_fields}
     if not reads_odometry:
         columns[ODOMETRY] = reconstruction.reconstruct_odometry(_ODOMETRY_FIELDS)
         topics[ODOMETRY] = storage.by_type[NCOM].name + RECONSTRUCTED_SUFFIX
@@ -132,8 +132,8 @@ def read_bag(path: Path, name: str | None = None, steering: SteeringField | None
     log, missing, row_notes, conversions = _build_drive_log(
         path, name or path.stem, columns[ODOMETRY], columns[STEERING], frame)
     stamps = {"INS": columns[ODOMETRY]["header.stamp"], "steering": columns[STEERING]["header.stamp"]}
-    recorded = {topic.type_name: by_topic[topic.name] for topic in optional if topic.name in by_topic}
-    auxiliary = reconstruction.collect_auxiliary_data(recorded, stamps, missing)
+    auxiliary_columns = {topic.type_name: by_topic[topic.name] for topic in auxiliary_fields if topic.name in by_topic}
+    auxiliary = reconstruction.collect_auxiliary_data(auxiliary_columns, stamps, missing)
     unknown_topics = tuple(f"{t.name} ({t.type_name})" for t in storage.topics if not (
         t.name in topics.values() or t.type_name.startswith("st_msgs/") or t.name.startswith(KNOWN_TOPIC_PREFIXES)))
     provenance: dict[str, Any] = {"reader": "bag", "topics": topics, "recorded": records}
@@ -169,14 +169,14 @@ def _replace_meaningless_stamps(storage: Storage, topics: Mapping[str, str],
     notes = []
     for kind, topic in topics.items():
         stamps = columns[kind]["header.stamp"]
-        repeated = int((np.diff(stamps) == 0).sum())
+        repeats = int((np.diff(stamps) == 0).sum())
         values = [np.nan_to_num(np.asarray(v, float)) for name, v in columns[kind].items() if name != "header.stamp"]
-        changed = np.any([np.diff(value) != 0 for value in values], axis=0)
-        are_resent = 2 * int((changed & (np.diff(stamps) == 0)).sum()) < int(changed.sum())
-        if (repeated > MAX_REPEATED_FRACTION * len(stamps) and not are_resent) or (len(stamps) == 2 and repeated):
+        has_changed = np.any([np.diff(value) != 0 for value in values], axis=0)
+        are_resent = 2 * int((has_changed & (np.diff(stamps) == 0)).sum()) < int(has_changed.sum())
+        if (repeats > MAX_REPEATED_FRACTION * len(stamps) and not are_resent) or (len(stamps) == 2 and repeats):
             columns[kind]["header.stamp"] = storage.read_log_times(topic, stamps)
-            problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeated == len(stamps) - 1
-                       else f"{format_count(repeated, len(stamps), 'stamps')} of {topic} repeat the previous one")
+            problem = (f"all {len(stamps)} stamps of {topic} are {stamps[0] * 1e-9:g} s" if repeats == len(stamps) - 1
+                       else f"{format_count(repeats, len(stamps), 'stamps')} of {topic} repeat the previous one")
             notes.append(f"{problem}; the times of reception are used")
     if len(topics) > 1 and not any(topic.endswith(RECONSTRUCTED_SUFFIX) for topic in topics.values()):
         by_kind = {kind: columns[kind]["header.stamp"] for kind in topics}
@@ -217,33 +217,33 @@ def _read_all_metadata_records(path: Path) -> dict[str, dict[str, str]]:
 
 def _find_topic(storage: Storage, type_name: str, name: str | None = None) -> Topic:
     """The topic of a type: the one with the given name, or else the preferred one. Raises RunError."""
-    path, found = storage.path, [t for t in storage.topics if t.type_name == type_name]
+    path, candidates = storage.path, [t for t in storage.topics if t.type_name == type_name]
     if name is not None:
-        named = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)
-        if named in found:
-            return named
-        problem = f"is of type {named.type_name}" if named else "has no messages in the recording"
+        named_topic = next((t for t in storage.topics if t.name.lstrip("/") == name.lstrip("/")), None)
+        if named_topic in candidates:
+            return named_topic
+        problem = f"is of type {named_topic.type_name}" if named_topic else "has no messages in the recording"
         raise RunError(path, f"--odometry-topic: {name} {problem}",
-                       f"topics of type {type_name}: {', '.join(sorted(t.name for t in found)) or 'none'}")
-    if not found:
-        recorded = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in storage.topics))[:300] or "nothing"
+                       f"topics of type {type_name}: {', '.join(sorted(t.name for t in candidates)) or 'none'}")
+    if not candidates:
+        topics = ", ".join(sorted(f"{t.name} ({t.type_name})" for t in storage.topics))[:300] or "nothing"
         has_other = type_name == STEERING and any(map(may_carry_steering, storage.topics))
-        other = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
-        raise RunError(path, f"it contains no message of type {type_name}; recorded: {recorded}",
-                       f"also record the topic {PREFERRED_TOPICS[type_name]}, or another of this type{other}")
-    preferred = [t for t in found if t.name.endswith(PREFERRED_TOPICS[type_name])] or found
-    if len(preferred) > 1:
-        names = ", ".join(sorted(t.name for t in preferred))
+        option = ", or name the topic of the steering angle with --steering-topic" if has_other else ""
+        raise RunError(path, f"it contains no message of type {type_name}; recorded: {topics}",
+                       f"also record the topic {PREFERRED_TOPICS[type_name]}, or another of this type{option}")
+    preferred_topics = [t for t in candidates if t.name.endswith(PREFERRED_TOPICS[type_name])] or candidates
+    if len(preferred_topics) > 1:
+        names = ", ".join(sorted(t.name for t in preferred_topics))
         raise RunError(path, f"several topics are of type {type_name}: {names}",
                        "name one of them with --odometry-topic" if type_name == ODOMETRY else
                        f"record only one of them, or one whose name ends with {PREFERRED_TOPICS[type_name]}")
-    return preferred[0]
+    return preferred_topics[0]
 
 
 def _read_frame_id(storage: Storage, topic: str) -> str:
     """header.frame_id of the first odometry message; empty if the definition of a header in the bag lacks it."""
-    first: Any = storage.store.deserialize_cdr(next(storage.messages(topic)), ODOMETRY)
-    return str(getattr(first.header, "frame_id", ""))
+    message: Any = storage.store.deserialize_cdr(next(storage.messages(topic)), ODOMETRY)
+    return str(getattr(message.header, "frame_id", ""))
 
 
 def _select_odometry(odometry: Mapping[str, np.ndarray], frame_id: str) -> tuple[

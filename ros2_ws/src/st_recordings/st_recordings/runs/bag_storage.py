@@ -136,28 +136,28 @@ class Storage(ABC):
         An INS may stamp with GPS time, 18 s ahead of UTC. If a delay varies, the times of reception are not those of
         the drive, as in topics that were computed later, and the stamps are not changed.
         """
-        given, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
-        is_common = _overlap(given)
+        series, topics = [times for _, times in stamps], " and ".join(topic for topic, _ in stamps)
+        is_common = _overlap(series)
         if is_common and not compares_clocks:
-            return given, []
-        received = [self.read_log_times(topic, each) for topic, each in stamps]
-        if not is_common and _overlap(received):
-            return received, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
-        delays = [times - each for times, each in zip(received, given, strict=True)]
+            return series, []
+        log_times = [self.read_log_times(topic, each) for topic, each in stamps]
+        if not is_common and _overlap(log_times):
+            return log_times, [f"the stamps of {topics} do not overlap in time; the times of reception are used"]
+        delays = [times - each for times, each in zip(log_times, series, strict=True)]
         shifts = [int(np.median(delay)) for delay in delays]
         delays_vary = not is_common or any(np.ptp(np.percentile(delay, (5, 95))) > MAX_SPREAD_NS for delay in delays)
         if delays_vary or max(shifts) - min(shifts) <= MAX_SPREAD_NS:
-            return given, []
+            return series, []
         early, late = (stamps[shifts.index(shift)][0] for shift in (min(shifts), max(shifts)))
-        return [each + shift - shifts[0] for each, shift in zip(given, shifts, strict=True)], [
+        return [each + shift - shifts[0] for each, shift in zip(series, shifts, strict=True)], [
             f"compared with the times of reception, the clock of {early} is {(max(shifts) - min(shifts)) * 1e-9:.3f} s "
             f"ahead of that of {late}; all stamps were moved to the clock of {stamps[0][0]}"]
 
 
 def _overlap(times: Sequence[np.ndarray]) -> bool:
     """Whether the spans of these times, without zeros, have a common part."""
-    known = [each[each != 0] for each in times]
-    return all(map(len, known)) and bool(max(each.min() for each in known) <= min(each.max() for each in known))
+    spans = [each[each != 0] for each in times]
+    return all(map(len, spans)) and bool(max(each.min() for each in spans) <= min(each.max() for each in spans))
 
 
 def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
@@ -181,8 +181,8 @@ def open_bag(path: Path, files: Sequence[Path] = ()) -> Storage:
 
 
 def _read_listed_files(directory: Path) -> list[str]:
-    listed = read_information(directory).get("relative_file_paths")
-    return [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
+    names = read_information(directory).get("relative_file_paths")
+    return [Path(str(name)).name for name in names] if isinstance(names, list) else []
 
 
 def list_bag_files(directory: Path) -> list[Path]:
@@ -195,10 +195,10 @@ def list_bag_files(directory: Path) -> list[Path]:
 def describe_missing_files(path: Path) -> list[str]:
     """A note on missing files: files listed in the metadata.yaml of a bag directory or, for a single file of a numbered
     recording, the files before it. Empty if none is missing."""
-    listed = _read_listed_files(path)
-    missing = [name for name in listed if not (path / name).is_file()]
+    listed_names = _read_listed_files(path)
+    missing = [name for name in listed_names if not (path / name).is_file()]
     if missing:
-        count = format_count(len(missing), len(listed), "files")
+        count = format_count(len(missing), len(listed_names), "files")
         return [f"{count} listed in metadata.yaml are missing: {', '.join(missing)[:200]}"]
     return [note] if path.is_file() and (note := _describe_missing_before(path)) else []
 
@@ -208,16 +208,16 @@ def _describe_missing_before(file: Path) -> str:
     stem, _, number = file.stem.rpartition("_")
     numbers = {int(end): other for other in file.parent.iterdir() if other.suffix == file.suffix
                and other.stem.rpartition("_")[0] == stem and (end := other.stem.rpartition("_")[2]).isdecimal()}
-    before = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
-    if before is None or (count := int(number) - before - 1) == 0:
+    previous = max((k for k in numbers if number.isdecimal() and k < int(number)), default=None)
+    if previous is None or (count := int(number) - previous - 1) == 0:
         return ""
-    earlier, own = read_time_span(numbers[before]), read_time_span(file)
-    if earlier is None or own is None:
+    previous_span, own_span = read_time_span(numbers[previous]), read_time_span(file)
+    if previous_span is None or own_span is None:
         return ""
-    lengths = [earlier[1] - earlier[0], own[1] - own[0]]
-    if not 0.5 * count * min(lengths) < own[0] - earlier[1] < 2 * count * max(lengths):
+    lengths = [previous_span[1] - previous_span[0], own_span[1] - own_span[0]]
+    if not 0.5 * count * min(lengths) < own_span[0] - previous_span[1] < 2 * count * max(lengths):
         return ""
-    return (f"{count} file{'s' if count > 1 else ''} between {numbers[before].name} and this one "
+    return (f"{count} file{'s' if count > 1 else ''} between {numbers[previous].name} and this one "
             f"{'are' if count > 1 else 'is'} missing, so these two are read as separate runs")
 
 
@@ -286,11 +286,11 @@ class McapStorage(Storage):
         super().__init__(path)
 
     def definitions(self) -> dict[str, tuple[str, str]]:
-        found: dict[str, tuple[str, str]] = {}
+        definitions: dict[str, tuple[str, str]] = {}
         for file, summary in self._files:
             schemas = summary.schemas.values() if summary else (s for s, _, _ in islice(_stream(file), 1000) if s)
-            found |= {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for s in schemas}
-        return found
+            definitions |= {s.name: (s.encoding, s.data.decode("utf-8", "replace")) for s in schemas}
+        return definitions
 
     def _count_messages(self) -> Counter[tuple[str, str]]:
         counts: Counter[tuple[str, str]] = Counter()
@@ -357,12 +357,12 @@ class SqliteStorage(Storage):
             yield from ((log_ns, _decompress(data)) for log_ns, data in _query(file, text, topic))
 
     def definitions(self) -> dict[str, tuple[str, str]]:
-        found: dict[str, tuple[str, str]] = {}
+        definitions: dict[str, tuple[str, str]] = {}
         for file in self._files:
             if any(_query(file, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'")):
                 rows = _query(file, "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
-                found |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
-        return found
+                definitions |= {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
+        return definitions
 
 
 def _decompress(data: bytes) -> bytes:
@@ -386,10 +386,10 @@ class RosbagsStorage(Storage):
             self._reader.open()
         super().__init__(path)
         if is_ros1:
-            recorded = {name: fields for name, fields in self._reader.typestore.fielddefs.items()
+            recorded_types = {name: fields for name, fields in self._reader.typestore.fielddefs.items()
                         if name not in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")}
             self.store = get_typestore(Stores.EMPTY)
-            self.store.register({**load_typestore().fielddefs, **recorded})
+            self.store.register({**load_typestore().fielddefs, **recorded_types})
 
     def _count_messages(self) -> Counter[tuple[str, str]]:
         return sum((Counter({(c.topic, c.msgtype): c.msgcount}) for c in self._reader.connections), Counter())
@@ -420,9 +420,9 @@ class _FieldCollector:
         if not self.is_uniform or not len(starts):
             return
         if self._layout is None:
-            first = buffer[starts[0] : starts[0] + sizes[0]].tobytes()
+            first_message = buffer[starts[0] : starts[0] + sizes[0]].tobytes()
             try:
-                example = self._store.deserialize_cdr(first, self._type_name)
+                example = self._store.deserialize_cdr(first_message, self._type_name)
                 self._layout = CdrLayout(self._store, self._type_name, example)
             except Exception:  # any, from rosbags; reading the messages one by one reports the error
                 self.is_uniform = False

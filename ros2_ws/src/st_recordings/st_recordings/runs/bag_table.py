@@ -73,10 +73,10 @@ def has_ins_channels(path: Path) -> bool:
     try:
         storage = open_bag(path)
         storage.use_definitions({topic.type_name for topic in storage.topics})
-        found = [_find_fields(storage, topic)[1] for topic in storage.topics]
+        fields_of_topics = [_find_fields(storage, topic)[1] for topic in storage.topics]
     except RunError:
         return False
-    return not find_missing_channels({channel for fields in found for channel in fields}, (), INS_SIGNALS)
+    return not find_missing_channels({channel for fields in fields_of_topics for channel in fields}, (), INS_SIGNALS)
 
 
 def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[str, str, float]], str]:
@@ -91,10 +91,10 @@ def _find_fields(storage: Storage, topic: Topic) -> tuple[str, dict[str, tuple[s
     paths = [path for path, field in layout.fields.items()
              if field.count == 1 and (has_orientation or not path.startswith("orientation."))]
     names = [f"{topic.name}/{path.replace('.', '/')}" for path in paths]
-    found = {channel: (names[source.column], paths[source.column], source.factor)
+    fields = {channel: (names[source.column], paths[source.column], source.factor)
              for channel, source in find_columns(storage.path, names, Layout()).items() if channel != "t"}
     stamp = next((path for path in STAMP_FIELDS if path in layout.fields), "")
-    return stamp, found if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
+    return stamp, fields if stamp else {}, getattr(getattr(example, "header", None), "frame_id", "")
 
 
 def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -102,18 +102,18 @@ def _read_columns(storage: Storage, topic: Topic) -> tuple[np.ndarray, dict[str,
 
     An INS field that is 0 or NaN in every message is left out, because its driver does not fill it.
     """
-    stamp, found, _ = _find_fields(storage, topic)
-    if not found:
+    stamp, fields, _ = _find_fields(storage, topic)
+    if not fields:
         return np.empty(0), {}
     status = ["status.status"] if topic.type_name in FIX_TYPES else []
-    columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in found.values())])
+    columns = storage.read_fields(topic, [stamp, *status, *(field for _, field, _ in fields.values())])
     stamps = columns[stamp] if columns[stamp].any() else storage.read_log_times(topic.name, columns[stamp])
     if status:
         lacks_fix = columns[status[0]] == NO_FIX
-        columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in found.values()}
-    empty_channels = {channel for channel, (_, field, _) in found.items() if not np.nan_to_num(columns[field]).any()}
+        columns |= {field: np.where(lacks_fix, np.nan, columns[field]) for _, field, _ in fields.values()}
+    empty_channels = {channel for channel, (_, field, _) in fields.items() if not np.nan_to_num(columns[field]).any()}
     empty_channels -= {*STEERING_ANGLES, *(() if empty_channels >= {*QUATERNION_CHANNELS} else QUATERNION_CHANNELS)}
-    channels = {channel: columns[field] for channel, (_, field, _) in found.items() if channel not in empty_channels}
-    steering = {channel: found[channel][2] * channels[channel] for channel in STEERING_ANGLES if channel in channels}
-    return stamps, {**{found[channel][0]: values for channel, values in channels.items() if channel not in steering},
+    channels = {channel: columns[field] for channel, (_, field, _) in fields.items() if channel not in empty_channels}
+    steering = {channel: fields[channel][2] * channels[channel] for channel in STEERING_ANGLES if channel in channels}
+    return stamps, {**{fields[channel][0]: values for channel, values in channels.items() if channel not in steering},
                     **steering}

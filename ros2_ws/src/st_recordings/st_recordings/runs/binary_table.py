@@ -240,7 +240,7 @@ def read_signals(file: Path, layout: Layout, warnings: list[str]) -> tuple[list[
 def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
     """(name with unit, group, index, number of signals with this name) of all signals except times; of those with the
     same name, the one with the most samples."""
-    longest: dict[str, tuple[str, int, int]] = {}
+    longest_signals: dict[str, tuple[str, int, int]] = {}
     lengths: dict[str, int] = {}
     occurrences: Counter[str] = Counter()
     for group, content in enumerate(mdf.groups):
@@ -254,8 +254,8 @@ def _list_signals(mdf: Any) -> list[tuple[str, int, int, int]]:
                 continue
             unit = mdf.get_channel_unit(group=group, index=index)
             lacks_unit = unit and not name.endswith(f"[{unit}]")
-            longest[name], lengths[name] = (f"{name} [{unit}]" if lacks_unit else name, group, index), length
-    return [(*signal, occurrences[name]) for name, signal in longest.items()]
+            longest_signals[name], lengths[name] = (f"{name} [{unit}]" if lacks_unit else name, group, index), length
+    return [(*signal, occurrences[name]) for name, signal in longest_signals.items()]
 
 
 def _open_file(file: Path) -> AbstractContextManager[Any]:

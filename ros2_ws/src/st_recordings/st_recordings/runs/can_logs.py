@@ -48,9 +48,9 @@ def read_can_logs(files: Sequence[Path]) -> CanLog:
         raise RunError(used_files[0], "some logs of the run have UTC times, but the times of others are relative to "
                        "the start", "read them with separate commands")
     warnings = [f"{log.files[0]}: {note}" for log in logs for note in log.warnings]
-    frames, repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
-    if repeated:
-        warnings.append(f"{used_files[0]}: {repeated} frames are in the logs more than once; each is used once")
+    frames, n_repeated = can_frames.remove_duplicates(can_frames.merge_by_time([log.frames for log in logs]))
+    if n_repeated:
+        warnings.append(f"{used_files[0]}: {n_repeated} frames are in the logs more than once; each is used once")
     warnings += [str(error) for error in errors] + _describe_missing_splits(used_files)
     return CanLog(frames, used_files, min(log.start_ns for log in logs), logs[0].is_utc, tuple(warnings),
                   tuple(step for log in logs for step in log.steps))
@@ -115,12 +115,12 @@ def _read_with_python_can(file: Path, kind: Format, notes: Sequence[str]) -> Can
     try:
         messages = kind.messages(file, format_notes)
         while block := list(itertools.islice(messages, BLOCK_SIZE)):
-            timed = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
-            n_untimed += len(block) - len(timed)
-            usable = [message for message in timed if len(message.data) <= MAX_DATA_LENGTH]
-            n_too_long += len(timed) - len(usable)
-            if usable:
-                parts.append(_build_frames(usable))
+            timed_messages = [message for message in block if 0.0 <= message.timestamp <= LATEST_TIME]
+            n_untimed += len(block) - len(timed_messages)
+            usable_messages = [message for message in timed_messages if len(message.data) <= MAX_DATA_LENGTH]
+            n_too_long += len(timed_messages) - len(usable_messages)
+            if usable_messages:
+                parts.append(_build_frames(usable_messages))
     except Exception as error:  # any, from the parsers
         raise RunError(file, f"cannot be read as a {kind.name} log ({shorten(error)})", "copy or export it again"
                        ) from None

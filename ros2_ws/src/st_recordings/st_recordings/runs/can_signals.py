@@ -78,19 +78,19 @@ def decode_signals(frames: Frames, table: SignalTable) -> CanSignals:
             if spec.is_needed and (fault := _describe_similar_id(frames.id, key)):
                 faults[message] = fault
             continue
-        decoded = _decode_message(frames, rows, spec)
+        decoded_message = _decode_message(frames, rows, spec)
         buses = np.unique(frames.bus[rows])
-        if decoded.fault and len(buses) > 1:
+        if decoded_message.fault and len(buses) > 1:
             by_bus = [_decode_message(frames, rows[frames.bus[rows] == bus], spec) for bus in buses.tolist()]
             best_bus = max(by_bus, key=lambda candidate: candidate.n_valid)
-            if best_bus.n_valid >= decoded.n_valid:
-                others = f"{len(rows) - best_bus.n_frames} frames of this identifier on other buses are not used"
-                decoded = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, others))))
-        if decoded.fault:
-            faults[message] = decoded.fault
-        if len(decoded.rejected_times_ns):
-            rejected_times_ns[message] = decoded.rejected_times_ns
-        signals |= {(signal.name, message): signal for signal in decoded.signals}
+            if best_bus.n_valid >= decoded_message.n_valid:
+                note = f"{len(rows) - best_bus.n_frames} frames of this identifier on other buses are not used"
+                decoded_message = replace(best_bus, fault="; ".join(filter(None, (best_bus.fault, note))))
+        if decoded_message.fault:
+            faults[message] = decoded_message.fault
+        if len(decoded_message.rejected_times_ns):
+            rejected_times_ns[message] = decoded_message.rejected_times_ns
+        signals |= {(signal.name, message): signal for signal in decoded_message.signals}
     return CanSignals(signals, faults, rejected_times_ns)
 
 
@@ -206,7 +206,7 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
     data: bytes of the frames from `stack_bytes`. time_ns: log times (n,). values: SI values (n,) by canonical name.
     """
     n = len(time_ns)
-    keep, valid, wrong_checksum = np.ones(n, bool), np.ones(n, bool), np.zeros(n, bool)
+    is_kept, valid, wrong_checksum = np.ones(n, bool), np.ones(n, bool), np.zeros(n, bool)
     faults = []
     for name, check in (("checksum", spec.checksum), ("counter", spec.counter)):
         if check is None or check.mode is Mode.OFF:
@@ -215,16 +215,16 @@ def check_frames(spec: MessageSpec, data: np.ndarray, time_ns: np.ndarray,
             wrong = wrong_checksum = ~check.is_correct(data, spec.dbc.frame_id)
         else:
             wrong = find_counter_faults(check.field, data, time_ns, wrong_checksum, spec.timeout_ns)
-        (keep if check.mode is Mode.DROP else valid)[wrong] = False
+        (is_kept if check.mode is Mode.DROP else valid)[wrong] = False
         if wrong.any():
             faults.append(f"{name} wrong in {wrong.sum()}")
-    accepted = keep.copy()
+    is_accepted = is_kept.copy()
     for signal in spec.signals:
         if signal.is_limited:
-            is_present = keep & np.isfinite(values[signal.name]) if signal.extractor.selectors else keep
+            is_present = is_kept & np.isfinite(values[signal.name]) if signal.extractor.selectors else is_kept
             is_plausible = find_plausible_frames(signal, spec, time_ns[is_present], values[signal.name][is_present])
-            accepted[is_present] &= is_plausible
+            is_accepted[is_present] &= is_plausible
             if len(implausible := values[signal.name][is_present][~is_plausible] / signal.factor):
                 worst = float(implausible[np.argmax(np.abs(implausible))])
                 faults.append(f"{signal.dbc.name} implausible (up to {worst:.6g} {signal.unit}) in {len(implausible)}")
-    return accepted, valid & accepted, f"{', '.join(faults)} of {n} frames" if faults else ""
+    return is_accepted, valid & is_accepted, f"{', '.join(faults)} of {n} frames" if faults else ""

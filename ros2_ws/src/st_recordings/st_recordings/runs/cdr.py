@@ -87,12 +87,12 @@ def add_definitions(store: Typestore, definitions: Mapping[str, tuple[str, str]]
     if all(name in store.fielddefs and _normalise(store.fielddefs[name][1]) == _normalise(fields)
            for name, (_, fields) in recorded_types.items()):
         return store
-    merged = get_typestore(Stores.EMPTY)
+    merged_store = get_typestore(Stores.EMPTY)
     try:
-        merged.register({**store.fielddefs, **recorded_types})
+        merged_store.register({**store.fielddefs, **recorded_types})
     except Exception:  # any, from rosbags: a definition contradicts itself
         return store
-    return merged
+    return merged_store
 
 
 def _normalise(fields: Any) -> list[tuple[str, Any]]:
@@ -174,8 +174,8 @@ class CdrLayout:
             field, values = self.fields[path], np.asarray(column)
             if path.endswith("stamp"):
                 values = np.stack(np.divmod(values, 1_000_000_000), axis=1)
-            typed = np.ascontiguousarray(values.reshape(n, field.count), dtype=field.dtype)
-            rows[:, field.offset : field.offset + field.width] = typed.view(np.uint8).reshape(n, field.width)
+            typed_values = np.ascontiguousarray(values.reshape(n, field.count), dtype=field.dtype)
+            rows[:, field.offset : field.offset + field.width] = typed_values.view(np.uint8).reshape(n, field.width)
         return rows
 
     def column(self, buffer: np.ndarray, starts: np.ndarray, path: str) -> np.ndarray:

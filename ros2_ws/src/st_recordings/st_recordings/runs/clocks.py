@@ -54,8 +54,8 @@ def align_clocks(ins: InsLog, can: CanSignals, offset: float | None = None, sear
         at_ns = int(pairs[0].other_time_ns[0]) if pairs else 0
         result = manual_alignment(round(offset * 1e9), at_ns, pairs)
     elif ins.is_utc and time_frames:
-        finest = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
-        result = _align_by_checked_time_frame(finest, pairs if not warning else [], latency)
+        finest_frame = min(time_frames, key=lambda s: TIME_FRAME_RESOLUTION.get(s.message, 1.0))
+        result = _align_by_checked_time_frame(finest_frame, pairs if not warning else [], latency)
     elif not pairs:
         reason = "the CAN log and the INS recording have no signal in common; give the offset (--offset)"
         return refused_alignment(reason), pairs
@@ -159,10 +159,10 @@ def _describe_opposite_sign(pairs: list[SharedSignal], result: Alignment, search
     """A note if a refused alignment would be accepted with the opposite steering sign; otherwise empty."""
     if result.verdict is not Verdict.REFUSED or pairs[0].min_deviation != MIN_VARIATION["curvature"]:
         return ""
-    mirrored = align([replace(pairs[0], other=-pairs[0].other)], search=search)
-    return "" if mirrored.verdict is Verdict.REFUSED else (
+    mirrored_alignment = align([replace(pairs[0], other=-pairs[0].other)], search=search)
+    return "" if mirrored_alignment.verdict is Verdict.REFUSED else (
         f"with the opposite steering_sign, curvature and steering have a correlation of "
-        f"{mirrored.signals[0].correlation:.2f}")
+        f"{mirrored_alignment.signals[0].correlation:.2f}")
 
 
 def _prefer_logger_clock(pairs: list[SharedSignal], result: Alignment) -> Alignment:

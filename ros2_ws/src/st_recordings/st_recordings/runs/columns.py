@@ -249,7 +249,7 @@ def find_columns(file: Path, names: Sequence[str], layout: Layout) -> dict[str, 
 def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
     """Channel -> its column with the best name; several if equally good names differ in their paths or are doubtful."""
     paths = {meaning.path for name in names if (meaning := _identify_channel(name))} - {""}
-    found: dict[str, list[ColumnSource]] = {}
+    columns: dict[str, list[ColumnSource]] = {}
     ranks: dict[str, int] = {}
     for number, name in enumerate(names):
         meaning = _identify_channel(name, paths)
@@ -257,18 +257,18 @@ def _find_best_columns(names: Sequence[str]) -> dict[str, list[ColumnSource]]:
             continue
         channel, rank, unit, _ = meaning
         if rank < ranks.get(channel, 2 * PATH_RANK):
-            found[channel], ranks[channel] = [], rank
-        if not found[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != found[channel][-1].name):
-            found[channel].append(_make_source(number, name, channel, unit))
-    headings = found.keys() & {"compass_heading", "course", "orientation_w"}
+            columns[channel], ranks[channel] = [], rank
+        if not columns[channel] or (rank == ranks[channel] >= DOUBTFUL_RANK and name != columns[channel][-1].name):
+            columns[channel].append(_make_source(number, name, channel, unit))
+    headings = columns.keys() & {"compass_heading", "course", "orientation_w"}
     if headings and ranks.get("yaw", 0) % PATH_RANK == DOUBTFUL_RANK:
-        del found["yaw"]
-    forward = found.get("velocity_x", [])
+        del columns["yaw"]
+    forward = columns.get("velocity_x", [])
     if [_without_unit(source.name) for source in forward] == ["v"] and "u" in (
             plain := [*map(_without_unit, names[:forward[0].column])]):
         number = plain.index("u")  # u and v may be the forward and the lateral velocity
         forward.insert(0, _make_source(number, names[number], "velocity_x", None))
-    return found
+    return columns
 
 
 def find_times(names: Sequence[str]) -> list[ColumnSource]:
@@ -370,9 +370,9 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     """All splits of a column name into name and unit, the whole name first; yaw_rate_deg_s: also (yaw_rate, deg_s)."""
-    bracketed = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
-    if bracketed:
-        base, unit = bracketed.groups()
+    match = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]\s*", name)
+    if match:
+        base, unit = match.groups()
         return [(base, "" if unit.strip() in ("", "-") else unit)]
     words = _CAMEL_CASE.sub("_", name)
     marks = [m.start() for m in re.finditer(r"[\s_,/.-]+", words)]

@@ -127,8 +127,8 @@ def build_ins_log(table: Table, required: Sequence[str], yaw_scale: float = 1.0)
     if rows.sum() < 2:
         _reject_without_fix(table)
         raise RunError(table.file, "it contains fewer than two usable rows", "remove it from the command")
-    counted = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
-    _count_missing(table, counted, (), notes)
+    counted_columns = {name: columns[name] for name in (*channels, *OPTIONAL_INS_SIGNALS) if name in columns}
+    _count_missing(table, counted_columns, (), notes)
     values = {name: columns[name][rows] for name in (*INS_SIGNALS, *OPTIONAL_INS_SIGNALS)
               if name in columns and np.isfinite(columns[name][rows]).any()}
     if "yaw" in values:

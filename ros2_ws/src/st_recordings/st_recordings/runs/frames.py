@@ -115,8 +115,8 @@ def remove_clock_steps(frames: Frames) -> tuple[Frames, list[tuple[int, float]]]
 def build_log(file: Path, parts: Sequence[Frames], notes: Sequence[str], start_ns: int | None = None) -> CanLog:
     """Builds the log of one file and removes the steps of its clock. parts: each in the order in which it was written.
     start_ns: by default the time of the first frame."""
-    corrected, found = zip(*map(remove_clock_steps, parts), strict=True)
-    frames, steps = merge_by_time(corrected), tuple(chain.from_iterable(found))
+    corrected_parts, steps_of_parts = zip(*map(remove_clock_steps, parts), strict=True)
+    frames, steps = merge_by_time(corrected_parts), tuple(chain.from_iterable(steps_of_parts))
     if steps:
         times = f"{len(steps)} times, first " if len(steps) > 1 else ""
         notes = [*notes, f"the logger's clock was set back {times}by {-steps[0][1]:.3f} s; the times after it were "

@@ -215,8 +215,8 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     """
     rows, n = signal.samples, len(signal.samples)
     members = {m.rsplit(".", 1)[-1]: m for m in rows.dtype.names or ()}
-    required = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
-    if missing := [member for member in required if member not in members]:
+    required_members = {"CAN_DataFrame": ("ID", "DataBytes"), "CAN_RemoteFrame": ("ID",)}.get(name, ())
+    if missing := [member for member in required_members if member not in members]:
         raise DamageError(f"its frames have no {missing[0]}")
 
     def get_column(short_name: str, default: int = 0) -> np.ndarray:
@@ -243,7 +243,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
         width = 8 if payload.shape[1] < 8 else 64
         payload = np.pad(payload[:, :width], ((0, 0), (0, max(width - payload.shape[1], 0))))
     identifier = get_column("ID").astype(np.uint32)
-    extended = get_column("IDE").astype(bool) | (identifier > 0x7FF)
+    is_extended = get_column("IDE").astype(bool) | (identifier > 0x7FF)
     length = _convert_lengths(get_column("DataLength"), channels["DataLength"]) if "DataLength" in members else \
         FD_LENGTHS[get_column("DLC", 8) & 15]
     flags = np.full(n, _FLAGS_OF_KIND[name], np.uint8)
@@ -251,7 +251,7 @@ def _build_frames(name: str, signal: Any, bus: int, start_ns: int, channels: Map
     flags[get_column("EDL").astype(bool)] |= frames.FD
     return frames.Frames(
         time_ns=start_ns + np.round(seconds * 1e9).astype(np.int64),
-        id=identifier & 0x1FFF_FFFF | np.where(extended, np.uint32(frames.EXTENDED), np.uint32(0)),
+        id=identifier & 0x1FFF_FFFF | np.where(is_extended, np.uint32(frames.EXTENDED), np.uint32(0)),
         payload=np.ascontiguousarray(payload), bus=get_column("BusChannel", bus).astype(np.uint8), flags=flags,
         length=np.minimum(length, payload.shape[1]).astype(np.uint8),  # codes 9 to 15 of a classic frame also mean 8
     )

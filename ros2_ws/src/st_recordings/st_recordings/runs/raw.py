@@ -71,12 +71,12 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     options = choose_clock_settings(source, settings)
     if not source.can and options["offset"] is None and options["search"] is None:
         # a bag with the frames on the clock of its odometry
-        alignment, shared = Alignment(), list[SharedSignal]()
+        alignment, shared_signals = Alignment(), list[SharedSignal]()
     else:
-        alignment, shared = align_clocks(ins, signals, **options)
+        alignment, shared_signals = align_clocks(ins, signals, **options)
     notes = []
     if alignment.verdict is Verdict.REFUSED and (part := _find_alignable_part(ins, signals, parts, options)):
-        span, alignment, shared = part
+        span, alignment, shared_signals = part
         signals = signals.select_interval(*span)
         can = replace(can, frames=can.frames.select(slice(*np.searchsorted(can.frames.time_ns, span).tolist())))
         steering = None if settings.for_alignment else find_steering(signals, can.files[0], table, can.warnings)
@@ -87,7 +87,7 @@ def read_raw(source: RunSource, settings: ReadSettings, keep_frames: bool = True
     delay, deviation = (1e3 * value for value in options["latency"])
     latency = f"{delay:g} ms (standard deviation {deviation:g} ms), {latency_source}"
     faults = [f"{can.files[0]}: {message}: {fault}" for message, fault in signals.faults.items()]
-    return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared, latency,
+    return RawRun(source.name, dbc, ins, can, signals, steering, alignment, shared_signals, latency,
                   (*source.notes, *ins.warnings, *can.warnings, *faults, *notes))
 
 
@@ -106,9 +106,9 @@ def _find_alignable_part(ins: InsLog, signals: CanSignals, parts: Sequence[tuple
     """((start, end) [ns], alignment, shared signals) of the longest part of a log that can be aligned; None if there is
     only one part, or none of the MAX_PARTS longest can be aligned."""
     for part in parts[:MAX_PARTS] if len(parts) > 1 else ():
-        alignment, shared = align_clocks(ins, signals.select_interval(*part), **options)
+        alignment, shared_signals = align_clocks(ins, signals.select_interval(*part), **options)
         if alignment.verdict is not Verdict.REFUSED:
-            return part, alignment, shared
+            return part, alignment, shared_signals
     return None
 
 

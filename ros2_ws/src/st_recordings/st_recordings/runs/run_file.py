@@ -196,17 +196,17 @@ def _find_matching_files(path: Path, key: str, value: Any) -> list[Path]:
     entries = [value] if isinstance(value, str) else value
     if not isinstance(entries, list) or not all(isinstance(e, str) for e in entries):
         raise RunError(path, f"{key}: expected a file or a list of files")
-    found: list[Path] = []
+    matching_files: list[Path] = []
     for text in entries:
         try:
             is_pattern = any(c in text for c in "*?[") and not _exists(path, text)
-            found += sorted(path.parent.glob(text)) if is_pattern else [_find_file(path, key, text)]
+            matching_files += sorted(path.parent.glob(text)) if is_pattern else [_find_file(path, key, text)]
         except RunError:
             raise
         except (ValueError, NotImplementedError, OSError) as error:
             raise RunError(path, f"{key}: {text[:100]!r} is not a valid pattern ({error})", "patterns are relative to "
                            "the folder of the run.yaml; * matches a part of a name, **/ matches folders") from None
-    return found
+    return matching_files
 
 
 def _parse_latency(path: Path, key: str, value: Any) -> tuple[float, float]:

@@ -50,12 +50,12 @@ def find_runs(paths: Sequence[Path | str]) -> list[RunSource]:
     for path in map(Path, paths):
         if not path.exists():
             folder = path.absolute().parent
-            others = [other.name for other in folder.iterdir()] if folder.is_dir() else []
-            advice = f"looked for in {folder}{yaml_text.suggest_key(path.name, others)}"
+            names = [other.name for other in folder.iterdir()] if folder.is_dir() else []
+            advice = f"looked for in {folder}{yaml_text.suggest_key(path.name, names)}"
             runs.append(_report_problem(path, "the file or folder does not exist", advice))
         elif path.is_dir() and find_reader(path) is None:
-            found = _search_folder(path)
-            runs += found or _report_folder_without_runs(path)
+            found_runs = _search_folder(path)
+            runs += found_runs or _report_folder_without_runs(path)
         elif is_run_file(path):
             runs += _read_run_file_or_problem(path)
         else:
@@ -83,10 +83,10 @@ def _report_folder_without_runs(folder: Path) -> list[RunSource]:
     bag = READERS["bag"]
     files = sorted(folder.rglob("*"))
     bags = [f for f in files if bag.accepts(f) and not any(bag.accepts(parent) for parent in f.parents)]
-    others = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
-    binary = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
-    return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary),
-            *map(_reject_unknown_file, others)] or [_report_problem(
+    unknown_files = [f for f in files if f.suffix.lower() in UNKNOWN_ADVICE.keys() - {*DOCUMENT_EXTENSIONS}]
+    binary_files = [f for f in files if f.suffix.lower() in BINARY_EXTENSIONS]  # their problems are found by reading
+    return [*(_make_single_run(f, bag) for f in bags), *(_make_single_run(f, READERS["csv"]) for f in binary_files),
+            *map(_reject_unknown_file, unknown_files)] or [_report_problem(
         folder, "this folder contains no recording", "give a folder with .ncom and CAN logs, bags, CSV or VBO files")]
 
 
@@ -255,17 +255,17 @@ def _report_problem(path: Path, problem: str, advice: str) -> RunSource:
 
 def _assign_distinct_names(runs: Sequence[RunSource]) -> list[RunSource]:
     """Gives runs distinct names, because results are stored by name; adds the folder or a number to repeated names."""
-    used: set[str] = set()
+    used_names: set[str] = set()
     renamed_runs = []
     for run in sorted(runs, key=lambda r: (r.name, str(r.path))):
         name = run.name
         if name in GENERIC_NAMES and run.files:
             name = run.path.absolute().parent.name or name
-        if name in used and run.files:
+        if name in used_names and run.files:
             name = f"{run.path.absolute().parent.name}_{run.name}"
         number = 2
-        while name in used:
+        while name in used_names:
             name, number = f"{run.name}_{number}", number + 1
-        used.add(name)
+        used_names.add(name)
         renamed_runs.append(replace(run, name=name))
     return renamed_runs

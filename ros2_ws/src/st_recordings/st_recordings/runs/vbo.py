@@ -136,11 +136,11 @@ def _correct_signs(table: Table) -> Table:
     if heading is not None and columns.keys() >= {"velocity_x", "yaw_rate"}:
         heading_rate = differentiate_yaw(table, -heading)
         rows = np.isfinite(columns["yaw_rate"]) & np.isfinite(heading_rate) & (np.abs(columns["velocity_x"]) > 3.0)
-        measured, expected = columns["yaw_rate"][rows], heading_rate[rows]
+        yaw_rate, derivative = columns["yaw_rate"][rows], heading_rate[rows]
         # The derivative is noise if the car drives straight. Means are not subtracted, because both are constant in a
         # steady turn.
-        is_turning = rows.sum() > 10 and np.median(np.abs(expected)) >= MIN_TURN_RATE
-        agreement = measured @ expected / max(np.linalg.norm(measured) * np.linalg.norm(expected), 1e-12)
+        is_turning = rows.sum() > 10 and np.median(np.abs(derivative)) >= MIN_TURN_RATE
+        agreement = yaw_rate @ derivative / max(np.linalg.norm(yaw_rate) * np.linalg.norm(derivative), 1e-12)
         if is_turning and agreement < -MIN_HEADING_AGREEMENT:
             columns["yaw_rate"] = -columns["yaw_rate"]
             notes.append(f"{table.file}: the yaw rate is positive in right turns; its sign was changed")
