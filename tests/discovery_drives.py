@@ -94,7 +94,7 @@ def linear_problem(effects: Sequence[str], truth: Mapping[str, float], seed: int
     rng = np.random.default_rng(seed)
     space = Space("nonlinear", DiscoverySettings(effects=tuple(effects)))
     shape = (count, len(Rows.time) * len(COLUMNS))
-    selected = np.isin(space.effect_of, effects)
+    selected = np.isin(space.effect_names, effects)
     blocks = np.arange(count) // block
 
     def draw() -> np.ndarray:

@@ -45,10 +45,10 @@ LIMITS = ("max_file_deviation", "min_relative_size", "min_peak_force", "unexplai
 SEARCH, PARTITIONS = sys.modules[Search.__module__], sys.modules[make_partitions.__module__]
 IN_SEARCH: dict[str, Any] = {
     **dict.fromkeys(("MAX_QUADRATIC_RISE", "RMS_CLIP_LIMIT", "DIVERGED_ERROR"), fit),
-    **dict.fromkeys(("MIN_CURVATURE", "PART_PRIOR", "MIN_INFORMATION_SHARE", "SIGN_DRAWS"), evidence),
+    **dict.fromkeys(("MIN_CURVATURE", "PART_PRIOR", "MIN_INFORMATION_FRACTION", "SIGN_DRAWS"), evidence),
     **dict.fromkeys(("NU", "DIFFERENCE_STEP", "MAX_SCALED_ERROR"), loss),
-    **dict.fromkeys(("CONTENDERS", "CONTENDER_SHARE"), SEARCH),
-    **dict.fromkeys(("MIN_RUNS", "MIN_PARTS", "SAME_SITE_SHARE", "PLACE_SIZE"), PARTITIONS),
+    **dict.fromkeys(("CONTENDERS", "CONTENDER_FRACTION"), SEARCH),
+    **dict.fromkeys(("MIN_RUNS", "MIN_PARTS", "SAME_SITE_FRACTION", "PLACE_SIZE"), PARTITIONS),
     "JOINT_DEVIATION": (fit, library_fit, SEARCH)}
 IN_REGIONS = dict.fromkeys(("MIN_EXCESS", "MIN_CONTRAST", "MIN_ERROR_RATIO", "MAX_EXCESS_RATIO", "MAX_CELL_DISTANCE",
                             "CELL_SIZE", "MIN_SEGMENT_DURATION", "MAX_CHANGE_POINTS", "MIN_TURNING_ACCELERATION"),

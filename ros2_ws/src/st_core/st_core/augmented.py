@@ -100,14 +100,14 @@ class AugmentedModel(Model):
         selected = tuple(effects)
         return self if len(selected) == len(self.effects) else _compose(self.base, selected, self.values)
 
-    def steering(self, time: np.ndarray, angle: np.ndarray, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def steering(self, time: np.ndarray, angle: np.ndarray, is_start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time [s] and angle [rad] of the road wheels, with delay, play and lag applied to a recording of the steering.
 
-        time: increasing, from any origin. begins: True at the first sample and after gaps, where the effects restart.
+        time: increasing, from any origin. is_start: True at the first sample and after gaps, where the effects restart.
         """
         for effect in self.active_effects:
             if effect.steering:
-                time, angle = effect.steering(time, angle, begins, self._theta(effect))
+                time, angle = effect.steering(time, angle, is_start, self._theta(effect))
         return time, angle
 
     def effective_road_wheel_angle(self, angle: Any, vehicle: VehicleParameters) -> Any:

@@ -107,16 +107,16 @@ def _make_inputs(base_inputs: Callable[..., tuple], effects: tuple[type[Effect],
     # Each effect receives the signals that it declares.
     hooks = [(index, effect.inputs, effect.prepare, [signals.index(name) for name in effect.signals])
              for index, effect in enumerate(effects)]
-    changing = [(index, change, rows) for index, change, _, rows in hooks if change]
-    preparing = [(index, prepare, rows) for index, _, prepare, rows in hooks if prepare or rows]
+    input_hooks = [(index, change, rows) for index, change, _, rows in hooks if change]
+    prepare_hooks = [(index, prepare, rows) for index, _, prepare, rows in hooks if prepare or rows]
 
     def inputs(angle, acceleration, p, *values):
-        if changing:
-            angle, acceleration = change_inputs(changing, angle, acceleration, values, p.thetas)
+        if input_hooks:
+            angle, acceleration = change_inputs(input_hooks, angle, acceleration, values, p.thetas)
         if only_inputs:
             return base_inputs(angle, acceleration, p.base)
         prepared: list[Any] = []
-        for index, prepare, rows in preparing:
+        for index, prepare, rows in prepare_hooks:
             declared = tuple([values[row] for row in rows])
             prepared += prepare(angle, acceleration, declared, p.thetas[index]) if prepare else declared
         return angle, acceleration, *prepared, *base_inputs(angle, acceleration, p.base)
@@ -164,7 +164,7 @@ def _make_instant(state, w, p):
     return Instant(state[0], state[1], state[2], state[3], state[4], state[5], w[0], w[1], w, p)
 
 
-def _state_of(instant):
+def _get_state(instant):
     return instant.x, instant.y, instant.velocity_x, instant.velocity_y, instant.yaw, instant.yaw_rate
 
 
@@ -183,7 +183,7 @@ def _make_dynamics(base: Model, layouts: list[_Layout], base_begin: int):
 
     def slips(instant):
         w, p = select_w_and_p(instant)
-        return slip_angles(_state_of(instant), w, p)
+        return slip_angles(_get_state(instant), w, p)
 
     def forces(slip_front, slip_rear, instant):
         w, p = select_w_and_p(instant)
@@ -191,7 +191,7 @@ def _make_dynamics(base: Model, layouts: list[_Layout], base_begin: int):
 
     def rates(force_front, force_rear, instant):
         w, p = select_w_and_p(instant)
-        return motion(_state_of(instant), force_front, force_rear, w, p)
+        return motion(_get_state(instant), force_front, force_rear, w, p)
 
     return slips, forces, rates
 

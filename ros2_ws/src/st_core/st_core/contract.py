@@ -101,8 +101,8 @@ def _check_backends(effect: type[Effect], vehicle: VehicleParameters, base: Mode
 
 
 def _check_mirror(effect: type[Effect], vehicle: VehicleParameters, base: Model, model: AugmentedModel) -> str:
-    if effect.kind == "surroundings":
-        return ""  # surroundings depend on the map and are not symmetric
+    if effect.kind == "environment":
+        return ""  # wind and slope depend on the map and are not symmetric
     opposite_values = {p.name: -p.initial for p in effect.parameters if p.odd}
     mirrored = model.with_values({effect.name: opposite_values}) if opposite_values else model
     paths = _predict_floats(mirrored, vehicle, side=-1.0) - MIRROR_SIGNS * _predict_floats(model, vehicle)
@@ -138,8 +138,8 @@ def _check_correction(effect: type[Effect], vehicle: VehicleParameters, base: Mo
     if effect.observe is None:
         return ""
     observed = np.array(model.observe(READING), float)
-    back = np.array(model.correct(Measured(*observed)), float)
-    error, change = np.abs(back - READING).max(), np.abs(observed - READING).max()
+    corrected = np.array(model.correct(Measured(*observed)), float)
+    error, change = np.abs(corrected - READING).max(), np.abs(observed - READING).max()
     if error <= CORRECTION_RESIDUAL * change:
         return ""
     return f"observe() changes a reading by {change:.3g}; after correct() an error of {error:.3g} remains"
@@ -150,7 +150,7 @@ REQUIREMENTS = {
     "at its initial values it changes something": _check_change,
     "finite at its bounds, and at standstill": _check_finite,
     "equal on floats, in batches, compiled and in CasADi": _check_backends,
-    "left and right are mirror images, except for surroundings and parameters with odd=True": _check_mirror,
+    "left and right are mirror images, except for the environment and parameters with odd=True": _check_mirror,
     "it does not make the car unstable": _check_stability,
     "correct() inverts observe()": _check_correction,
 }

@@ -66,11 +66,11 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
     """
     check_corrections(corrections)
     seconds = (log.ins_time_ns - log.ins_time_ns[:1]) * NANOSECOND
-    used = np.ones(len(seconds), bool)
+    is_used = np.ones(len(seconds), bool)
     for begin, end in leave_out:
-        used &= (seconds < begin - NANOSECOND) | (seconds > end + NANOSECOND)
-    if not used.all():
-        log = log.select_ins(used)
+        is_used &= (seconds < begin - NANOSECOND) | (seconds > end + NANOSECOND)
+    if not is_used.all():
+        log = log.select_ins(is_used)
     log = _correct_ins(log, corrections)
     if angle := corrections.get("heading", Correction()).add:
         changes: dict[str, Any] = {"yaw": log.yaw + angle}
@@ -85,7 +85,7 @@ def apply_corrections(log: DriveLog, corrections: Mapping[str, Correction], vehi
         log = replace(log, x=log.x + east, y=log.y + north)
     for name in STEERING:
         log = _correct_steering(log, corrections.get(name, Correction()), vehicle)
-    if used.any() and not len(log.ins_time_ns):
+    if is_used.any() and not len(log.ins_time_ns):
         raise StCoreError(f"{log.name}: the corrections leave no INS sample")
     return log
 

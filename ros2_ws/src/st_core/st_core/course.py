@@ -45,7 +45,7 @@ class Pass:
     """Continuous path of a recording.
 
     points: (n, 5), every SPACING m, columns as COLUMNS: INS point in the map frame [m], course angle of the INS point
-    from east, counter-clockwise + [rad], curvature yaw_rate/v_x [1/m], positive to the left, v_x [m/s].
+    from east, counter-clockwise positive [rad], curvature yaw_rate/v_x [1/m], positive to the left, v_x [m/s].
     """
 
     recording: str  # name of the recording
@@ -79,7 +79,7 @@ class Course:
     def find_near(self, x: float, y: float, direction: float) -> list[NearPoint]:
         """Nearest point of each lap within MAX_DISTANCE that runs in the direction of the car, the nearest lap first.
 
-        x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise + [rad].
+        x, y: INS point in the map frame [m]. direction: course angle from east, counter-clockwise positive [rad].
         """
         if not self.passes:
             return []
@@ -88,9 +88,9 @@ class Course:
         near = near[np.abs(wrap_angle(points[near, 2] - direction)) < MAX_HEADING_DIFFERENCE]
         index, row = index[near], row[near]
         distance = np.hypot(points[near, 0] - x, points[near, 1] - y)
-        # Points of one lap are consecutive; another lap of the same pass begins with a jump of the row.
-        begins = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
-        nearest = [lap[distance[lap].argmin()] for lap in np.split(np.arange(len(near)), begins)[1:]]
+        # Points of one lap are consecutive; the next lap of the same pass begins with a jump of the row.
+        starts = np.flatnonzero((np.diff(index, prepend=-1) != 0) | (np.diff(row, prepend=-9) > 1))
+        nearest = [lap[distance[lap].argmin()] for lap in np.split(np.arange(len(near)), starts)[1:]]
         return [NearPoint(int(index[k]), int(row[k]), float(distance[k]))
                 for k in sorted(nearest, key=distance.__getitem__)]
 
@@ -224,7 +224,7 @@ class EgoMotion(NamedTuple):
 
     @property
     def direction(self) -> float:
-        """Course angle of the INS point from east, counter-clockwise + [rad]."""
+        """Course angle of the INS point from east, counter-clockwise positive [rad]."""
         return self.yaw + math.atan2(self.velocity_y, self.velocity_x)
 
     @property
@@ -238,8 +238,8 @@ class CourseForecast:
     """Inputs predicted from a course."""
 
     inputs: InputSequence | None  # on the half-step grid of the horizon; None if the course is not used
-    curvature_share: float = 0.0  # weight of the course in the curvature, 0 to 1
-    speed_share: float = 0.0  # weight of the course in the speed, 0 to 1
+    curvature_weight: float = 0.0  # weight of the course in the curvature, 0 to 1
+    speed_weight: float = 0.0  # weight of the course in the speed, 0 to 1
     reason: str = ""  # why the course is not used, or ""
 
 
@@ -298,7 +298,7 @@ class CourseTracker:
         self._curvature_errors, self._speed_errors = np.array(INITIAL_CURVATURE_ERRORS), np.array(INITIAL_SPEED_ERRORS)
 
     def update(self, ego: EgoMotion) -> CourseForecast:
-        """The forecast from this start; without inputs if no pass fits, or if the car is slow or its motion unknown."""
+        """The forecast from this start; without inputs if no pass is similar, the car is slow or its motion unknown."""
         if not all(map(math.isfinite, ego)) or ego.velocity_x < PAUSE_SPEED:
             return CourseForecast(None, reason="course: the motion of the car is unknown, or the car is too slow")
         elapsed = self._advance(ego)
@@ -343,8 +343,8 @@ class CourseTracker:
             # With the held curvature, the car would have driven on an arc.
             turn = start.curvature * driven
             chord, length = start.direction + 0.5 * turn, driven * float(np.sinc(0.5 * turn / math.pi))
-            held = start.x + length * math.cos(chord), start.y + length * math.sin(chord)
-            positions = np.array([held, before + (row - int(row)) * (after - before)])
+            arc_end = start.x + length * math.cos(chord), start.y + length * math.sin(chord)
+            positions = np.array([arc_end, before + (row - int(row)) * (after - before)])
             squares = np.square(positions - (ego.x, ego.y)).sum(axis=1), np.square(distances - driven)
             self._curvature_errors, self._speed_errors = (
                 (1.0 - new_weight) * errors + new_weight * np.clip(new, *SQUARED_ERROR_LIMITS)
@@ -390,20 +390,20 @@ class CourseTracker:
         heading = ego.direction + cumulative_trapezoid(curvature, dx=SPACING, initial=0.0)
         positions = np.array([[ego.x, ego.y]]) + cumulative_trapezoid(np.stack([np.cos(heading), np.sin(heading)], 1),
                                                                       dx=SPACING, axis=0, initial=0.0)
-        curvature_shares, speed_shares = (errors**-2.0 / (errors**-2.0).sum()
+        curvature_weights, speed_weights = (errors**-2.0 / (errors**-2.0).sum()
                                           for errors in (self._curvature_errors, self._speed_errors))
         end_ns = ego.time_ns + self._horizon_ns
         self._pending.append(_PendingForecast(end_ns, self._distance, ego, distances, positions))
-        speed = speed_shares @ speed_forecasts
+        speed = speed_weights @ speed_forecasts
         distance = cumulative_trapezoid(speed, dx=float(t[1]), initial=0.0)
-        combined_curvature = (curvature_shares[0] * ego.curvature
-                              + curvature_shares[1] * np.interp(distance, SPACING * np.arange(length), curvature))
+        combined_curvature = (curvature_weights[0] * ego.curvature
+                              + curvature_weights[1] * np.interp(distance, SPACING * np.arange(length), curvature))
         share, angle = 1.0 - np.exp(-t / BLEND_TIME), ego.road_wheel_angle
         path = path_inputs(speed, combined_curvature, t, self._vehicle)
         inputs = InputSequence(angle + share * (path.road_wheel_angle - angle),
                                acceleration + share * (path.velocity_x_dot - acceleration),
                                {name: angle + share * (values - angle) for name, values in path.signals.items()})
-        return CourseForecast(inputs, float(curvature_shares[1]), float(speed_shares[3]))
+        return CourseForecast(inputs, float(curvature_weights[1]), float(speed_weights[3]))
 
 
 def course_inputs(course: Course, signals: LogSignals, vehicle: VehicleParameters, horizon: float,

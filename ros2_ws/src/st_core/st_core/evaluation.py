@@ -25,19 +25,19 @@ from a motion planner; course = from earlier drives at the same place."""
 class Score:
     """Error of one prediction, predicted minus measured, at the INS point, in axes along the measured heading.
 
-    NaN after a position jump, where no position was measured, and, in hindsight, after an unknown input. *_mean: mean
-    over all points of the horizon, the start included; NaN unless complete.
+    NaN after a position jump, where no position was measured, and, in the mode hindsight, after an unknown input.
+    *_mean: mean over all points of the horizon, the start included; NaN unless complete.
     """
 
     model: str
-    mode: Mode  # hindsight: simulated again with the measured inputs (the paper's protocol)
+    mode: Mode  # hindsight: predicted again with the measured inputs (the paper's protocol)
     start_ns: int
     complete: bool
     incomplete_reason: str
     horizon: np.ndarray  # time after the start, 0 first [s]
-    longitudinal: np.ndarray  # m, + predicted ahead
-    lateral: np.ndarray  # m, + predicted to the left
-    yaw: np.ndarray  # rad in [-pi, pi), + predicted further to the left
+    longitudinal: np.ndarray  # m, positive if predicted ahead
+    lateral: np.ndarray  # m, positive if predicted to the left
+    yaw: np.ndarray  # rad in [-pi, pi), positive if predicted further to the left
     longitudinal_mean: float
     lateral_mean: float
     yaw_mean: float
@@ -85,7 +85,7 @@ class Evaluator:
         return sum(len(group) for group in self._pending.values())
 
     def add_ins(self, sample: InsSample) -> bool:
-        """Add an INS sample; False if it was refused. If time jumps back, pending predictions become incomplete."""
+        """Add an INS sample; False if it was rejected. If time jumps back, pending predictions become incomplete."""
         generation = self.history.generation
         accepted = self.history.add_ins(sample)
         if self.history.generation != generation:
@@ -93,7 +93,7 @@ class Evaluator:
         return accepted
 
     def add_steering(self, time_ns: int, road_wheel_angle: float) -> bool:
-        """Add a road wheel angle [rad], positive to the left; False if it was refused."""
+        """Add a road wheel angle [rad], positive to the left; False if it was rejected."""
         return self.history.add_steering(time_ns, road_wheel_angle)
 
     def view(self, model: str) -> ModelView:
@@ -103,7 +103,7 @@ class Evaluator:
         return self._views[model]
 
     def add_prediction(self, model: str, start_ns: int, trajectory: Trajectory, mode: Mode = "forecast") -> None:
-        """Add a prediction (at the CG) to be scored. A forecast is scored in hindsight too, from the same start."""
+        """Add a prediction (at the CG) to be scored. A forecast is also scored in the mode hindsight."""
         key = (start_ns, len(trajectory.states) - 1, trajectory.step)
         self._pending.setdefault(key, []).append((model, mode, trajectory))
         if self.pending > self.MAXIMUM_PENDING:

@@ -157,7 +157,7 @@ class LogEvaluation:
     log_start_ns: int  # first INS sample of the drive
     starts_ns: np.ndarray  # (n,) starts of the predictions
     skipped: dict[str, int]  # number of starts without a prediction, by reason
-    incomplete: dict[str, int]  # number of starts not scored to the end in hindsight, by reason
+    incomplete: dict[str, int]  # number of starts not scored to the end in the mode hindsight, by reason
     conditions: dict[str, np.ndarray]
     errors: dict[tuple[str, Mode], ModelErrors]  # by (model, mode)
     horizon: np.ndarray  # (points,) [s]

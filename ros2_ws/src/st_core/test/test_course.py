@@ -84,11 +84,11 @@ def test_unusable_course_keeps_inputs_constant(leaf, logs, reason):
 def test_other_speed_profile_returns_to_constant_inputs(leaf):
     """First with the recorded speed profile, then at a constant 12 m/s through the same bends."""
     log, course = lap(60.0, name="new"), make_course(lap(150.0))
-    same_speed = [update.speed_share for update in track(course, log, leaf) if update.inputs is not None]
+    same_speed = [update.speed_weight for update in track(course, log, leaf) if update.inputs is not None]
     time_ns = T0 + np.round(np.cumsum(log.velocity_x / 12.0 * 0.01) * 1e9).astype(np.int64)
     steady = replace(log, ins_time_ns=time_ns, velocity_x=np.full_like(log.velocity_x, 12.0),
                      yaw_rate=log.yaw_rate / log.velocity_x * 12.0, steering_time_ns=time_ns)
-    other_speed = [update.speed_share for update in track(course, steady, leaf) if update.inputs is not None]
+    other_speed = [update.speed_weight for update in track(course, steady, leaf) if update.inputs is not None]
     assert np.mean(same_speed[200:]) > 0.8 and np.mean(other_speed[200:]) < 0.2
     assert max(abs(np.diff(other_speed))) < 0.2  # smooth transition
 

@@ -169,7 +169,7 @@ def test_quadratic_majorises_the_loss():
     np.testing.assert_allclose(q.cost, loss.window_losses(problem.start))
     rng = np.random.default_rng(0)
     for size in (1e-4, 0.3, 3.0):
-        d = np.where(np.isin(space.effect_of, FEW), size * rng.standard_normal(len(space)), 0.0)
+        d = np.where(np.isin(space.effect_names, FEW), size * rng.standard_normal(len(space)), 0.0)
         losses = loss.window_losses(problem.start + d * space.scale)
         quadratic = q.cost - 2.0 * q.gradient @ d + np.einsum("i,nij,j->n", d, q.hessian, d)
         assert (quadratic >= losses - 1e-9).all()
@@ -186,7 +186,7 @@ def test_quadratic_of_a_group_is_the_sum_over_its_windows():
         expected = [getattr(q, part)[groups == k].sum(axis=0) for k in range(3)]
         np.testing.assert_allclose(getattr(sums, part), expected)
     indices = problem.space.indices("mass", "yaw_inertia")
-    np.testing.assert_array_equal(q.only(indices).hessian, q.hessian[:, indices[:, None], indices])
+    np.testing.assert_array_equal(q.select(indices).hessian, q.hessian[:, indices[:, None], indices])
 
 
 def test_sensitivities_are_correct_at_a_bound_too():
@@ -239,7 +239,7 @@ def test_fit_recovers_the_true_values():
     fit = fit_problem(problem, *FEW)
     error = (fit.vector - problem.errors.truth) / problem.space.scale
     assert np.abs(error).max() < 0.01
-    assert set(problem.space.effect_of[fit.indices]) == {*FEW, ACCELEROMETER_GAIN}
+    assert set(problem.space.effect_names[fit.indices]) == {*FEW, ACCELEROMETER_GAIN}
 
 
 def test_fit_reaches_the_minimum_that_scipy_finds():
@@ -272,7 +272,7 @@ def test_without_a_prior_only_the_selected_effects_are_fitted():
     problem = linear_problem(FEW, {"mass": 1.0, "yaw_inertia": 1.0}, 11)
     fit = fit_problem(problem, "mass")
     moved = np.flatnonzero(fit.vector != problem.start)
-    assert set(problem.space.effect_of[moved]) <= {"mass", ACCELEROMETER_GAIN}
+    assert set(problem.space.effect_names[moved]) <= {"mass", ACCELEROMETER_GAIN}
     other = problem.fit(("yaw_inertia",), fit.sensitivities)  # the mass returns to its start value
     assert (other.vector[problem.space.indices("mass")] == problem.start[problem.space.indices("mass")]).all()
 

@@ -12,9 +12,9 @@ from st_core.discovery.loss import Errors, Loss
 from st_core.discovery.next_manoeuvre import (
     MIN_SEPARATION,
     choose_manoeuvre,
+    compute_separation,
     find_most_informative,
     list_separabilities,
-    separation,
     simulate_catalogue,
 )
 from st_core.discovery.result import FoundEffect
@@ -41,7 +41,7 @@ def explained():
 def test_horizon_errors_are_those_of_the_last_point(explained):
     problem, final, ends, *_ = explained
     rows = problem.held_out_rows(final).reshape(320, 4, len(COLUMNS))[:, -1]
-    squares = ends.of(final)
+    squares = ends.by_channel(final)
     np.testing.assert_allclose(squares["yaw_rate"], np.square(rows[:, 1]))
     np.testing.assert_allclose(squares["position_5s"], np.hypot(rows[:, 4], rows[:, 5]))
 
@@ -88,7 +88,7 @@ def test_interval_of_an_error_reduction_contains_it_and_that_of_no_reduction_con
 def test_error_comparison_names_the_worst_run_and_the_runs_with_a_larger_error(explained):
     _, final, ends, _, base = explained
     error = waterfall.compare_channel_errors(ends, base, final, {})["position_5s"]
-    after = ends.error_by_run("position_5s", ends.of(final)["position_5s"])
+    after = ends.error_by_run("position_5s", ends.by_channel(final)["position_5s"])
     assert (error.worst_run, error.worst) == (max(after, key=after.get), max(after.values())) and error.worse_runs == ()
     reverse = waterfall.compare_channel_errors(ends, final, base, {})["position_5s"]
     assert set(reverse.worse_runs) == set(after)
@@ -227,7 +227,7 @@ def test_separation_is_the_part_of_an_effect_orthogonal_to_the_other(cosine, rem
     vector = problem.space.null.copy()
     vector[one] += 2.0 * problem.space.scale[one]
     fit = replace(fit_problem(problem, "mass"), vector=vector)
-    result = separation(problem, fit, h, "mass", "road_bank", 8.0)
+    result = compute_separation(problem, fit, h, "mass", "road_bank", 8.0)
     assert result[0] == pytest.approx(cosine, abs=1e-6)
     assert result[1] == pytest.approx(np.sqrt(2.0 * 4.0 * 9.0 * remaining / 8.0), abs=1e-3)
 

@@ -1,4 +1,4 @@
-"""Axle forces of a fitted model, compared with the measured forces, and combinations of parameters of the car."""
+"""Axle forces of a fitted model, compared with the measured forces, and combinations of vehicle parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,8 +39,8 @@ GAIN_SPEED = 20.0  # m/s, where the steady-state yaw gain is evaluated
 class Axles:
     """Forces of both axles in a fitted model. joint_fit: covariance of the values; if None, there are no bands and the
     intervals have zero width. noise_ratio [1]: ratio of residual to noise, by which bands and intervals are widened.
-    near_vectors: of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if the
-    base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
+    near_vectors: vectors of effect sets that fit nearly as well; the bands include their curves. Raises StCoreError if
+    the base model has no tyres, the drives are too short, or the values are too uncertain for a vehicle file."""
 
     def __init__(self, problem: Problem, fit: Fit, joint_fit: JointFit | None, runs: Sequence[DriveLog],
                  vehicle: VehicleParameters, noise_ratio: float, near_vectors: Sequence[np.ndarray] = ()):
@@ -89,7 +89,7 @@ class Axles:
         return tuple(Combination(name, unit, float(value[i]), (low[i], high[i]), float(file[i]), effects[name])
                      for i, (name, unit) in enumerate(COMBINATIONS.items()))
 
-    def reached_force_ratios(self) -> dict[str, float]:
+    def compute_force_ratios(self) -> dict[str, float]:
         """Largest force up to the 99.5 % quantile of the slip in the drives, divided by the peak force [1], by axle."""
         ratios = {}
         for regression in self.regressions:
@@ -100,7 +100,7 @@ class Axles:
             ratios[regression.axle] = reached_force / max(float(force.max()), 1.0)
         return ratios
 
-    def effects_on(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
+    def find_effects_on_axle(self, axle: str, names: Sequence[str]) -> tuple[str, ...]:
         """The effects among `names` that change the force of an axle at the slip angles of the drives."""
         samples = next(regression.samples for regression in self.regressions if regression.axle == axle)
         slip = np.quantile(np.abs(samples.slip), (0.5, 0.95))
@@ -110,8 +110,8 @@ class Axles:
                    for name, model in models.items()}
         return tuple(name for name, change in changes.items() if np.abs(change).max() > MIN_FORCE_CHANGE)
 
-    def contradicting_axles(self, base: AugmentedModel,
-                            leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
+    def find_contradicting_axles(self, base: AugmentedModel,
+                                 leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[str, ...]:
         """Axles with measured forces that agree less with the model than with the vehicle file; none if sideslip is not
         measured or excitation is low. leave_one_out: see `Discovery`."""
         space, contradicting = self.problem.space, []

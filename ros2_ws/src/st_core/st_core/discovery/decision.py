@@ -49,14 +49,15 @@ def judge(e: Evidence, limits: Limits) -> Reason:
     if e.sensors_p_value is not None and e.sensors_p_value < limits.undecided_p:
         return Reason(SENSORS, e.name, {"sensors_p_value": e.sensors_p_value, "undecided_p": limits.undecided_p},
                       f"its value contradicts the redundant sensors (p = {e.sensors_p_value:.2g})")
-    known, change = e.file_comparison or (None, 0.0)
-    if known is not None and (z_score := known.z_score(change)) > limits.max_file_deviation:
-        return Reason(FILE, e.name, {"value": known.at(change), "file": known.value,
-                                     "standard_deviation": known.deviation, "z_score": z_score,
+    quantity, change = e.file_comparison or (None, 0.0)
+    if quantity is not None and (z_score := quantity.z_score(change)) > limits.max_file_deviation:
+        value = _format_with_unit(quantity.at(change), quantity.unit)
+        deviation = _format_with_unit(quantity.deviation, quantity.unit)
+        return Reason(FILE, e.name, {"value": quantity.at(change), "file": quantity.value,
+                                     "standard_deviation": quantity.deviation, "z_score": z_score,
                                      "max_file_deviation": limits.max_file_deviation},
-                      f"the best fit has {known.key} {_format_with_unit(known.at(change), known.unit)}, the vehicle "
-                      f"file {known.value:g} (standard deviation {_format_with_unit(known.deviation, known.unit)}): "
-                      "check the file; if it is correct, another cause has the same effect")
+                      f"the best fit has {quantity.key} {value}, the vehicle file {quantity.value:g} (standard "
+                      f"deviation {deviation}): check the file; if it is correct, another cause has the same effect")
     if e.bound_distance < limits.at_bound:
         return Reason(BOUND, e.name, {"bound_distance": e.bound_distance, "at_bound": limits.at_bound},
                       "its value is at a bound, so the best fit is beyond the physical range")
@@ -150,11 +151,11 @@ def _relevance_values(e: Evidence, limits: Limits) -> dict[str, float]:
 def judge_naming(e: Evidence, limits: Limits, excludes_null: bool = True, parameter_at_bound: str = "",
                  peak_force_share: float = 1.0, worse_axle: str = "", summands: Sequence[str] = (),
                  violation: str = "") -> Reason:
-    """Whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
+    """Verdict on whether an accepted effect is named, or only stays in the model to avoid a bias of the other values.
 
-    excludes_null: whether an interval excludes the null. parameter_at_bound: one with an interval that crosses its
-    bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles; 1
-    if the effect does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
+    excludes_null: whether an interval excludes the null. parameter_at_bound: parameter with an interval that crosses
+    its bound, or "". peak_force_share [1]: force reached in the drives divided by the peak force, larger of both axles;
+    1 if the effect does not act on the peak. worse_axle: an axle on which the effect acts and where the measured forces
     agree better with the vehicle file than with the final model, or "". summands: other effects of the model, of which
     only the sum with this effect is identifiable. violation: range that the car with this effect would violate (see
     `handling.find_implausible_values`), or "".
@@ -210,7 +211,7 @@ def varies_relevantly(e: Evidence, limits: Limits) -> bool:
 
 
 def judge_alternative(rival: Rival, limits: Limits) -> Reason:
-    """Whether another effect is an alternative to an effect of the final model."""
+    """Verdict on a rival as an alternative to an effect of the final model."""
     figures = {"share": rival.share, "added": rival.added, "p_no_worse": rival.p_no_worse, "deficit": rival.deficit,
                "min_rival_gain": limits.min_rival_gain, "undecided_p": limits.undecided_p,
                "unexplained_share": limits.unexplained_share}

@@ -1,4 +1,4 @@
-"""Discovery, from recorded drives, of the effects that a model lacks, with their values and the remaining residual."""
+"""Finds the effects that a model lacks, with their values, and the remaining residual, from recorded drives."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ from .windows import MARGIN_NS, MIN_SPEED, Windows
 Progress = Callable[[str, int, int], None]
 SensorEstimates = Mapping[str, tuple[float, float, float]]
 MIN_WINDOWS = 3  # smallest number of predictions that can be divided into a fit and a test
-MIN_TURNING_SHARE = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
+MIN_TURNING_FRACTION = 0.05  # smallest fraction of driving in turns, and of turns to each side, without a warning
 CONTAINED_IN_INPUT = "the measured forward acceleration is an input and already contains it"
 NEVER_TESTABLE = {"drag": CONTAINED_IN_INPUT, "rolling_resistance": CONTAINED_IN_INPUT,
                   "grade": f"{CONTAINED_IN_INPUT}; pitch is not measured"}  # effect: reason
@@ -226,8 +226,8 @@ class _Analysis:
         return (problem, state.fit) if gain < self.limits.relevant or after > before else (without_priors, fit)
 
     def _make_problem(self) -> tuple[Problem, dict[str, float]]:
-        """(problem, noise by column). With a reference, the problem starts from the fit to the reference drives, and
-        the position error of this fit counts as noise of position_5s."""
+        """(problem, noise by column). With reference drives, the problem starts from the fit to these drives, and the
+        position error of this fit counts as noise of position_5s."""
         settings, space = self.settings, self.space
         start, prior, gain_between_drives, by_column = space.null, None, 0.0, self.windows.noise_floor()
         if self.reference:
@@ -290,9 +290,9 @@ class _Analysis:
             self.warnings.append(f"only {count} of {self.settings.block:g} s: tests have little power")
         lateral_acceleration = self.windows.joined.yaw_rate * self.windows.joined.velocity_x
         left, right = ((side * lateral_acceleration > MIN_TURNING_ACCELERATION).mean() for side in (1.0, -1.0))
-        if left + right < MIN_TURNING_SHARE:
+        if left + right < MIN_TURNING_FRACTION:
             self.warnings.append("nearly all driving is straight: tyres, steering ratio and mass are not identifiable")
-        elif min(left, right) < MIN_TURNING_SHARE * (left + right):
+        elif min(left, right) < MIN_TURNING_FRACTION * (left + right):
             self.warnings.append("turns to one side only: offsets of sensors and steering are not separable from "
                                  "changes of the car")
 
@@ -305,8 +305,9 @@ class _Analysis:
             self, state: SearchState, joint_fit: JointFit | None, noise_ratio: float,
             ) -> tuple[Axles | None, tuple[ForceCurve, ...], tuple[result.Combination, ...]]:
         """(axle forces of the final model, force curves, combinations); (None, (), ()) for a base model without tyres,
-        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With a
-        reference, combinations are left out: they are compared with the vehicle file, not with the healthy car."""
+        for driving without slip, and for values so uncertain that they exceed the limits of a vehicle file. With
+        reference drives, combinations are left out: they are compared with the vehicle file, not with the healthy
+        car."""
         base = self.space.at(self.problem.start)
         try:
             axles = Axles(self.problem, state.fit, joint_fit, self.runs, self.vehicle, noise_ratio,
@@ -317,15 +318,15 @@ class _Analysis:
 
     def _name_effects(self, state: SearchState, effects: Sequence[result.FoundEffect], axles: Axles | None,
                       leave_one_out: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, result.Reason]:
-        """Verdict on each effect of the final fit. With a reference, intervals include the uncertainty of the healthy
-        car, so verdicts do not use them."""
+        """Verdict on each effect of the final fit. With reference drives, intervals include the uncertainty of the
+        healthy car, so verdicts do not use them."""
         worse_axles: dict[str, str] = {}
         violations: dict[str, str] = {}
         reached_force_ratio, names = 1.0, [e.name for e in effects]
         if axles is not None and not self.reference:
-            reached_force_ratio = max(axles.reached_force_ratios().values())
-            for axle in axles.contradicting_axles(self.space.at(self.space.null), leave_one_out):
-                worse_axles |= dict.fromkeys(axles.effects_on(axle, names), axle)
+            reached_force_ratio = max(axles.compute_force_ratios().values())
+            for axle in axles.find_contradicting_axles(self.space.at(self.space.null), leave_one_out):
+                worse_axles |= dict.fromkeys(axles.find_effects_on_axle(axle, names), axle)
             for name in names:
                 model = self.space.at(self.problem.start).with_values({name: self.space.values(name, state.fit.vector)})
                 implausible = find_implausible_values(model.effective_vehicle(self.vehicle), self.vehicle)

@@ -5,8 +5,8 @@ For each range (bin) of a condition:
     excess = sqrt(mean square error in the bin / expected mean square error)
 
 The expected error is that of the reference drives in the same bin, or in their worst bin if this bin has too few
-blocks; without a reference it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of time,
-since errors of neighbouring predictions are correlated; intervals and p-values are from Student's t distribution.
+blocks; without reference drives it is the sensor noise. Standard deviations are from a bootstrap of whole blocks of
+time, since errors of neighbouring predictions are correlated; intervals and p-values are from Student's t distribution.
 Significance is corrected for the number of bins (Benjamini and Hochberg, 1995).
 
 Errors are larger in corners than on straights. Times and places are therefore compared by the residuals of a
@@ -80,7 +80,7 @@ class Samples:
 class BinExcess:
     """Error of one channel in one range. excess [1]: ratio of the RMS error to the expected one; interval: 95 %.
     p_value: of the hypothesis that the error is not larger than expected. blocks: their number. covered: whether the
-    reference has enough driving in the range; True without a reference."""
+    reference has enough driving in the range; True without reference drives."""
 
     channel: str
     range: Bin
@@ -143,8 +143,8 @@ def find_error_regions(runs: Sequence[DriveLog], model: AugmentedModel, vehicle:
                        settings: DiscoverySettings, reference: Sequence[DriveLog] = (),
                        noise: Mapping[str, float] | None = None,
                        acceleration_gain: float = 0.0) -> tuple[LargeErrorRegion, ...]:
-    """Conditions in which the errors of a model are larger than in the reference drives or, without a reference, than
-    the sensor noise; times and places in which they are larger than under similar conditions. noise: standard deviation
+    """Conditions in which the errors of a model are larger than in the reference drives or, without these, than the
+    sensor noise; times and places in which they are larger than under similar conditions. noise: standard deviation
     by channel [SI]. acceleration_gain: see `Discovery`. Channels that are not measured in the runs and the reference,
     and channels without a significant range, are left out."""
     samples = window_errors(runs, model, vehicle, settings, acceleration_gain)
@@ -207,7 +207,7 @@ def _find_conditions(windows: Windows) -> dict[str, np.ndarray]:
 
 def _channel_regions(channel: str, bins: Sequence[BinExcess], segments: Sequence[Segment], cells: Sequence[Cell],
                      samples: Samples, has_reference: bool) -> list[LargeErrorRegion]:
-    """Regions of one channel; empty without a significant bin."""
+    """Regions of one channel with large errors; empty without a significant bin."""
     channel_bins = [b for b in bins if b.channel == channel]
     if not any(b.significant for b in channel_bins):
         return []
@@ -289,7 +289,7 @@ def _place_regions(cells: Sequence[Cell], overall: BinExcess) -> list[LargeError
 def compute_excesses(samples: Samples, reference: Samples | None, noise: Mapping[str, float], seed: int,
                      resamples: int) -> tuple[BinExcess, ...]:
     """Excess of every channel in every range with at least MIN_BLOCKS blocks, with intervals and p-values by Student's
-    t for the log ratio, one observation per block. noise: expected error without a reference."""
+    t for the log ratio, one observation per block. noise: expected error without reference drives."""
     excesses, ranges = [], assign_ranges(samples)
     for number, (channel, squares) in enumerate(samples.squares.items()):
         means, deviations, blocks = _bin_means(squares, samples.block, ranges,

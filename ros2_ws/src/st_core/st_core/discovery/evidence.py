@@ -20,7 +20,7 @@ SIGN_DRAWS = 400  # draws of random signs of the blocks, enough to resolve a p-v
 MIN_CURVATURE = 0.3  # minimum ratio of the curvature of the robust loss to that of the reweighted least squares
 PART_PRIOR = 0.05  # prior curvature of the other parameters in one part, divided by the mean curvature of all parts
 UNSELECTED_DEVIATION = 0.5  # prior standard deviation of effects outside the set, for intervals [parameter scales]
-MIN_INFORMATION_SHARE = 0.02  # fraction of the information in all driving; a part with less is ignored
+MIN_INFORMATION_FRACTION = 0.02  # fraction of the information in all driving; a part with less is ignored
 Sensors = Mapping[str, tuple[float, float, float]]  # by "effect.parameter": (value, ends of its 95 % interval)
 
 
@@ -129,7 +129,7 @@ def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[st
     by_effect, gains, losses = {}, {}, {}
 
     def held_out_loss(names: tuple[str, ...], indices: np.ndarray) -> np.ndarray:
-        return problem.leave_out(q.only(indices), names, fit.vector, indices, problem.fold)[1]
+        return problem.leave_out(q.select(indices), names, fit.vector, indices, problem.fold)[1]
 
     for effect in effects:
         others = tuple(n for n in fit.names if not problem.space.overlaps(effect, (n,)))
@@ -143,7 +143,7 @@ def score_effects(problem: Problem, q: Quadratic, fit: Fit, effects: Sequence[st
         largest = np.maximum(largest, np.einsum("fi,ij,fj->f", drawn, np.linalg.pinv(s.T @ s), drawn))
         names = (*others, effect)
         indices = problem.free_indices(names)
-        step = problem.solve(q.only(indices), names, fit.vector, indices)
+        step = problem.solve(q.select(indices), names, fit.vector, indices)
         gains[effect] = losses[others] - held_out_loss(names, indices), problem.take_step(fit.vector, indices, step)
     return Scores(by_effect, largest, max(float(np.median(ratios)) if ratios else 1.0, 1.0), gains)
 
@@ -167,7 +167,7 @@ def library_p_value(block_scores: np.ndarray, block_gain: np.ndarray, scores: Sc
 
 
 def p_no_worse(difference: np.ndarray) -> float:
-    """p-value of the hypothesis that a loss is no higher than another. difference: (b,) loss minus the other loss."""
+    """p-value of the hypothesis that one loss is no higher than a second. difference: (b,) first minus second loss."""
     deviation = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else np.inf
     return float(stats.norm.sf(difference.sum() / max(deviation, 1e-12)))
 
@@ -198,7 +198,7 @@ def collect_evidence(problem: Problem, without: Fit, fit: Fit, effect: str, scor
 
 
 def residual_over_noise(problem: Problem, rows: np.ndarray) -> float:
-    """Largest ratio of error to noise among the columns; 1 with a reference, because the healthy car has the same
+    """Largest ratio of error to noise among the columns; 1 with reference drives, because the healthy car has the same
     residual, which therefore cannot imitate a change since the reference drives."""
     if problem.prior is not None:
         return 1.0
@@ -220,7 +220,7 @@ def efficient_score_at_fit(problem: Problem, fit: Fit, effect: str, sensitivitie
     fit and of the effect, at a nearby vector."""
     indices = np.union1d(fit.indices, problem.space.indices(effect))
     rows = problem.errors.at(fit.vector)
-    q = problem.loss.quadratic(rows, sensitivities.of(indices)).sum_groups(problem.block, problem.blocks)
+    q = problem.loss.quadratic(rows, sensitivities.select(indices)).sum_groups(problem.block, problem.blocks)
     padded = Quadratic(q.cost, np.zeros((problem.blocks, len(problem.space))),
                        np.zeros((problem.blocks, len(problem.space), len(problem.space))))
     padded.gradient[:, indices] = q.gradient
@@ -262,7 +262,7 @@ def sensor_p_values(problem: Problem, fit: Fit, effect: str, sensors: Sensors) -
     deviations = dict(zip(problem.space.indices(effect), standard_deviations(problem, fit, effect), strict=True))
     p_values = [_two_sided_p_value(fit.vector[i] - value, np.hypot(deviation, deviations[i]))
                 for i, value, deviation in _sensor_estimates(problem.space, effect, sensors)]
-    # With a reference the null is the value of the healthy car, which the sensors do not measure.
+    # With reference drives the null is the value of the healthy car, which the sensors do not measure.
     null = sensors_null_p_value(problem.space, effect, sensors) if problem.prior is None else None
     return min(p_values, default=None), null
 
@@ -306,7 +306,7 @@ def covariance(problem: Problem, fit: Fit) -> np.ndarray:
     """(a, a) sandwich covariance H^-1 S H^-1 of the fitted parameters [parameter scales]; S is the scatter matrix of
     the block scores, H half the second derivative of the loss plus the curvature of the prior."""
     q = fit.quadratic.sum_groups(problem.block, problem.blocks)
-    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.of(fit.indices))
+    curvature = problem.loss.curvature(problem.errors.at(fit.vector), fit.sensitivities.select(fit.indices))
     if len(curvature):  # raised in every direction to at least MIN_CURVATURE times that of the reweighted least squares
         root = np.linalg.cholesky(_regularise(q.hessian.sum(axis=0)))
         values, vectors = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, curvature).T))
@@ -328,7 +328,7 @@ class JointFit:
     covariance: np.ndarray
     shift: np.ndarray
 
-    def of(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def select(self, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(standard deviations, shifts) of the parameters `indices` [parameter scales]."""
         columns = np.searchsorted(self.indices, indices)
         return np.sqrt(np.maximum(np.diag(self.covariance)[columns], 0.0)), self.shift[columns]
@@ -347,7 +347,7 @@ def approximate_joint_fit(problem: Problem, fit: Fit) -> JointFit:
     space, names = problem.space, fit.names
     others = [n for n in space.hypotheses if not space.overlaps(n, names) and not get_effect(n).members]
     indices = np.union1d(fit.indices, space.indices(*others))
-    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.all_sensitivities(fit.vector).of(indices))
+    q = problem.loss.quadratic(problem.errors.at(fit.vector), problem.all_sensitivities(fit.vector).select(indices))
     prior = problem.file_curvature[indices]
     free = ((prior == 0.0) | (space.deviation[indices] < np.inf)) & ~np.isin(indices, fit.indices)
     prior[free] = 0.5 * problem.design_effect / UNSELECTED_DEVIATION**2
@@ -376,7 +376,7 @@ def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, nam
     """Compare the values of an effect in the parts of the driving by a random-effects model. part: (n,) part of each
     window. names: names of the parts. The ratio of a part is 1 plus the Newton step of its loss in the direction of the
     fitted values; the other fitted parameters are free, with a weak prior (PART_PRIOR). Variances include the design
-    effect. Parts with less information than MIN_INFORMATION_SHARE are left out."""
+    effect. Parts with less information than MIN_INFORMATION_FRACTION are left out."""
     columns = np.searchsorted(fit.indices, problem.space.indices(effect))
     others = np.setdiff1d(np.arange(len(fit.indices)), columns)
     d = ((fit.vector - problem.space.null) / problem.space.scale)[fit.indices[columns]]
@@ -397,7 +397,7 @@ def compare_parts(problem: Problem, fit: Fit, effect: str, part: np.ndarray, nam
     for k in range(len(h)):
         part_variance = inverse(h[k] + prior)
         information = 1.0 / max(part_variance[0, 0], 1e-30)
-        if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_SHARE * total:
+        if h[k, 0, 0] <= 0.0 or information < MIN_INFORMATION_FRACTION * total:
             continue
         ratios.append(1.0 + float((part_variance @ g[k])[0]))
         variances.append(design_effect / information)

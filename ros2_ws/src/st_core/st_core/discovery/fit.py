@@ -12,7 +12,7 @@ from ..regression import add_ridge
 from .loss import Loss, Quadratic, rho
 from .space import ACCELEROMETER_GAIN, Quantities, prior_deviations
 
-ITERATIONS, STEP_SHARES = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step tried until the loss falls
+ITERATIONS, STEP_FRACTIONS = 5, (1.0, 0.5, 0.2)  # maximum number; fractions of a step tried until the loss falls
 MAX_REUSE_DISTANCE = 0.25  # parameter scales; below it, cached sensitivities are updated instead of recomputed
 SENSITIVITY_CACHE_SIZE = 4  # number of vectors
 MIN_LOSS_REDUCTION = 2e-4  # per residual; a fit ends with the first step that reduces the loss by less
@@ -43,12 +43,12 @@ class Sensitivities:
     indices: np.ndarray
     values: np.ndarray
 
-    def of(self, indices: np.ndarray) -> np.ndarray:
+    def select(self, indices: np.ndarray) -> np.ndarray:
         return self.values[np.searchsorted(self.indices, indices)]
 
     def update(self, vector: np.ndarray, scale: np.ndarray, reduction: np.ndarray) -> "Sensitivities":
-        """The sensitivities at another vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
-        the residuals by the step to that vector."""
+        """The sensitivities at a new vector by Broyden's update (1965). reduction: (n, m) simulated reduction of
+        the residuals by the step to it."""
         step = ((vector - self.vector) / scale)[self.indices]
         square = float(step @ step)
         if square == 0.0:
@@ -255,10 +255,10 @@ class Problem:
         sensitivities = self._sensitivities_at(sensitivities, vector, new)
         cost = self.cost(names, vector, indices)
         for _ in range(iterations if len(indices) else 0):
-            q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
+            q = self.loss.quadratic(self.errors.at(vector), sensitivities.select(indices))
             step = self.solve(q, names, vector, indices)
-            for share in STEP_SHARES:
-                trial = self.take_step(vector, indices, share * step)
+            for fraction in STEP_FRACTIONS:
+                trial = self.take_step(vector, indices, fraction * step)
                 trial_cost = self.cost(names, trial, indices)
                 if trial_cost < cost:
                     break
@@ -278,7 +278,7 @@ class Problem:
         return self.fit(fit.names, sensitivities, iterations=iterations)
 
     def _sensitivities_at(self, sensitivities: Sensitivities, vector: np.ndarray, new: np.ndarray) -> Sensitivities:
-        """The sensitivities at another vector, with those to the parameters `new` recomputed."""
+        """The sensitivities at a new vector, with those to the parameters `new` recomputed."""
         if not np.array_equal(vector, sensitivities.vector):
             reduction = self.errors.at(sensitivities.vector) - self.errors.at(vector)
             sensitivities = sensitivities.update(vector, self.space.scale, reduction)
@@ -287,7 +287,7 @@ class Problem:
     def fit_at(self, names: tuple[str, ...], vector: np.ndarray, indices: np.ndarray,
                sensitivities: Sensitivities) -> Fit:
         """The `Fit` at a vector, with the quadratic approximation and the held-out loss there."""
-        q = self.loss.quadratic(self.errors.at(vector), sensitivities.of(indices))
+        q = self.loss.quadratic(self.errors.at(vector), sensitivities.select(indices))
         fit = Fit(names, vector, indices, sensitivities, q, np.zeros(self.blocks))
         return replace(fit, held_out=self.held_out_loss(fit, self.fold))
 
@@ -358,7 +358,7 @@ class Problem:
     def held_out_rows(self, fit: Fit) -> np.ndarray:
         """(n, m) errors of each window at values fitted without its group (`held_out_groups`)."""
         steps, _ = self.leave_out_groups(fit, self.held_out_groups)
-        group, sensitivities = self.held_out_groups[self.block], fit.sensitivities.of(fit.indices)
+        group, sensitivities = self.held_out_groups[self.block], fit.sensitivities.select(fit.indices)
         rows = self.errors.at(fit.vector)
         result = rows.copy()
         for k, d in steps.items():

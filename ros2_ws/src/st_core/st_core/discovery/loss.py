@@ -62,7 +62,7 @@ class Quadratic:
         """The approximation about the parameters after a step (p,)."""
         return Quadratic(self.cost + self.rise(step), self.gradient - self.hessian @ step, self.hessian)
 
-    def only(self, indices: np.ndarray) -> "Quadratic":
+    def select(self, indices: np.ndarray) -> "Quadratic":
         """The approximation in the parameters `indices`, with the others fixed."""
         return Quadratic(self.cost, self.gradient[:, indices], self.hessian[:, indices][:, :, indices])
 
@@ -139,7 +139,7 @@ class Loss:
 
     def sensitivities(self, vector: np.ndarray, indices: np.ndarray) -> np.ndarray:
         """(a, n, m) sensitivities: reduction of the residuals [SI] per parameter scale of the parameters `indices`, by
-        difference quotients on the side where bounds and limits of a vehicle file are met; 0 where a prediction
+        difference quotients on the side that respects bounds and limits of a vehicle file; 0 where a prediction
         diverges."""
         step = DIFFERENCE_STEP * self.space.scale[indices] * self.space.sign[indices]
         value = vector[indices] + step

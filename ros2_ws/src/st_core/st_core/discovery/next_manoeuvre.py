@@ -24,7 +24,7 @@ from .windows import MAX_GAP, STEP, Windows, specific_force_excess
 
 REPETITIONS = 3  # drives of each manoeuvre, the minimum in ISO 7401
 MIN_SEPARATION = 3.0  # standard deviations; minimum separation of a pair that counts as separated
-MAX_SPEED_RATIO = 1.15  # manoeuvre speed over recorded speed; model errors at higher speed are unknown
+MAX_SPEED_RATIO = 1.15  # ratio of manoeuvre speed to recorded speed; model errors at higher speed are unknown
 MAX_LATERAL_ACCELERATION = 9.0  # m/s^2; above it the simulation with the base model is unreliable
 PERIOD = STEP / 2  # s, sampling period of the simulated log
 LEAD_TIME = 4.0  # s before a manoeuvre, to reach its initial steering angle
@@ -95,8 +95,8 @@ def simulate_catalogue(problem: Problem, fit: Fit) -> Curvatures:
     return curvatures
 
 
-def separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
-               design_effect: float) -> tuple[float, float]:
+def compute_separation(problem: Problem, fit: Fit, h: np.ndarray, first: str, second: str,
+                       design_effect: float) -> tuple[float, float]:
     """(cosine similarity of the error changes that two effects cause, part of `first` that `second` and the other
     effects of the fit do not explain [standard deviations of the noise]), for a curvature h (p, p) at a fit."""
     indices, other_indices = problem.space.indices(first), problem.space.indices(second)
@@ -117,7 +117,7 @@ def list_separabilities(problem: Problem, fit: Fit, effects: Sequence[FoundEffec
                         design_effect: float) -> tuple[Separability, ...]:
     """Separability of every named effect from its alternatives in these drives."""
     h = problem.full_quadratic(fit.vector).hessian.sum(axis=0)
-    return tuple(Separability(e.name, rival, *separation(problem, fit, h, e.name, rival, design_effect))
+    return tuple(Separability(e.name, rival, *compute_separation(problem, fit, h, e.name, rival, design_effect))
                  for e in effects for rival in e.alternatives)
 
 
@@ -131,7 +131,7 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
         return None
     h, weakest = problem.full_quadratic(fit.vector).hessian.sum(axis=0), {}
     for name, curvature in curvatures.items():
-        strengths = {pair: separation(problem, fit, h + curvature, *pair, design_effect)[1] for pair in pairs}
+        strengths = {pair: compute_separation(problem, fit, h + curvature, *pair, design_effect)[1] for pair in pairs}
         pair = min(strengths, key=strengths.__getitem__)
         weakest[name] = strengths[pair], pair
     name = max(weakest, key=lambda n: weakest[n][0], default="")
@@ -140,8 +140,8 @@ def choose_manoeuvre(problem: Problem, fit: Fit, separabilities: Sequence[Separa
     strength, pair = weakest[name]
     manoeuvre = next(m for m in CATALOGUE if m.name == name)
     return NextManoeuvre(name, pair, strength, {n: s for n, (s, _) in weakest.items()}, REPETITIONS, manoeuvre.duration,
-                         manoeuvre.speed, "largest separation in the catalogue of the pair that it separates least: "
-                         f"{pair[0]} and {pair[1]}")
+                         manoeuvre.speed, "its smallest separation, that of "
+                         f"{pair[0]} and {pair[1]}, is the largest in the catalogue")
 
 
 def find_most_informative(problem: Problem, effect: str, curvatures: Curvatures) -> str:

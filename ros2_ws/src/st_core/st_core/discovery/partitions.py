@@ -6,7 +6,7 @@ from scipy.sparse.csgraph import connected_components
 from .windows import Windows
 
 PLACE_SIZE = 50.0  # m, side of the squares of the map that count as places
-SAME_SITE_SHARE = 0.2  # fraction of the places of the run with fewer places; runs that share more are at one site
+SAME_SITE_FRACTION = 0.2  # fraction of the places of the run with fewer places; runs that share more are at one site
 MIN_RUNS, MIN_PARTS = 5, 6  # fewer than MIN_RUNS runs are divided into at least MIN_PARTS parts in all
 TIMES = ("the first third of the runs", "the second third", "the last third")
 CONDITIONS = ("slow and gentle", "fast and gentle", "slow and hard", "fast and hard")
@@ -45,11 +45,11 @@ def divide_by_run(windows: Windows) -> Partition:
 
 
 def find_sites(windows: Windows) -> np.ndarray:
-    """(n,) site of each window. Runs that share enough places (SAME_SITE_SHARE), directly or through other runs, are at
-    one site. Distance does not count, because the maps of different sites may have different origins."""
+    """(n,) site of each window. Runs that share enough places (SAME_SITE_FRACTION), directly or through other runs, are
+    at one site. Distance does not count, because the maps of different sites may have different origins."""
     number = divide_by_place(windows.driving["x"], windows.driving["y"])[0]
     places = [set(number[windows.run == run]) for run in range(len(windows.names))]
-    same_site = [[len(a & b) > SAME_SITE_SHARE * max(min(len(a), len(b)), 1) for b in places] for a in places]
+    same_site = [[len(a & b) > SAME_SITE_FRACTION * max(min(len(a), len(b)), 1) for b in places] for a in places]
     return connected_components(np.array(same_site))[1][windows.run]
 
 

@@ -17,7 +17,7 @@ from .result import Reason
 from .settings import Limits
 
 CONTENDERS = 4  # effects refitted in a step at most, besides members of composites; half as many in an exchange
-CONTENDER_SHARE = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
+CONTENDER_FRACTION = 0.5  # fraction of the best gain that a contender must reach; before the refits, its square
 FIXED_CURVATURE = 1e9  # prior curvature that fixes a parameter
 JOINT_FITS, JOINT_STEP = 4, 0.1  # maximum number of joint fits; largest step at convergence [parameter scales]
 MAX_EXCHANGES = 3
@@ -90,7 +90,7 @@ class Search:
         state = self._exchange_until_accepted(self._select([a for a in candidates if a]))
         state.order = sorted(state.fit.names, key=lambda n: -state.evidence[n].gain)
         state.near_optimal = self._find_near_sets(state)
-        # A rival that gains as much in addition to an effect as in its place explains other errors.
+        # A rival that gains as much in addition to an effect as in its place explains different errors.
         added = {name: max(float(gains.sum()), 0.0) for name, (gains, _) in state.scores.gains.items()}
         for name, rivals in state.rivals.items():
             gain = max(self._gain(state.fits_without[name], state.fit), 1e-12)
@@ -106,7 +106,7 @@ class Search:
         p, names = self.problem, state.fit.names
         for other in (n for n in p.space.payloads if names and n not in names and not p.space.overlaps(n, names)):
             for size in (p.space.deviation[p.space.indices(other)], self.limits.min_relative_size):
-                # The load is fixed at this start value: its prior mean where all parameters are free (reference).
+                # The load is fixed at this start value: with reference drives, the prior mean of a free parameter.
                 laden_problem, load, vector = copy(p), p.space.indices(other), state.fit.vector.copy()
                 laden_problem.start = p.start.copy()
                 vector[load] = laden_problem.start[load] = p.start[load] + size * p.space.scale[load]
@@ -127,7 +127,7 @@ class Search:
                     break
 
     def add_corrections(self, fit: Fit) -> Fit:
-        """The best fit with all effects of `fit`, from another problem, and further effects."""
+        """The best fit with all effects of `fit`, which is from a different problem, and further effects."""
         self._required = frozenset(fit.names)
         p = self.problem
         state = self._step_from(p.fit(fit.names, p.all_sensitivities(fit.vector), fit.vector))
@@ -145,7 +145,7 @@ class Search:
 
     def _step_from(self, fit: Fit, revisit: bool = False) -> SearchState | None:
         """The state after forward and backward steps until no further effect is accepted, or a set recurs. None if they
-        lead to a set that was visited from another start, unless `revisit` is set."""
+        lead to a set that was visited from a different start, unless `revisit` is set."""
         state = SearchState(fit, list(fit.names))
         path: set[frozenset[str]] = set()
         while True:
@@ -203,7 +203,7 @@ class Search:
         state.cached_scores = state.cached_scores or self._scores(state.fit)
         gains = state.scores.gains
         largest = max((gain.sum() for gain, _ in gains.values()), default=0.0)
-        required = CONTENDER_SHARE * max(limits.negligible * p.residual_count, CONTENDER_SHARE * largest)
+        required = CONTENDER_FRACTION * max(limits.negligible * p.residual_count, CONTENDER_FRACTION * largest)
         # A payload is tried only as a rival of effects already in the set.
         ranked = [e for e in sorted(gains, key=lambda e: -gains[e][0].sum())
                   if gains[e][0].sum() > required and e not in p.space.payloads]
@@ -220,7 +220,7 @@ class Search:
         largest_refused, state.refused = 0.0, {}  # largest gain of a significant effect that was refused
         for effect in self._order_members_first(fits, without):
             gain = self._gain(without, fits[effect])
-            if gain < CONTENDER_SHARE * largest_refused:
+            if gain < CONTENDER_FRACTION * largest_refused:
                 break
             e = self._evidence(without, fits[effect], effect, state.scores)
             verdict = self._judge(e, limits)
@@ -268,7 +268,7 @@ class Search:
         p = self.problem
         best = max(fits, key=lambda e: self._gain(without, fits[e]))
         gain = self._gain(without, fits[best])
-        near = {e: f for e, f in fits.items() if self._gain(without, f) > CONTENDER_SHARE * gain}
+        near = {e: f for e, f in fits.items() if self._gain(without, f) > CONTENDER_FRACTION * gain}
         if len(near) < 2 or gain < 10.0 * self.limits.negligible * p.residual_count:
             return without, fits
         p.loss.rescale(fits[best].vector)
@@ -421,7 +421,7 @@ class Search:
 
     def _merge(self, state: SearchState, alternatives: Mapping[str, list[Fit]]) -> Fit | None:
         """A fit with one effect in place of several; None if the held-out loss per residual rises by more than
-        `limits.negligible` per effect saved. alternatives: by effect, the fits in which it replaces another effect."""
+        `limits.negligible` per effect saved. alternatives: by effect, the fits in which it is the replacement."""
         for fits in alternatives.values():
             fit = min(fits, key=lambda fit: float(fit.held_out.sum()))
             if len(fits) > 1 and frozenset(fit.names) not in self._visited:

@@ -24,14 +24,14 @@ class Limits:
     condition, that suffices instead of `relevant`. min_relative_size [1]: size in parameter scales that suffices
     instead if redundant sensors confirm the effect; also size of the load tried as an alternative to lower tyre
     stiffness. negligible [1]: relative reduction of the errors below which an effect is ignored, however significant.
-    min_rival_gain [1]: fraction of an effect's gain that another effect must reach in its place to be an alternative,
-    after subtracting the other's gain in addition to it. max_file_deviation [1]: largest accepted deviation of a value
+    min_rival_gain [1]: fraction of an effect's gain that a rival must reach in its place to be an alternative, after
+    subtracting the gain of the rival in addition to it. max_file_deviation [1]: largest accepted deviation of a value
     from the vehicle file, in standard deviations. min_peak_force [1]: fraction of the peak force of an axle that the
     drives must reach for a peak to be named. at_bound [1]: distance to a bound, in parameter scales, below which a
     value counts as being at the bound. max_noise_ratio [1]: ratio of residual to noise above which the residual is
     reported as unexplained. unexplained_share [1]: fraction of a residual above `max_noise_ratio`; smaller differences
     may be due to unmodelled effects. An effect must reduce the residual by this fraction to be named, and explain this
-    much more than another effect to exclude it as an alternative. Intervals include the values of sets whose loss is
+    much more than a rival to exclude it as an alternative. Intervals include the values of sets whose loss is
     higher by less than this. detection_power [1]: minimum power at which a size counts as detectable. max_effects:
     largest number in one model.
 

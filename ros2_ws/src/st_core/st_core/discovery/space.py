@@ -51,8 +51,8 @@ class Space:
         self.deviation = np.array([*(p.deviation for _, p in self.free), np.inf]) / self.scale
         self.payloads = tuple(n for n in self.hypotheses
                                if any(p.deviation < math.inf for p in get_effect(n).parameters))
-        self.effect_of = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
-        self._indices = {name: np.flatnonzero(self.effect_of == name).tolist() for name in {*self.effect_of}}
+        self.effect_names = np.array([*(e for e, _ in self.free), ACCELEROMETER_GAIN])
+        self._indices = {name: np.flatnonzero(self.effect_names == name).tolist() for name in {*self.effect_names}}
 
     def __len__(self) -> int:
         return len(self.scale)

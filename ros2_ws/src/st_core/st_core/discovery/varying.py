@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..effects import get_effect
-from .evidence import MIN_INFORMATION_SHARE, Evidence, column_shares, error_reductions, inverse
+from .evidence import MIN_INFORMATION_FRACTION, Evidence, column_shares, error_reductions, inverse
 from .fit import Fit, Problem
 from .loss import Quadratic
 from .partitions import Partition
@@ -34,8 +34,8 @@ class VaryingFit:
 
 
 def find_varying_effects(problem: Problem, fit: Fit, partitions: Mapping[str, Partition]) -> list[VaryingFit]:
-    """Every effect of the library, except composites, with its own value in each part of a partition, largest gain
-    first. Partitions with at least half as many parts as blocks are left out."""
+    """Fits of every effect of the library, except composites, with its own value in each part of a partition, largest
+    gain first. Partitions with at least half as many parts as blocks are left out."""
     q = problem.full_quadratic(fit.vector)
     usable = {name: partition for name, partition in partitions.items()
               if len(np.unique(partition[0])) < problem.blocks / 2}
@@ -63,7 +63,7 @@ def _fit_by_part(problem: Problem, fit: Fit, q: Quadratic, effect: str, name: st
     information = np.diag(sum(hk for *_, hk in all_parts))
     if information.min() <= 1e-9 * float(np.trace(h)) / len(h):
         return None
-    parts = [part for part in all_parts if np.diag(part[2]).min() > MIN_INFORMATION_SHARE * information.min()]
+    parts = [part for part in all_parts if np.diag(part[2]).min() > MIN_INFORMATION_FRACTION * information.min()]
     degrees_of_freedom, blocks = (len(parts) - 1) * len(indices), problem.blocks - len(parts)
     if len(parts) < 2 or blocks < 1:
         return None

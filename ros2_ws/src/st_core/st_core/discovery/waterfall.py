@@ -27,7 +27,7 @@ class HorizonErrors:
         draws = np.random.default_rng(seed).integers(problem.blocks, size=(RESAMPLES, problem.blocks))
         self._weights = np.stack([np.bincount(d, minlength=problem.blocks) for d in draws])
 
-    def of(self, fit: Fit) -> dict[str, np.ndarray]:
+    def by_channel(self, fit: Fit) -> dict[str, np.ndarray]:
         """(n,) squared errors at the end of the horizon by channel, clipped at DIVERGED_ERROR; position_5s: errors."""
         p = self.problem
         rows = p.held_out_rows(fit)
@@ -59,8 +59,8 @@ class HorizonErrors:
         return Change(float(means[0]), float(means[1]), (float(low), float(high)), UNITS[channel])
 
     def error_by_run(self, channel: str, values: np.ndarray) -> dict[str, float]:
-        """Mean error for position_5s, root mean square error for a channel, by run. values: entry of `of`. Runs without
-        a finite value are left out."""
+        """Mean error for position_5s, root mean square error for a channel, by run. values: entry of `by_channel`. Runs
+        without a finite value are left out."""
         means = {name: float(np.nanmean(values[self.run == k])) for k, name in enumerate(self.names)
                  if np.isfinite(values[self.run == k]).any()}
         return means if channel == "position_5s" else {name: math.sqrt(mean) for name, mean in means.items()}
@@ -87,12 +87,12 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     quantile = float(stats.t.ppf(0.975, max(problem.blocks - len(fit.indices), 2)))
     half_widths = quantile * deviations
     if joint_fit is not None:
-        joint_deviations, shift = joint_fit.of(indices)
+        joint_deviations, shift = joint_fit.select(indices)
         joint_half_widths = np.hypot(quantile * joint_deviations, shift) * space.scale[indices] * max(noise_ratio, 1.0)
         half_widths = np.maximum(half_widths, np.hypot(joint_half_widths, Z95 * model_error))
     for partition in (partition for name, partition in partitions.items() if name != "place"):
         ratios = compare_parts(problem, fit, effect, *partition).ratios
-        if len(ratios) > 2:  # 95 % prediction interval for another part, relative to the value
+        if len(ratios) > 2:  # 95 % prediction interval for a new part, relative to the value
             values, ratio_deviations = np.array(list(ratios.values())).T
             _, error, between, _ = random_effects(values, np.square(ratio_deviations))
             ratio_half_width = Z95 * float(np.sqrt(between + error**2))
@@ -101,7 +101,7 @@ def estimate_parameters(problem: Problem, fit: Fit, effect: str, partitions: Map
     others -= fit.vector[indices]
     for i, half_width, below, above in zip(indices, half_widths, others.min(axis=0), others.max(axis=0), strict=True):
         parameter, null, value = space.free[i][1], float(space.null[i]), float(fit.vector[i])
-        # With a reference, the reported value is the change since the reference drives.
+        # With reference drives, the reported value is the change since the reference drives.
         value = null + value - float(problem.start[i]) if problem.prior is not None else value
         interval = value + float(below - half_width), value + float(above + half_width)
         result[parameter.name] = FittedParameter(value, parameter.unit, interval, null)
@@ -119,7 +119,7 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
     fit = problem.fit((), problem.all_sensitivities(problem.start))
     problem.loss.rescale(fit.vector)
     fit = base = problem.refit(fit)
-    steps, before = [], errors.of(fit)
+    steps, before = [], errors.by_channel(fit)
     for k, effect in enumerate(order):
         if k == len(order) - 1:
             fit = final
@@ -127,7 +127,7 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
             fit = problem.fit(order[:k + 1], fit.sensitivities, None, (effect,), 3)
             problem.loss.rescale(fit.vector)
             fit = problem.refit(fit, 1)
-        after = errors.of(fit)
+        after = errors.by_channel(fit)
         changes = {c: errors.compare(c, before[c], after[c]) for c in after}
         position = changes.pop("position_5s", None) or next(iter(changes.values()))
         key = "position_5s" if "position_5s" in after else next(iter(after))
@@ -142,7 +142,7 @@ def build_steps(problem: Problem, final: Fit, order: Sequence[str], errors: Hori
 def compare_channel_errors(errors: HorizonErrors, base: Fit, final: Fit,
                            floor: Mapping[str, float]) -> dict[str, ChannelError]:
     """Errors of the fits `base` and `final`, by channel and for the position after 5 s."""
-    before, after, result = errors.of(base), errors.of(final), {}
+    before, after, result = errors.by_channel(base), errors.by_channel(final), {}
     for channel in after:
         change = errors.compare(channel, before[channel], after[channel])
         old, new = (errors.error_by_run(channel, e[channel]) for e in (before, after))
@@ -170,7 +170,7 @@ def build_budget(problem: Problem, base: Fit, final: Fit, corrected: Fit, varyin
     that varies between parts of the drives, or None."""
     def measure(fit: Fit) -> np.ndarray:
         """(mean position error [m], loss per residual)."""
-        position = errors.of(fit).get("position_5s", np.zeros(1))
+        position = errors.by_channel(fit).get("position_5s", np.zeros(1))
         return np.array([np.nanmean(position), fit.held_out.sum() / problem.residual_count])
 
     def make_line(part: str, last: np.ndarray, first: np.ndarray) -> BudgetLine:

@@ -39,7 +39,7 @@ PAUSE_NS = 5_000_000_000  # ns between runs on the common clock
 YAW_RATE_SMOOTHING_NS = 50_000_000  # ns, moving average of the initial yaw rate
 RECORDING_CACHE_SIZE = 4  # number of corrected recordings, and of input tables computed from them
 LOOKUP_CACHE_SIZE = 8  # number of sets of instants with their neighbouring samples
-SCORED_SHARES = (0.1, 0.25, 0.5, 1.0)  # scored points, as fractions of the horizon; `Windows` may add the settling time
+SCORED_FRACTIONS = (0.1, 0.25, 0.5, 1.0)  # of the horizon; `Windows` may add the settling time
 
 
 class Signals(LogSignals):
@@ -75,8 +75,8 @@ class Signals(LogSignals):
 
 class Batch(LogBatch):
     """A LogBatch for thousands of predictions: the integration step is checked only once, and recordings and input
-    tables are cached for models that correct the recording in the same way. minimum_substeps: least number of
-    parts of a step; more if the step is unstable at the speeds of the drives, as for small cars."""
+    tables are cached for models that correct the recording in the same way. minimum_substeps: smallest number
+    of substeps; more if the step is unstable at the speeds of the drives, as for small cars."""
 
     def __init__(self, vehicle: VehicleParameters, minimum_substeps: int, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
@@ -114,9 +114,9 @@ def _remember(cache: OrderedDict, key: tuple, value: Any, size: int = RECORDING_
 
 class Windows:
     """The n windows of the runs. starts_ns: (n,) starts on the common clock [ns]. run, block: (n,) numbers of the run
-    and of the block. seconds: (n,) starts since both INS and steering of the run have begun [s]. time: (k,) time of the
-    scored points after the start of a window [s]; the last is the horizon, or SIDESLIP_SETTLING_TIME later without
-    velocity_y. columns: (c,) names of the errors."""
+    and of the block. seconds: (n,) times of the starts since INS and steering of the run have both begun [s]. time:
+    (k,) time of the scored points after the start of a window [s]; the last is the horizon, or SIDESLIP_SETTLING_TIME
+    later without velocity_y. columns: (c,) names of the errors."""
 
     MIN_SUBSTEPS = 1  # integration steps per STEP
 
@@ -129,7 +129,7 @@ class Windows:
         self.columns = tuple(column for channel in self.channels for column in channel.columns)
         with_sideslip = "velocity_y" in settings.channels
         settling_time = 0.0 if with_sideslip else SIDESLIP_SETTLING_TIME
-        points = np.maximum(np.round((settling_time + settings.horizon * np.array(SCORED_SHARES)) / STEP), 1)
+        points = np.maximum(np.round((settling_time + settings.horizon * np.array(SCORED_FRACTIONS)) / STEP), 1)
         self._points = np.unique(points.astype(int))  # multiples of STEP
         self.time = STEP * self._points
         self.joined, offsets = _join(runs)

@@ -19,7 +19,7 @@ BASE_MODELS = ("kinematic", "linear", "nonlinear")
 DYNAMIC = frozenset(("linear", "nonlinear"))
 ANY = frozenset(BASE_MODELS)
 
-EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "surroundings")
+EFFECT_KINDS = ("sensors", "vehicle parameters", "physics", "environment")
 SLOTS = ("steering", "front axle", "rear axle", "both axles", "body",
          "position", "velocity", "heading", "yaw rate", "acceleration")
 TOTAL_DELAY = "total delay of the steering"  # dead time plus lag, which a fit divides differently from model to model
@@ -45,7 +45,7 @@ class Parameter:
     identity: name of the estimate of `st_core.checks.check` that measures it with the same sign and unit, without a
     model of the car; "" if there is none. theory: its physical value, if it is the same for every car. quantity: key of
     the vehicle file that it is added to, with the same unit and sign, if neither `vehicle` nor `fold` of the effect
-    does so. shape: whether it selects a curve from a family, so that a value on a bound is valid. model_error: standard
+    does so. shape: whether it selects a curve from a family, so that a value at a bound is valid. model_error: standard
     deviation between the values fitted to one car with models of different equations, from the development cars of
     `bench/strangers`. deviation: prior standard deviation about null of an addition to the measured car, such as a
     load, in place of the uncertainties of the vehicle file; inf for other parameters.
@@ -117,8 +117,8 @@ class Effect:
         constants(vehicle) -> numbers of the car for the other hooks, as a NamedTuple (or one float)
         vehicle(vehicle, theta) -> changed VehicleParameters; called once for a set of values, without theta.constants
         fold(vehicle, theta) -> VehicleParameters that contain the effect exactly, for a vehicle file; default `vehicle`
-        steering(time, angle, begins, theta) -> changed (time [s], road wheel angle [rad]); arrays of a whole
-            recording, for effects with memory; begins: True at the start and after each gap, where memory is reset
+        steering(time, angle, is_start, theta) -> changed (time [s], road wheel angle [rad]); arrays of a whole
+            recording, for effects with memory; is_start: True at the start and after each gap, where memory is reset
         inputs(road_wheel_angle, velocity_x_dot, signals, theta) -> (angle, acceleration), changed; once per instant
         prepare(road_wheel_angle, velocity_x_dot, signals, theta) -> tuple named by `prepared`; called once per instant
         slip_angles(slip_front, slip_rear, extra, instant, prepared, theta) -> changed (slip_front, slip_rear)
@@ -135,16 +135,16 @@ class Effect:
     name: unique; default: the name of its file. parameters: a tuple, or parameter if there is only one. physics: the
     equation in one line, with the sign. excited_by: driving that makes it observable. kind: one of EFFECT_KINDS. slot:
     one of SLOTS, where it acts. confounded_with: effects that are hard to separate from it (it is enough if one of the
-    two names the other), by the sensitivities of a single-track car on circle, step, sweep and ramp_to_limit. needs:
-    channels required to observe and separate it. members: effects that it combines. combinations: keys of COMBINATIONS
-    whose deviation from the vehicle file it may explain. imitated_by: causes outside the library that act like it.
-    ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable. at_peak_force:
-    whether it is observable only near the peak force of an axle. applies_to: base models. converts: (from, to) base
-    model, if it turns one into another. signals: names of the inputs that it requires in addition to steering angle and
-    acceleration. extra_states, extra_units: names and units of its states. costly: whether it evaluates the tyres
-    again, and is left out of a fast model at null. forward_only: whether the search adds it only in forward steps,
-    since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the effects with the
-    same hook, lowest first.
+    two names the other), judged by the sensitivities of a single-track car on circle, step, sweep and ramp_to_limit.
+    needs: channels required to observe and separate it. members: effects that it combines. combinations: keys of
+    COMBINATIONS whose deviation from the vehicle file it may explain. imitated_by: causes outside the library that act
+    like it. ratio_to: key of the vehicle file; only the ratio of the effect's quantity to this one is observable.
+    at_peak_force: whether it is observable only near the peak force of an axle. applies_to: base models. converts:
+    (from, to) base model, if it turns one into another. signals: names of the inputs that it requires in addition to
+    steering angle and acceleration. extra_states, extra_units: names and units of its states. costly: whether it
+    evaluates the tyres again, and is left out of a fast model at null. forward_only: whether the search adds it only in
+    forward steps, since in a joint fit of the whole library it absorbs parts of other effects. order: rank among the
+    effects with the same hook, lowest first.
     """
 
     name: ClassVar[str]
@@ -179,7 +179,7 @@ class Effect:
 HOOKS = tuple(name for name, value in vars(Effect).items() if value is NO_HOOK and name != "converts")
 EQUATION_HOOKS = ("slip_angles", "axle_forces", "acceleration", "rates", "specific_force")
 EFFECTS: dict[str, type[Effect]] = {}  # library of a search
-UNLISTED: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
+UNLISTED_EFFECTS: dict[str, type[Effect]] = {}  # effects that only `get_effect` finds
 
 
 def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) -> type[Effect]:
@@ -191,7 +191,7 @@ def register(effect: type[Effect], registry: dict[str, type[Effect]] = EFFECTS) 
     effect.name = name
     if "parameter" in effect.__dict__:
         effect.parameters = (effect.parameter,)
-    if existing := EFFECTS.get(name) or UNLISTED.get(name):
+    if existing := EFFECTS.get(name) or UNLISTED_EFFECTS.get(name):
         raise ConfigurationError(f"effect {name}: already registered by {find_source_file(existing)}")
     for problem in chain(_check_attributes(effect), _check_missing(effect), _check_names(effect)):
         raise ConfigurationError(f"effect {name}: {problem}")
@@ -264,8 +264,8 @@ def find_source_file(effect: type[Effect]) -> str:
 
 def get_effect(name: str) -> type[Effect]:
     """The effect with this name; raises ConfigurationError, naming the nearest known one."""
-    if name in UNLISTED:
-        return UNLISTED[name]
+    if name in UNLISTED_EFFECTS:
+        return UNLISTED_EFFECTS[name]
     if name not in EFFECTS:
         known = ", ".join(sorted(EFFECTS))
         raise ConfigurationError(f"unknown effect {name!r}{suggest_key(name, EFFECTS)}; if it is your own, give the "

@@ -3,9 +3,9 @@
     u = sum of in_i quantity_i, limited to low ... low + 5 spacing;   t(u) = (u - low) / spacing
     f(u) = sum over k of c_k (B(t(u) - k) + parity B(t(-u) - k)),   B: cubic B-spline with integer knots, k = -1 ... 6
 
-f is added to a term with a weight `to_`; optionally times one `by_` quantity for steering and body terms. parity: -1
-odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind share a
-compiled function.
+f is added to a term with a weight `to_`; for steering and body terms it may be multiplied by one `by_` quantity.
+parity: -1 odd, +1 even, 0 neither. All weights, the range and the parity are constants, so that all relations of a kind
+share a compiled function.
 There are three kinds: `relation` is a function of current quantities, `relation_lagged` of a lagged quantity q or of
 its rate,
 
@@ -18,24 +18,24 @@ from functools import partial
 from typing import NamedTuple
 
 from ..ops import absolute, cos, maximum, minimum, sin
-from ._base import UNLISTED, Effect, Parameter, register
+from ._base import UNLISTED_EFFECTS, Effect, Parameter, register
 
 SPLINES, INTERVALS = 8, 5.0  # numbers of splines of a curve, and of intervals between its knots
-MAX_COEFFICIENT = 100.0  # 1; the coefficients are scaled by their typical magnitude
+MAX_COEFFICIENT = 100.0  # dimensionless; the coefficients are scaled by their typical magnitude
 # acceleration_y: velocity_x yaw_rate; north, east: sine and cosine of yaw; position_x, position_y: in the map frame.
 INPUTS = ("slip_front", "slip_rear", "steering", "acceleration_y", "acceleration_x", "speed", "yaw_rate", "north",
           "east", "position_x", "position_y")
-_register = partial(register, registry=UNLISTED)
+_register = partial(register, registry=UNLISTED_EFFECTS)
 FACTOR_INPUTS = ("steering", "acceleration_y")
 TERMS = {
-    "front_steer": ("rad", "added to the road wheel angle, left +"),
-    "rear_steer": ("rad", "additional steer angle of the rear wheels, left +"),
-    "front_force": ("1", "additional lateral force of the front axle divided by its static load, left +"),
-    "rear_force": ("1", "additional lateral force of the rear axle divided by its static load, left +"),
+    "front_steer": ("rad", "added to the road wheel angle, positive to the left"),
+    "rear_steer": ("rad", "additional steer angle of the rear wheels, positive to the left"),
+    "front_force": ("1", "additional lateral force of the front axle divided by its static load, positive to the left"),
+    "rear_force": ("1", "additional lateral force of the rear axle divided by its static load, positive to the left"),
     "front_grip": ("1", "relative change of the lateral force of the front axle"),
     "rear_grip": ("1", "relative change of the lateral force of the rear axle"),
-    "yaw_moment": ("rad/s^2", "additional yaw acceleration due to a moment on the body, left +"),
-    "side_force": ("m/s^2", "additional lateral acceleration due to a force on the body, left +"),
+    "yaw_moment": ("rad/s^2", "additional yaw acceleration due to a moment on the body, positive to the left"),
+    "side_force": ("m/s^2", "additional lateral acceleration due to a force on the body, positive to the left"),
     "sensor_yaw_rate": ("rad/s", "added to the reading of the yaw rate sensor"),
     "sensor_acceleration_y": ("m/s^2", "added to the reading of the accelerometer"),
     "sensor_velocity_y": ("m/s", "added to the lateral velocity of the INS"),
@@ -104,21 +104,21 @@ def add_to_readings(measured, sign, theta):
         acceleration_y=measured.acceleration_y + theta.to_sensor_acceleration_y * y)
 
 
-def _constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
+def _make_constant(name: str, meaning: str, null: float = 0.0) -> Parameter:
     return Parameter(name, "1", null, null, (-1e6, 1e6), source="relation", meaning=meaning, fit=False)
 
 
-def _parameters(*more: Parameter) -> tuple[Parameter, ...]:
-    """Parameters of a kind of relation: coefficients, range, parity, weights, and the further constants `more`."""
+def _make_parameters(*constants: Parameter) -> tuple[Parameter, ...]:
+    """Parameters of a kind of relation: coefficients, range, parity, weights, and the additional `constants`."""
     return (
         *(Parameter(f"c{k}", "1", null=0.0, initial=1.0, bounds=(-MAX_COEFFICIENT, MAX_COEFFICIENT),
                     meaning=f"coefficient of spline {k}", source="fit of the relation") for k in range(SPLINES)),
-        _constant("low", "smallest value of u"), _constant("spacing", "spacing of the knots of u", 1.0),
-        _constant("parity", "-1 odd, +1 even, 0 neither"), _constant("share", "fraction of the curve", 1.0),
-        *(_constant(f"in_{name}", "weight in u") for name in INPUTS),
-        _constant("by_one", "constant part of the factor", 1.0),
-        *(_constant(f"by_{name}", "weight in the factor") for name in FACTOR_INPUTS),
-        *(_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *more)
+        _make_constant("low", "smallest value of u"), _make_constant("spacing", "spacing of the knots of u", 1.0),
+        _make_constant("parity", "-1 odd, +1 even, 0 neither"), _make_constant("share", "fraction of the curve", 1.0),
+        *(_make_constant(f"in_{name}", "weight in u") for name in INPUTS),
+        _make_constant("by_one", "constant part of the factor", 1.0),
+        *(_make_constant(f"by_{name}", "weight in the factor") for name in FACTOR_INPUTS),
+        *(_make_constant(f"to_{name}", f"{meaning}, {unit}") for name, (unit, meaning) in TERMS.items()), *constants)
 
 
 def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[Parameter, ...]:
@@ -128,7 +128,7 @@ def fix_curve(kind: type[Effect], odd: bool = False, **values: float) -> tuple[P
     """
     share = Parameter("share", "1", null=0.0, initial=1.0, bounds=(-3.0, 3.0), meaning="fraction of the fitted curve",
                       source="st discover --propose", odd=odd)
-    return share, *(_constant(p.name, p.meaning, values.get(p.name, p.null))
+    return share, *(_make_constant(p.name, p.meaning, values.get(p.name, p.null))
                     for p in kind.parameters if p.name != share.name)
 
 
@@ -141,7 +141,7 @@ class RelationEffect(_Relation):
     name = "relation"
     physics = "a smooth curve of one quantity, added to one term of the model"
     excited_by = "driving that covers the range of the quantity"
-    parameters = _parameters()
+    parameters = _make_parameters()
 
     constants = staticmethod(compute_static_loads)
 
@@ -149,7 +149,7 @@ class RelationEffect(_Relation):
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         u = compute_argument(instant, theta) + theta.in_slip_front * slip_front + theta.in_slip_rear * slip_rear
         y = evaluate_curve(u, theta) * compute_factor(instant, theta)
-        # Steering to the left reduces the slip angle, which is + for a wheel that moves to its left.
+        # Steering to the left reduces the slip angle, which is positive for a wheel that slides to its left.
         return slip_front - theta.to_front_steer * y, slip_rear - theta.to_rear_steer * y
 
     @staticmethod
@@ -177,10 +177,11 @@ class LaggedRelationEffect(_Relation):
     physics = "a smooth curve of a quantity that lags, or of its rate, added to the steering of an axle"
     excited_by = "transients that cover the range of the quantity"
     extra_states = ("lagging",)
-    parameters = _parameters(
-        *(_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS), _constant("tau", "time constant, s", 0.1),
-        _constant("in_lagging", "weight of s in u"), _constant("in_rate", "weight of the rate in u"),
-        _constant("by_rate", "weight of the rate in the factor"))
+    parameters = _make_parameters(
+        *(_make_constant(f"of_{name}", "weight in q") for name in FACTOR_INPUTS),
+        _make_constant("tau", "time constant, s", 0.1),
+        _make_constant("in_lagging", "weight of s in u"), _make_constant("in_rate", "weight of the rate in u"),
+        _make_constant("by_rate", "weight of the rate in the factor"))
 
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
@@ -204,7 +205,7 @@ class TimedRelationEffect(_Relation):
     physics = "a smooth curve of the time in the run, added to the steering or to the grip of an axle"
     excited_by = "long runs"
     signals = ("run_time",)
-    parameters = _parameters()
+    parameters = _make_parameters()
 
     constants = staticmethod(compute_static_loads)
 

@@ -1,4 +1,4 @@
-"""Error of the friction in the tyre data, due to a wet or cold road or to other tyres."""
+"""Error of the friction in the tyre data, due to a wet or cold road or to different tyres."""
 
 from dataclasses import replace
 

@@ -57,12 +57,13 @@ class LateralLoadTransfer(Effect):
     @staticmethod
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
-        (load_front, load_rear), (car, track, share_front) = prepared, theta.constants
+        (load_front, load_rear), (car, track, fraction_front) = prepared, theta.constants
         transfer = theta.share * (front + rear) * car.cg_height / track
-        right, left = compute_tyre_forces(slip_front, load_front, share_front * transfer, car.tyre_front)
-        rear_right, rear_left = compute_tyre_forces(slip_rear, load_rear, (1.0 - share_front) * transfer, car.tyre_rear)
+        right, left = compute_tyre_forces(slip_front, load_front, fraction_front * transfer, car.tyre_front)
+        rear_right, rear_left = compute_tyre_forces(slip_rear, load_rear, (1.0 - fraction_front) * transfer,
+                                                     car.tyre_rear)
         couple = 0.5 * track * (right - left) / (car.cg_to_front_axle + car.cg_to_rear_axle)
-        # The tangent, because the equations of motion multiply the front force by cos delta.
+        # The tangent is used because the equations of motion multiply the front force by cos delta.
         return (front + right + left - 2.0 * tyre_force(slip_front, load_front, car.tyre_front)
                 - couple * tan(instant.road_wheel_angle),
                 rear + rear_right + rear_left - 2.0 * tyre_force(slip_rear, load_rear, car.tyre_rear)

@@ -24,5 +24,5 @@ class SteeredDriveForce(Effect):
     def axle_forces(forces, slip_front, slip_rear, instant, prepared, theta):
         front, rear = forces(slip_front, slip_rear, instant)
         drive_front, _ = compute_drive_forces(front, instant, theta.constants)
-        # The tangent, because the equations of motion multiply the front force by cos delta.
+        # The tangent is used because the equations of motion multiply the front force by cos delta.
         return front + theta.share * drive_front * tan(instant.road_wheel_angle), rear

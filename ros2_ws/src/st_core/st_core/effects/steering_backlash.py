@@ -46,6 +46,6 @@ class SteeringBacklash(Effect):
                                  "tests")
 
     @staticmethod
-    def steering(time, angle, begins, theta):
-        half = 0.5 * theta.play * ~begins
+    def steering(time, angle, is_start, theta):
+        half = 0.5 * theta.play * ~is_start
         return time, scan((angle - half, angle + half), compose_clamps)[0]

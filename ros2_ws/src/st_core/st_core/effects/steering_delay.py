@@ -21,5 +21,5 @@ class SteeringDelay(Effect):
                           model_error=0.004)
 
     @staticmethod
-    def steering(time, angle, begins, theta):
+    def steering(time, angle, is_start, theta):
         return time + theta.time, angle

@@ -1,6 +1,6 @@
 """First-order lag in the steering: time_constant delta_dot = delta_measured - delta.
 
-Since the lag acts only on the measured angle u, it is computed for the whole recording, without a further state, and
+Since the lag acts only on the measured angle u, it is computed for the whole recording, without an extra state, and
 exactly for a piecewise linear angle. It begins in steady state, delta = u, at the first sample and after each gap.
 
     delta_k = e delta_{k-1} + (m - e) u_{k-1} + (1 - m) u_k,   e = exp(-x),   m = (1 - e) / x,   x = dt / time_constant
@@ -27,12 +27,12 @@ class SteeringLag(Effect):
                           model_error=0.004)
 
     @staticmethod
-    def steering(time, angle, begins, theta):
+    def steering(time, angle, is_start, theta):
         spacing = np.diff(time, prepend=time[:1])
         before = np.concatenate((angle[:1], angle[:-1]))
         with np.errstate(divide="ignore", invalid="ignore"):
-            x = np.where(begins, 1.0, spacing / theta.time_constant)
+            x = np.where(is_start, 1.0, spacing / theta.time_constant)
             m = -np.expm1(-x) / x
-        factor = np.where(begins, 0.0, np.exp(-x))
-        offset = np.where(begins, angle, (m - factor) * before + (1.0 - m) * angle)
+        factor = np.where(is_start, 0.0, np.exp(-x))
+        offset = np.where(is_start, angle, (m - factor) * before + (1.0 - m) * angle)
         return time, scan((factor, offset), compose_affine)[1]

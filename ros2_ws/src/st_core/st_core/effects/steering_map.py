@@ -1,6 +1,6 @@
 """Steering ratio that depends on the angle: delta = delta' (1 + curvature delta'^2), delta' at constant ratio.
 
-It acts after steering_ratio and steering_offset, so it is symmetric about straight wheels. For curvature < 0,
+It acts after steering_ratio and steering_offset, so it is symmetric about straight ahead. For curvature < 0,
 delta decreases beyond delta' = 1 / sqrt(-3 curvature), which is 0.6 rad at the lower bound of curvature.
 """
 

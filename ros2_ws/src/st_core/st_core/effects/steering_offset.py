@@ -14,7 +14,7 @@ class SteeringOffset(Effect):
     applies_to = ANY
     order = 60
     parameter = Parameter("angle", "rad", null=0.0, initial=0.005, bounds=(-0.1, 0.1), odd=True,
-                          meaning="road wheel angle at a measured angle of zero, left +",
+                          meaning="road wheel angle at a measured angle of zero, positive to the left",
                           source="0.1 rad is 100 deg at a steering wheel with ratio 17, more than any assembly error")
 
     @staticmethod

@@ -32,8 +32,8 @@ class TyreRelaxation(Effect):
     @staticmethod
     def slip_angles(slip_front, slip_rear, extra, instant, prepared, theta):
         tau = theta.length / maximum(absolute(instant.velocity_x), theta.constants)
-        share = tau / maximum(tau, MIN_TIME_CONSTANT)
-        return slip_front + share * (extra[0] - slip_front), slip_rear + share * (extra[1] - slip_rear)
+        fraction = tau / maximum(tau, MIN_TIME_CONSTANT)
+        return slip_front + fraction * (extra[0] - slip_front), slip_rear + fraction * (extra[1] - slip_rear)
 
     @staticmethod
     def start(slips, instant, prepared, theta):

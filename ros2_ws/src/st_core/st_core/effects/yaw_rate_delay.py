@@ -8,13 +8,13 @@ from ._base import Effect, Parameter, register
 
 @register
 class YawRateDelay(Effect):
-    physics = "measured r(t) = r(t - time) ~ r - time r_dot: sensor filter, or time stamps of another clock"
+    physics = "measured r(t) = r(t - time) ~ r - time r_dot: sensor filter, or time stamps of a different clock"
     excited_by = "sweeps and step steers, with measured heading"
     kind, slot = "sensors", "yaw rate"
     needs = ("yaw_rate",)
     order = 20  # before scale and bias; the order does not affect the reading, since both are constant
     parameter = Parameter("time", "s", null=0.0, initial=0.03, bounds=(-0.1, 0.2),
-                          meaning="delay of the yaw rate, lag +",
+                          meaning="delay of the yaw rate, positive for a lag",
                           source="filters of yaw rate sensors, 10-50 Hz: 5-30 ms; stamps on arrival add as much",
                           identity="yaw_rate_lag")
 

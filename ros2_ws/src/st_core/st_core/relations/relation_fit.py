@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..augmented import AugmentedModel
-from ..discovery.fit import MIN_LOSS_REDUCTION, STEP_SHARES, Problem, Sensitivities
+from ..discovery.fit import MIN_LOSS_REDUCTION, STEP_FRACTIONS, Problem, Sensitivities
 from ..discovery.loss import Errors, Loss, Quadratic
 from ..discovery.settings import DiscoverySettings
 from ..discovery.space import ACCELEROMETER_GAIN, Space
@@ -200,7 +200,7 @@ class RelationFits:
             distance = self.problem.distance(vector)[indices]
             step = np.linalg.solve(add_ridge(h) + penalty, g - penalty @ distance)
             cost = loss.total(vector) + distance @ penalty @ distance
-            for share in STEP_SHARES:
+            for share in STEP_FRACTIONS:
                 trial = self.problem.take_step(vector, indices, share * step)
                 distance = self.problem.distance(trial)[indices]
                 gain = cost - (loss.total(trial) + distance @ penalty @ distance)

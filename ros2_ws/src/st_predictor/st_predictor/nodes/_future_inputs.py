@@ -123,7 +123,7 @@ class CourseInput:
             return Check("course", diagnostics.OK, NOT_USED, self._counts)
         if forecast.inputs is None:
             return Check("course", diagnostics.OK, f"inputs are held: {forecast.reason}", self._counts)
-        weights = {"weight in curvature": forecast.curvature_share, "weight in speed": forecast.speed_share}
+        weights = {"weight in curvature": forecast.curvature_weight, "weight in speed": forecast.speed_weight}
         text = ", ".join(f"{name} {weight:.0%}" for name, weight in weights.items())
         return Check("course", diagnostics.OK, f"used, {text}; remaining weight: held inputs", self._counts | weights)
 
